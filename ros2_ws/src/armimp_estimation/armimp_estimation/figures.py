@@ -21,17 +21,21 @@ from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.atomic_write import write_atomically
 from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.report.formats import plain
-from armimp_estimation.report.look import joint_colour, printed, strokes
-from armimp_estimation.report.plots import Axis, Chart, Stroke
-from armimp_estimation.report.result_plots import (
+from armimp_estimation.report.plots import (
     MOTION,
     PERIOD,
     TORQUE,
     TRUE,
     UNRELATED,
+    Axis,
+    Chart,
+    Stroke,
     bode_chart,
     coherence_chart,
+    joint_colour,
+    printed,
     rows_of,
+    strokes,
     trace_chart,
 )
 from armimp_estimation.result import Result
@@ -248,9 +252,9 @@ def _draw(chart: Chart, panels: Sequence[Axes]) -> None:
         if one.y is None:
             continue
         if one.stroke.symbol:
-            panel.errorbar(one.places, one.y, yerr=one.reach, elinewidth=0.9, **style)
+            panel.errorbar(one.x, one.y, yerr=one.reach, elinewidth=0.9, **style)
         else:
-            panel.plot(one.places, one.y, **style)
+            panel.plot(one.x, one.y, **style)
     for panel, (_, axis) in zip(panels, chart.rows, strict=True):
         _scale(panel, "x", chart.abscissa)
         _scale(panel, "y", axis)

@@ -9,15 +9,17 @@ from hypothesis import strategies as st
 
 from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.mbk import MBK
-from armimp_estimation.report.look import DASHES, printed, strokes
-from armimp_estimation.report.result_plots import (
+from armimp_estimation.report.plots import (
+    DASHES,
     BodeCurve,
     distances,
     element_curve,
     envelope,
     magnitude_range,
     phase_range,
+    printed,
     rows_of,
+    strokes,
 )
 from armimp_estimation.scores import Coherences
 from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial

@@ -6,7 +6,6 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from armimp_common import topics
@@ -107,7 +106,7 @@ def test_plots_are_one_per_element_and_one_per_trial(page: Page) -> None:
         "trace-1",
         "trace-2",
     ]
-    assert len(page.plots()) == 8 + 2 * 4  # four views of each trial
+    assert len(page.plots()) == 8 + 2 * 2  # two views of each trial
 
 
 def test_controls_switch_what_is_in_the_plots(page: Page) -> None:
@@ -138,9 +137,9 @@ def test_ledger_counts_every_stream(page: Page) -> None:
     assert "torque commands effort_controller/commands 10000 10000 0 – –" in page.words
 
 
-def test_configuration_is_shown_with_its_sources(page: Page) -> None:
-    assert "friction.coulomb 1, 1 assumption" in page.words
-    assert "law.gamma 90 set for this run" in page.words
+def test_configuration_is_shown(page: Page) -> None:
+    assert "friction.coulomb 1, 1" in page.words
+    assert "law.gamma 90" in page.words
     assert "python 3.12.0" in page.words
     assert "git revision 0123abc" in page.words
     assert "LuGre friction of level 2" in page.words
@@ -294,20 +293,3 @@ def test_what_is_known_of_the_torque_readings_and_the_tare_is_told(tmp_path: Pat
         "through a Butterworth low-pass of order 1, 200 Hz."
     ) in words
     assert "tare 0.812 N·m, −0.500 N·m" in words.replace("\u202f", " ")
-
-
-def test_distortion_is_shown_by_trial_where_the_perturbation_repeats_itself(
-    result: Result, page: Page
-) -> None:
-    assert "Torque by its origin" not in page.words
-    harmonics = np.array([1, 3, 5, 9, 11, 15, 17])[:, None] * np.arange(1000) / 1000.0
-    period = np.sum(np.cos(2.0 * np.pi * (harmonics + harmonics[:, 1:2] ** 2)), axis=0)
-    trials = []
-    for one in result.trials:
-        (record,) = one.segments
-        source = np.zeros_like(record.perturbation)
-        source[record.perturbed_joint] = np.resize(period, record.samples)
-        trials.append(replace(one, segments=(replace(record, perturbation=source),)))
-    shown = Page(report_page(replace(result, trials=tuple(trials))))
-    assert "Torque by its origin" in shown.words
-    assert {"distortion-1", "distortion-2"} <= set(shown.ids())

@@ -1,4 +1,4 @@
-"""Strings stay text whatever they hold; numbers and the origin of parameters are written."""
+"""Strings stay text whatever they hold, and numbers are written."""
 
 import json
 
@@ -17,12 +17,9 @@ from armimp_estimation.report.formats import (
     uncertain,
 )
 from armimp_estimation.report.page import Section, Table, render_page, script_json
-from armimp_estimation.report.run import advised
-from armimp_estimation.report.settings import ASSUMPTION, CHOSEN, assumptions_content, origin
+from armimp_estimation.report.run import advised, assumptions
 from support.pages import Page
-from support.results import METADATA
 
-CONFIG = json.loads(METADATA["config"])
 HOSTILE = "\"><script>alert(1)</script><img src=x onerror=alert(1)>'&amp;{{ 7 * 7 }}"
 
 
@@ -37,7 +34,7 @@ def test_strings_in_cells_captions_and_titles_stay_text() -> None:
     section = Section(
         identifier="verdict", title=HOSTILE, template="report/verdict.html", content=content
     )
-    assumed = {"joints": 2, "friction": "level 3", "sensors": "a resolution"}
+    assumed = {"joints": 2, "friction": "level 3"}
     made = render_page(HOSTILE, "report/assumptions.html", [section], content=assumed)
     body = made[made.index("<body>") : made.index("<script>")]
     page = Page(body)
@@ -91,20 +88,10 @@ def test_problems_of_one_kind_come_together_in_their_order() -> None:
     ]
 
 
-def test_parameters_say_where_they_come_from() -> None:
-    assert origin(CONFIG, "arm_sim", "arm.inertia") == "paper, Table I"
-    assert origin(CONFIG, "arm_sim", "friction.coulomb") == ASSUMPTION
-    assert origin(CONFIG, "arm_sim", "robot.masses") == ASSUMPTION
-    assert origin(CONFIG, "imbic_controller", "target.damping") == ASSUMPTION
-    assert origin(CONFIG, "imbic_controller", "law.gamma") == CHOSEN
-    assert origin(CONFIG, "arm_sim", "joints") == ""
-
-
 @pytest.mark.parametrize(("joints", "title"), [(3, "Third joint"), (5, "Arm")])
 def test_of_more_than_two_joints_the_paper_says_nothing(joints: int, title: str) -> None:
     config = {"experiment": {"joints": joints}, "arm_sim": {}}
-    assert ASSUMPTION in origin(config, "arm_sim", "arm.inertia")
-    made = render_page("", "report/assumptions.html", [], content=assumptions_content(config))
+    made = render_page("", "report/assumptions.html", [], content=assumptions(config))
     assert f"<dt>{title}</dt><dd>The paper's arm has two joints." in made
 
 
@@ -112,8 +99,7 @@ def test_of_more_than_two_joints_the_paper_says_nothing(joints: int, title: str)
 def test_a_configuration_of_another_kind_is_taken_without_assumptions(
     config: dict[str, object],
 ) -> None:
-    assert assumptions_content(config) is None
-    assert origin(config, "arm_sim", "unheard_of") == ""
+    assert assumptions(config) is None
 
 
 def test_an_error_gets_two_digits_and_the_estimate_as_many_decimals() -> None:

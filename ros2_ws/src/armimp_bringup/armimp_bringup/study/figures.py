@@ -22,9 +22,20 @@ from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.figures import TWO_COLUMNS, element_figure, matrix_figure, save_figure
 from armimp_estimation.mbk import MBK
 from armimp_estimation.report.formats import symbol
-from armimp_estimation.report.look import LEVEL_DASHES, estimator_tag
-from armimp_estimation.report.plots import Axis, Chart, Line, Plot, Stroke, frequency_axis
-from armimp_estimation.report.result_plots import IMPEDANCE, TRUE, deviation_percent, phase_about
+from armimp_estimation.report.plots import (
+    IMPEDANCE,
+    LEVEL_DASHES,
+    TRUE,
+    Axis,
+    Chart,
+    Line,
+    Plot,
+    Stroke,
+    deviation_percent,
+    estimator_tag,
+    frequency_axis,
+    phase_about,
+)
 
 Curves = Callable[[Condition], Mapping[str, ImpedanceCurve]]
 _Drawing = Callable[[Any, Any], Figure]
@@ -107,7 +118,9 @@ def levels_chart(table: Table, scores: Sequence[Score]) -> Chart:
         labels=[*places],
     )
     rows = [(1.0, Axis(title=title, hoverformat=".5~g")) for title in titles]
-    return Chart(abscissa=abscissa, rows=rows, lines=lines)
+    legend = {"orientation": "h", "y": -0.16, "yanchor": "top", "x": 0}
+    layout = {"hovermode": "closest", "legend": legend}
+    return Chart(abscissa=abscissa, rows=rows, lines=lines, layout=layout)
 
 
 # --- curves ------------------------------------------------------------------------------------
@@ -162,7 +175,8 @@ def overlay_chart(
         (2.0, Axis(title="phase (°)", step=90.0, hoverformat=".1f")),
         (2.0, Axis(title="error (%)", ends=ends[1], log=True, hoverformat=".3~g")),
     ]
-    return Chart(abscissa=frequency_axis([grid]), rows=rows, lines=lines)
+    closest = {"hovermode": "closest"}  # one box for all lines would cover the plot
+    return Chart(abscissa=frequency_axis([grid]), rows=rows, lines=lines, layout=closest)
 
 
 def level_stroke(friction: int | None = None, resolution: int | None = None) -> Stroke:
@@ -183,8 +197,7 @@ def overlay_plot(
         identifier=f"overlay-{i + 1}-{k + 1}",
         caption=symbol("Z", i + 1, k + 1),
         description=f"Estimates of Z {i + 1} {k + 1} in all conditions over the truth.",
-        # One box for all lines would cover the plot.
-        views=[overlay_chart(curves, truth, i, k).view(hovermode="closest")],
+        views={"": overlay_chart(curves, truth, i, k)},
         height=470,
     )
 

@@ -29,16 +29,15 @@ from armimp_estimation.report.formats import (
     setting,
     symbol,
 )
-from armimp_estimation.report.look import LEVEL_DASHES, estimator_tag
 from armimp_estimation.report.page import Content, Section, Table, box, render_page
-from armimp_estimation.report.plots import Plot
-from armimp_estimation.report.result_plots import TRUTH, plot_matrix
-from armimp_estimation.report.run import advised
-from armimp_estimation.report.settings import (
-    assumptions_content,
-    configuration,
-    identity,
+from armimp_estimation.report.plots import (
+    LEVEL_DASHES,
+    TRUTH,
+    Plot,
+    estimator_tag,
+    plot_matrix,
 )
+from armimp_estimation.report.run import advised, assumptions
 from armimp_estimation.summary import OriginSummary
 
 Curves = Callable[[Condition], Mapping[str, ImpedanceCurve]]
@@ -104,7 +103,7 @@ class StudyReport:
                 "assumptions",
                 "Assumptions",
                 "report/assumptions",
-                assumptions_content(first.config, friction=friction),
+                assumptions(first.config, friction=friction),
             ),
             ("files", "Files", "study/files", {"files": self.files}),
         ]
@@ -248,11 +247,7 @@ class StudyReport:
     def _by_level(self, identifier: str, scores: Sequence[Score]) -> Content:
         names = ", ".join(score.name for score in scores)
         title = f"By level: {names}"
-        legend = {"orientation": "h", "y": -0.16, "yanchor": "top", "x": 0}
-        views = [
-            levels_chart(self._of(name), scores).view(name, hovermode="closest", legend=legend)
-            for name in self._estimators
-        ]
+        views = {name: levels_chart(self._of(name), scores) for name in self._estimators}
         plot = Plot(
             identifier=f"levels-{identifier}",
             caption=title,
@@ -268,10 +263,10 @@ class StudyReport:
         """Software, seeds, and the configuration but for what the levels set."""
         config: dict[str, Any] = dict(self.entries[0].config)
         return {
-            "identity": identity(config, ", ".join(map(str, self._seeds))),
+            "config": config,
+            "seed": ", ".join(map(str, self._seeds)),
             "reading": None,
             "conditions": True,
-            "tables": configuration(config),
         }
 
 

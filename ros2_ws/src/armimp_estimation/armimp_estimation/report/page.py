@@ -28,12 +28,13 @@ from armimp_estimation.report.formats import (
     setting,
     symbol,
     uncertain,
+    written,
 )
-from armimp_estimation.report.look import style_rules
+from armimp_estimation.report.plots import style_rules
 
 Content = dict[str, Any]
 Rows = Sequence[Sequence[object]]
-_FUNCTIONS = (symbol, code, setting, mark, uncertain, difference)
+_FUNCTIONS = (symbol, code, setting, mark, uncertain, difference, written)
 """Functions of all templates."""
 
 

@@ -12,6 +12,44 @@
     modeBarButtons: [["toImage", "zoom2d", "pan2d", "resetScale2d"]],
     toImageButtonOptions: { format: "svg" },
   };
+  const everyAxis = {
+    gridcolor: "--rule",
+    linecolor: "--ink",
+    ticks: "outside",
+    ticklen: 4,
+    tickcolor: "--ink",
+    showline: true,
+    zeroline: false,
+  };
+  const everyLayout = {
+    font: { family: "system-ui, sans-serif", size: 12, color: "--ink" },
+    paper_bgcolor: "rgba(0,0,0,0)",
+    plot_bgcolor: "rgba(0,0,0,0)",
+    hoverlabel: { bgcolor: "--paper", font: { color: "--ink" }, namelength: -1 },
+    modebar: { bgcolor: "rgba(0,0,0,0)", color: "--soft", activecolor: "--ink" },
+    hovermode: "x unified",
+  };
+
+  // What all plots have in common; what one has of its own prevails.
+  function styled({ data, layout }, name) {
+    for (const key of Object.keys(layout).filter((one) => /^[xy]axis/.test(one))) {
+      layout[key] = { ...everyAxis, ...layout[key] };
+      layout[key].title.standoff = 8;
+    }
+    if (layout.legend) {
+      const seen = new Set();
+      for (const trace of data) {
+        trace.legendgroup = trace.name;
+        trace.showlegend = !seen.has(trace.name);
+        seen.add(trace.name);
+      }
+    }
+    // The buttons of plotly.js are in the upper margin, beside the caption.
+    const margin = { l: 72, r: 12, t: 30, b: layout.legend ? 84 : 44 };
+    // What the reader zoomed into stays when lines are switched, and says nothing of another view.
+    const own = { margin, showlegend: Boolean(layout.legend), uirevision: name };
+    return { data, layout: { ...structuredClone(everyLayout), ...own, ...layout } };
+  }
 
   // Colours are names of variables of the style, perhaps with their share: --ink, --ink/0.2.
   function coloured(value, style) {
@@ -34,8 +72,9 @@
     const views = figure.querySelectorAll("script[type='application/json']");
     const off = new Set(switches.filter((box) => !box.checked).map((box) => box.dataset.switch));
     try {
-      const text = views[chosen ? Number(chosen.value) : 0].textContent;
-      const view = coloured(JSON.parse(text), getComputedStyle(document.documentElement));
+      const number = chosen ? Number(chosen.value) : 0;
+      const plain = styled(JSON.parse(views[number].textContent), number);
+      const view = coloured(plain, getComputedStyle(document.documentElement));
       for (const trace of view.data) {
         trace.visible = !(trace.meta || []).some((tag) => off.has(tag));
       }

@@ -1,8 +1,14 @@
-"""Charts, and how a page shows them: plain data for plotly.js.
+"""What is drawn of a result, as plain data, and how it looks in every report and figure.
 
 A chart says what is drawn; pages draw it with ``plots.js``, `armimp_estimation.figures` for paper.
-Lines and bands carry tags (``meta``), by which controls of the page switch them off and on in all
-plots at once. Colours are variables of the page's style, see `armimp_estimation.report.look`.
+Lines and bands carry tags (``meta``), by which controls of a page switch them off and on in all
+plots at once.
+
+One colour stands for one thing. Estimators have those of Okabe and Ito, joints those that Tol calls
+muted, elements those that he calls bright, levels steps from light to dark: all can be told apart
+by colour-blind people. Lines differ in their dashes as well. A page has them as variables of its
+style, with a lighter set for the dark mode; charts name them so, ``--estimator-0``. A page looks
+them up in ``plots.js``, a figure with `printed`.
 """
 
 from __future__ import annotations
@@ -10,33 +16,85 @@ from __future__ import annotations
 import base64
 import html
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armimp_common.arrays import FloatArray
-from armimp_estimation.report.formats import plain
+from armimp_common.arrays import ComplexArray, FloatArray
+from armimp_common.topics import PERIOD_NS
+from armimp_estimation.alignment.assemble import Trial
+from armimp_estimation.curves import ImpedanceCurve
+from armimp_estimation.estimators.estimate import confidence_radius
+from armimp_estimation.mbk import MBK
+from armimp_estimation.record import TrialRecord
+from armimp_estimation.report.formats import plain, symbol
+from armimp_estimation.spectra import WelchConfig
 
-Trace: TypeAlias = dict[str, Any]
-Layout: TypeAlias = dict[str, Any]
-Options: TypeAlias = Mapping[str, Any]
+Options: TypeAlias = dict[str, Any]
+"""As plotly.js takes them."""
+Band: TypeAlias = tuple[FloatArray, FloatArray]
+"""Lower and upper end."""
+Distance: TypeAlias = tuple[FloatArray, FloatArray | None, FloatArray]
+"""Frequencies (Hz), distance, None for the reference, and radius of the 95 % circle (%)."""
+
+_PALETTES: Mapping[str, Sequence[tuple[str, str]]] = {
+    "estimator": (
+        *(("#0072b2", "#4aa8e0"), ("#d55e00", "#ff8a3d"), ("#009e73", "#2cc79b")),
+        *(("#cc79a7", "#e79bc4"), ("#56b4e9", "#8fd0f5"), ("#e69f00", "#f5bd4a")),
+    ),
+    "joint": (
+        *(("#332288", "#9a8cf0"), ("#cc6677", "#e58391"), ("#44aa99", "#5cc4b3")),
+        *(("#999933", "#c2c25a"), ("#88ccee", "#88ccee"), ("#882255", "#d46a9f")),
+        ("#5f5f5f", "#b5b5b5"),
+    ),
+    "level": (
+        *(("#b8a500", "#fde725"), ("#35a06a", "#4fd18b"), ("#2f6f8f", "#58a8cf")),
+        ("#440154", "#c06fd6"),
+    ),
+    "element": tuple(
+        (colour, colour)
+        for colour in ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#8f8f8f")
+    ),
+    "signal": (("#8a8a8a", "#9a9a9a"), ("#2b2b2b", "#dddddd")),
+    "ink": (("#1d2329", "#e3e7eb"),),
+    "soft": (("#55606b", "#a2adb8"),),
+    "rule": (("#d5dae0", "#3a424b"),),
+    "paper": (("#ffffff", "#15191d"),),
+    "shade": (("#f5f7f9", "#1e242a"),),
+    "good": (("#00704f", "#41c79b"),),
+    "bad": (("#b03a00", "#ff8a5c"),),
+    "link": (("#005a94", "#6db8f0"),),
+}
+"""Colours in the light and in the dark mode."""
+LEVEL_DASHES = ("solid", "dash", "dashdot", "dot")
+"""Of friction and resolution in a study."""
+DASHES = ("solid", "dash", "dashdot", "longdash", "longdashdot", "dot")
+"""As plotly names them; dotted is the truth's own, so it comes last."""
+_KNOWN = ("welch_siso", "welch_full", "lpm_full", "direct", "mimo")
+
 
 BANDS = "bands"
 """Tag of confidence bands."""
-_INK = "--ink"
-_AXIS: Options = {
-    "gridcolor": "--rule",
-    "linecolor": _INK,
-    "ticks": "outside",
-    "ticklen": 4,
-    "tickcolor": _INK,
-    "showline": True,
-    "zeroline": False,
-}
+TRUTH = "truth"
+"""Tag of true curves."""
+IMPEDANCE = "N·m/rad"
+SIDE_BY_SIDE = 3
+"""Joints up to which the elements of a matrix are shown beside each other."""
+PERIOD: float = PERIOD_NS / 1e9
+"""Time from one sample to the next, s."""
+BAND = 2.0 * WelchConfig.f_high
+"""Up to where signals are shown: what is estimated ends at half of it, Hz."""
 _TICKS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
+_ORDER = 4
+_GAP = 0.04
+"""Between axes one above the other, as a part of the whole height."""
+_BUCKETS = 1000
+_EXCERPT = 2000
+"""Samples at the end that are shown in full."""
+_REFERENCE = "lpm_full"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,6 +110,60 @@ class Stroke:
     width: float = 1.6
     tags: Sequence[str] = ()
     symbol: str = ""
+
+
+TRUE = Stroke(name="truth", colour="--ink", dash="dot", tags=[TRUTH])
+MOTION = Stroke(name="perturbation → angle", colour="--signal-0", width=1.3)
+TORQUE = Stroke(name="perturbation → torque", colour="--signal-1", width=1.3)
+UNRELATED = Stroke(name="unrelated signals stay below", colour="--soft", dash="dot", width=1.0)
+
+
+def estimator_tag(name: str) -> str:
+    """Tag of everything that an estimator found."""
+    return f"estimator:{name}"
+
+
+def strokes(names: Iterable[str]) -> dict[str, Stroke]:
+    """Strokes of estimators by name. Known ones always look alike, others get what is left."""
+    wanted = list(names)
+    order = [*_KNOWN, *(name for name in wanted if name not in _KNOWN)]
+    numbers = {name: order.index(name) % len(DASHES) for name in wanted}
+    return {
+        name: Stroke(
+            name=name,
+            colour=f"--estimator-{number}",
+            dash=DASHES[number],
+            tags=[estimator_tag(name)],
+        )
+        for name, number in numbers.items()
+    }
+
+
+def joint_colour(joint: int) -> str:
+    """Colour of a joint (0-based), a variable of the style."""
+    return f"--joint-{joint % 7}"
+
+
+def printed(colour: str) -> str:
+    """Colour of a figure on paper, ``#rrggbb``, for a variable of the style."""
+    name, _, number = colour.removeprefix("--").partition("-")
+    return _PALETTES[name][int(number or 0)][0]
+
+
+def style_rules() -> str:
+    """Rules of a style sheet that define the colours in both modes."""
+
+    def rules(mode: int) -> str:
+        return "".join(
+            f"--{name}{f'-{number}' if len(colours) > 1 else ''}:{colours[number][mode]};"
+            for name, colours in _PALETTES.items()
+            for number in range(len(colours))
+        )
+
+    return (
+        f":root{{{rules(0)}}}\n"
+        f"@media screen and (prefers-color-scheme:dark){{:root{{{rules(1)}}}}}\n"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,9 +187,9 @@ class Axis:
     unit: str = ""
     """Of an abscissa, shown with them."""
 
-    def options(self) -> Options:
+    def options(self, **others: object) -> Options:
         """Options of plotly.js."""
-        found: dict[str, Any] = {"hoverformat": self.hoverformat}
+        found: Options = {"title": {"text": self.title}, "hoverformat": self.hoverformat, **others}
         if self.ends is not None:
             found["range"] = [math.log10(end) if self.log else end for end in self.ends]
         if self.log:
@@ -90,15 +202,15 @@ class Axis:
             found |= {"tick0": 0, "dtick": self.step}
         if self.unit:
             found["unifiedhovertitle"] = {"text": f"%{{x}} {self.unit}"}
-        return axis(self.title, **found)
+        return found
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Line:
     """A line of a chart, a band about it, or both."""
 
-    x: FloatArray | tuple[float, float]
-    """Abscissas, or the first of them and their distance; shape (N,)."""
+    x: FloatArray
+    """Abscissas, shape (N,)."""
     y: FloatArray | None
     """Ordinates; NaN makes a gap; shape (N,)."""
     stroke: Stroke
@@ -107,18 +219,9 @@ class Line:
     """Its axis, counted from 1 at the top."""
     unit: str = ""
     """Shown where the pointer is."""
-    ends: tuple[FloatArray, FloatArray] | None = None
+    ends: Band | None = None
     """Lower and upper end of a 95 % band; there is none where one is not finite. Of marks those of
     the bars."""
-
-    @property
-    def places(self) -> FloatArray:
-        """All abscissas, shape (N,)."""
-        if isinstance(self.x, tuple):
-            first, step = self.x
-            count = 0 if self.y is None else self.y.size
-            return first + step * np.arange(count, dtype=np.float64)
-        return self.x
 
     def band(self, axis: Axis) -> tuple[FloatArray, FloatArray, FloatArray] | None:
         """Abscissas, lower and upper ends of the band as an axis can show it; None without one."""
@@ -127,21 +230,21 @@ class Line:
         lower, upper = self.ends
         known = np.isfinite(lower) & np.isfinite(upper)
         least = 1e-6 if axis.log else -np.inf  # a logarithmic axis has no zero
-        return self.places[known], np.maximum(lower[known], least), upper[known]
+        return self.x[known], np.maximum(lower[known], least), upper[known]
 
     @property
-    def reach(self) -> tuple[FloatArray, FloatArray]:
+    def reach(self) -> Band:
         """How far bars reach below and above their marks, each of shape (N,)."""
         assert self.y is not None
         lower, upper = (self.y, self.y) if self.ends is None else self.ends
         # Rounding may leave the mean of equal values beside them.
         return np.maximum(self.y - lower, 0.0), np.maximum(upper - self.y, 0.0)
 
-    def traces(self, axis: Axis) -> list[Trace]:
+    def traces(self, axis: Axis) -> list[Options]:
         """Band and line as plotly.js takes them."""
         stroke = self.stroke
-        common: Trace = {"type": "scatter", "mode": "lines", "yaxis": axis_name("y", self.row)}
-        found: list[Trace] = []
+        common: Options = {"type": "scatter", "mode": "lines", "yaxis": axis_name("y", self.row)}
+        found: list[Options] = []
         if (band := self.band(axis)) is not None:
             x, lower, upper = band
             found.append(
@@ -158,11 +261,10 @@ class Line:
             )
         if self.y is None:
             return found
-        places = {"x0": self.x[0], "dx": self.x[1]}
         shown = f"%{{y}} {self.unit}"
-        line: Trace = {
+        line: Options = {
             **common,
-            **(places if isinstance(self.x, tuple) else {"x": packed(self.x)}),
+            "x": packed(self.x),
             "y": packed(self.y),
             "name": label(stroke.name),
             "line": {"color": stroke.colour, "dash": stroke.dash, "width": stroke.width},
@@ -182,15 +284,6 @@ class Line:
         return [*found, line]
 
 
-@dataclass(frozen=True, kw_only=True)
-class View:
-    """What a plot shows: traces and layout as plotly.js takes them."""
-
-    name: str = ""
-    data: Sequence[Trace]
-    layout: Layout
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Chart:
     """Lines over a common abscissa, in axes one above the other."""
@@ -201,27 +294,24 @@ class Chart:
     """Relative height of each ordinate and what it is, from the top."""
     lines: Sequence[Line]
     """In the order in which they are drawn."""
+    layout: Options = field(default_factory=dict)
+    """Options that a page has for this chart. With a ``legend``, each name has one entry there."""
 
     def values(self, row: int = 1) -> FloatArray:
         """All ordinates of an axis."""
         return np.concatenate([one.y for one in self.lines if one.row == row and one.y is not None])
 
-    def view(self, name: str = "", **layout: Any) -> View:
-        """Return the view of a page; what is given changes its layout, see `stacked`.
-
-        With a ``legend`` among that, each name has one entry there.
-        """
-        rows = [(height, one.options()) for height, one in self.rows]
-        gap, left = (0.05, 62) if len(rows) < 4 else (0.03, 78)
-        data = [trace for one in self.lines for trace in one.traces(self.rows[one.row - 1][1])]
-        whole = stacked(self.abscissa.options(), rows, gap=gap, left=left)
-        if "legend" in layout:
-            named = {trace["name"]: trace for trace in reversed(data)}
-            for trace in data:
-                first = named[trace["name"]] is trace
-                trace |= {"legendgroup": trace["name"], "showlegend": first}
-            whole |= {"showlegend": True, "margin": {**whole["margin"], "b": 84}}
-        return View(name=name, data=data, layout=whole | layout)
+    def drawn(self) -> Options:
+        """Traces and layout as plotly.js takes them; what all charts have is in ``plots.js``."""
+        layout = {"xaxis": self.abscissa.options(anchor=axis_name("y", len(self.rows)))}
+        usable = (1.0 - _GAP * (len(self.rows) - 1)) / sum(height for height, _ in self.rows)
+        top = 1.0
+        for number, (height, one) in enumerate(self.rows, 1):
+            bottom = max(top - usable * height, 0.0)
+            layout[axis_name("yaxis", number)] = one.options(domain=[bottom, top])
+            top = bottom - _GAP
+        traces = [trace for one in self.lines for trace in one.traces(self.rows[one.row - 1][1])]
+        return {"data": traces, "layout": layout | self.layout}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -234,8 +324,8 @@ class Plot:
     """Title, text or HTML."""
     description: str
     """What it shows, for those who can't see it."""
-    views: Sequence[View]
-    """The first one is shown; with more of them the reader chooses."""
+    views: Mapping[str, Chart]
+    """By name; the first one is shown, with more of them the reader chooses."""
     height: int
     """In pixels."""
 
@@ -250,48 +340,6 @@ def label(text: object) -> str:
     """Text for plotly.js, which would take some tags in it for formatting and links."""
     # A reader sees no difference, but plotly.js would put values in the place of %{…}.
     return html.escape(plain(text), quote=False).replace("%{", "%\N{WORD JOINER}{")
-
-
-def stacked(
-    x_axis: Options, rows: Sequence[tuple[float, Options]], *, gap: float = 0.05, left: int = 62
-) -> Layout:
-    """Lay out axes one above the other, on a common abscissa.
-
-    Parameters
-    ----------
-    x_axis : mapping
-        Options of the abscissa, see `axis`.
-    rows : sequence of (float, mapping)
-        Relative height and options of each ordinate, from the top.
-    gap, left : float
-        Between the axes, as a part of the whole height, and margin for the titles, pixels.
-    """
-    layout: Layout = {
-        "font": {"family": "system-ui, sans-serif", "size": 12, "color": _INK},
-        "paper_bgcolor": "rgba(0,0,0,0)",
-        "plot_bgcolor": "rgba(0,0,0,0)",
-        "hoverlabel": {"bgcolor": "--paper", "font": {"color": _INK}, "namelength": -1},
-        # The buttons of plotly.js are in the upper margin, beside the caption.
-        "margin": {"l": left, "r": 12, "t": 30, "b": 44},
-        "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": "--soft", "activecolor": _INK},
-        "showlegend": False,
-        "hovermode": "x unified",
-        # What the reader zoomed into stays when lines are switched.
-        "uirevision": "keep",
-        "xaxis": {**x_axis, "anchor": axis_name("y", len(rows))},
-    }
-    usable = (1.0 - gap * (len(rows) - 1)) / sum(height for height, _ in rows)
-    top = 1.0
-    for number, (height, options) in enumerate(rows, 1):
-        bottom = max(top - usable * height, 0.0)
-        layout[axis_name("yaxis", number)] = {**options, "domain": [bottom, top]}
-        top = bottom - gap
-    return layout
-
-
-def axis(title: str, **options: object) -> Options:
-    """Options of an axis; the title may contain ``<br>``."""
-    return {**_AXIS, "title": {"text": title, "standoff": 8}, **options}
 
 
 def frequency_axis(grids: Sequence[FloatArray]) -> Axis:
@@ -311,3 +359,383 @@ def frequency_axis(grids: Sequence[FloatArray]) -> Axis:
 def axis_name(name: str, row: int) -> str:
     """Name that plotly.js has for the axis of a row: ``y``, ``y2`` and so on."""
     return name if row == 1 else f"{name}{row}"
+
+
+def plot_matrix(joints: int, plot: Callable[[int, int], Plot]) -> list[Plot]:
+    """Plots of all elements (0-based), row by row; with many joints one plot to choose from."""
+    plots = {(i, k): plot(i, k) for i in range(joints) for k in range(joints)}
+    if joints <= SIDE_BY_SIDE:
+        return list(plots.values())
+    first = plots[0, 0]
+    views = {f"Z{i + 1}{k + 1}": p.views[""] for (i, k), p in plots.items()}
+    return [replace(first, caption="Element", views=views, height=first.height + 60)]
+
+
+def bode_chart(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, k: int) -> Chart:
+    """Bode plot of ``Z_ik``: every estimate with its 95 % band, the truth, and how far they part.
+
+    There is at least one curve, by name of the estimator. The element is 0-based: torque of joint i
+    over angle of joint k.
+    """
+    grids = [curve.f for curve in curves.values()]
+    parted, ends = distances(curves, truth, i, k)
+    lines, every = [], []
+    for name, stroke in strokes(curves).items():
+        one = element_curve(curves[name], i, k)
+        f, off, radius = parted[name]
+        lines += [
+            Line(x=one.f, y=one.magnitude, stroke=stroke, unit=IMPEDANCE, ends=one.magnitude_band),
+            Line(x=one.f, y=one.phase, stroke=stroke, row=2, unit="°", ends=one.phase_band),
+            Line(
+                x=f,
+                y=off,
+                stroke=replace(stroke, width=1.1),
+                row=3,
+                unit="%",
+                ends=(np.zeros(f.size), radius),
+            ),
+        ]
+        every.append(one)
+    if truth is not None:
+        true = true_curve(truth, max(grids, key=len), i, k)
+        lines.append(Line(x=true.f, y=true.magnitude, stroke=TRUE, unit=IMPEDANCE))
+        lines.append(Line(x=true.f, y=true.phase, stroke=TRUE, row=2, unit="°"))
+        every.append(true)
+    phases = phase_range(every)
+    phase = Axis(title="phase (°)", ends=phases, step=phase_step(phases), hoverformat=".1f")
+    rows = [
+        (3.0, Axis(title="magnitude (N·m/rad)", ends=magnitude_range(every), log=True)),
+        (2.0, phase),
+        (2.4, Axis(title="distance (%)", ends=ends, log=True, hoverformat=".3~g")),
+    ]
+    return Chart(abscissa=frequency_axis(grids), rows=rows, lines=lines)
+
+
+def bode_plot(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, k: int) -> Plot:
+    """Plot of a page with the chart of `bode_chart`."""
+    chart = bode_chart(curves, truth, i, k)
+    sizes = chart.values()
+    return Plot(
+        identifier=f"bode-{i + 1}-{k + 1}",
+        caption=symbol("Z", i + 1, k + 1),
+        description=(
+            f"Magnitude and phase of Z {i + 1} {k + 1} over frequency: from {np.nanmin(sizes):.3g} "
+            f"to {np.nanmax(sizes):.3g} N·m/rad, and the distance of the estimates."
+        ),
+        views={"": chart},
+        height=500,
+    )
+
+
+def coherence_chart(
+    curves: Mapping[str, ImpedanceCurve], i: int, k: int, joint_names: Sequence[str], level: float
+) -> Chart:
+    """Coherences behind ``Z_ik`` (0-based) over frequency, of at least one estimator by name.
+
+    Below `level` signals count as unrelated.
+    """
+    common = next(iter(curves.values())).coherence
+    shown = [
+        (common.motion[k], replace(MOTION, name=f"{MOTION.name} of {joint_names[k]}")),
+        (common.torque[i, k], replace(TORQUE, name=f"{TORQUE.name} of {joint_names[i]}")),
+    ]
+    for name, stroke in strokes(curves).items():
+        derived = curves[name].coherence.derived[i, k]
+        shown.append((derived, replace(stroke, name=f"derived, {name}")))
+    lines = [Line(x=common.f, y=values, stroke=stroke) for values, stroke in shown]
+    lines.append(Line(x=common.f[[0, -1]], y=np.full(2, level), stroke=UNRELATED))
+    ordinate = Axis(title="coherence γ²", ends=(0.0, 1.02), hoverformat=".4f")
+    return Chart(abscissa=frequency_axis([common.f]), rows=[(1.0, ordinate)], lines=lines)
+
+
+def coherence_plot(
+    curves: Mapping[str, ImpedanceCurve], i: int, k: int, joint_names: Sequence[str], level: float
+) -> Plot:
+    """Plot of a page with the chart of `coherence_chart`."""
+    chart = coherence_chart(curves, i, k, joint_names, level)
+    lowest = np.nanmin(np.concatenate([one.y for one in chart.lines[:-1] if one.y is not None]))
+    return Plot(
+        identifier=f"coherence-{i + 1}-{k + 1}",
+        caption=symbol("Z", i + 1, k + 1),
+        description=(
+            f"Coherences behind Z {i + 1} {k + 1} over frequency; the lowest is {lowest:.2g}."
+        ),
+        views={"": chart},
+        height=250,
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Row:
+    """Signals that are drawn over each other."""
+
+    title: str
+    unit: str
+    """Of the axis."""
+    joints: tuple[int, ...]
+    """Joint of each signal, 0-based."""
+    values: FloatArray
+    """One value for each control period; NaN where there is none; shape (len(joints), N)."""
+
+
+def rows_of(
+    segments: Sequence[TrialRecord], start_ns: int, *, cutoff: float | None = BAND
+) -> list[Row]:
+    """Signals of a trial as a reader wants to see them: angles in degrees, about their mean.
+
+    Joints that were to be held still have a row of their own, as their motion is far smaller.
+    Commands and torques chatter far above the band in which the arm is perturbed, so that all of
+    them would be solid bars.
+
+    Parameters
+    ----------
+    segments : sequence of TrialRecord
+        Parts of the trial without gaps, at least one.
+    start_ns : int
+        Stamp of the first sample of the trial (ns).
+    cutoff : float or None
+        Of the low-pass that the signals are seen through, Hz; None shows them as recorded.
+    """
+    starts = [round((segment.start_ns - start_ns) / PERIOD_NS) for segment in segments]
+    span = max(start + part.samples for start, part in zip(starts, segments, strict=True))
+
+    def signal(field: str) -> FloatArray:
+        """Signal of all segments, with NaN in the gaps; shape (n, span)."""
+        whole = np.full((segments[0].joints, span), np.nan)
+        for start, segment in zip(starts, segments, strict=True):
+            values = getattr(segment, field)
+            seen = values if cutoff is None else _smoothed(values, cutoff / segment.rate)
+            whole[:, start : start + segment.samples] = seen
+        return whole
+
+    def row(title: str, unit: str, joints: tuple[int, ...], values: FloatArray) -> Row:
+        return Row(title=title, unit=unit, joints=joints, values=values[list(joints)])
+
+    everyone = tuple(range(segments[0].joints))
+    perturbation, angle = signal("perturbation"), np.degrees(signal("position"))
+    angle -= np.nanmean(angle, axis=1, keepdims=True)
+    k = segments[0].perturbed_joint
+    perturbed = tuple(j for j in everyone if j == k or np.nan_to_num(perturbation[j]).any())
+    held = tuple(j for j in everyone if j not in perturbed)
+    rows = [
+        row("perturbation", "N·m", perturbed, perturbation),
+        row("angle", "°", perturbed, angle),
+        *([row("held joints", "°", held, angle)] if held else []),
+        row("torque on arm", "N·m", everyone, signal("torque")),
+    ]
+    if all(segment.command is not None for segment in segments):
+        rows.append(row("command", "N·m", everyone, signal("command")))
+    return rows
+
+
+def _smoothed(values: FloatArray, cutoff: float) -> FloatArray:
+    """Signals without what is above a frequency, cycles per sample; neither early nor late."""
+    # A sampled Butterworth filter there and back, on the signal and its mirror image. That of
+    # scipy.signal does the same, but takes longer to import than the whole report to write.
+    mirrored = np.concatenate((values, values[:, ::-1]), axis=1)
+    ratio = np.tan(np.pi * np.fft.rfftfreq(mirrored.shape[1])) / np.tan(np.pi * cutoff)
+    seen = np.fft.irfft(np.fft.rfft(mirrored) / (1.0 + ratio ** (2 * _ORDER)), mirrored.shape[1])
+    return seen[:, : values.shape[1]]
+
+
+def trace_plot(identifier: str, trial: Trial, buckets: int = _BUCKETS) -> Plot:
+    """Plot of a trial over time: the whole of it as `rows_of` shows it, and its end as recorded.
+
+    The trial has at least one segment; long signals are thinned out, see `envelope`.
+    """
+    start_ns, names = trial.window.start_ns, trial.segments[0].joint_names
+    rows = rows_of(trial.segments, start_ns)
+    span = rows[0].values.shape[1]
+    last = max(span - _EXCERPT, 0), span
+    recorded = rows_of(trial.segments, start_ns, cutoff=None)
+    return Plot(
+        identifier=identifier,
+        caption="Signals over time",
+        description=f"Perturbation, angles, torques and commands of trial {trial.trial}.",
+        views={
+            "whole trial": trace_chart(rows, names, (0, span), buckets),
+            f"last {(span - last[0]) * PERIOD:g} s as recorded": trace_chart(recorded, names, last),
+        },
+        height=125 * len(rows) + 50,
+    )
+
+
+def trace_chart(
+    rows: Sequence[Row], names: Sequence[str], part: Sequence[int], buckets: int = _BUCKETS
+) -> Chart:
+    """Signals over time, of joints with these names.
+
+    Shown are the samples from the first of `part` to the one before the second, thinned out into so
+    many parts, see `envelope`.
+    """
+    start, stop = part
+    lines = []
+    for number, row in enumerate(rows, 1):
+        for joint, values in zip(row.joints, row.values, strict=True):
+            name, colour = f"{row.title}, {names[joint]}", joint_colour(joint)
+            stroke = Stroke(name=name, colour=colour, width=1.0)
+            thinned, step = envelope(values[start:stop], buckets)
+            time = PERIOD * (start + step * np.arange(thinned.size, dtype=np.float64))
+            lines.append(Line(x=time, y=thinned, stroke=stroke, row=number, unit=row.unit))
+    abscissa = Axis(
+        title="time since the perturbation began (s)",
+        ends=(start * PERIOD, stop * PERIOD),
+        hoverformat=".3f",
+        unit="s",
+    )
+    ordinates = [(1.0, Axis(title=f"{row.title}<br>({row.unit})")) for row in rows]
+    return Chart(abscissa=abscissa, rows=ordinates, lines=lines)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BodeCurve:
+    """Magnitude and phase of one element of the impedance matrix over frequency."""
+
+    f: FloatArray
+    """Frequencies, Hz; shape (n_freq,)."""
+    magnitude: FloatArray
+    phase: FloatArray
+    """Magnitude (N·m/rad) and phase (degrees), each of shape (n_freq,)."""
+    radius: FloatArray
+    """Radius of the circle about each value that holds the truth in 95 %, N·m/rad; NaN if unknown;
+    shape (n_freq,)."""
+
+    @property
+    def magnitude_band(self) -> Band:
+        """The 95 % band of the magnitude, N·m/rad."""
+        # A logarithmic axis has no zero: the lower end stays positive, far below the curve.
+        lower = np.maximum(self.magnitude - self.radius, 1e-3 * self.magnitude)
+        return lower, self.magnitude + self.radius
+
+    @property
+    def phase_band(self) -> Band:
+        """The 95 % band of the phase, degrees."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            sine = self.radius / self.magnitude
+        # The circle is seen from the origin under this angle; from within it, all around.
+        spread = np.degrees(np.where(sine < 1.0, np.arcsin(np.minimum(sine, 1.0)), np.pi))
+        return self.phase - spread, self.phase + spread
+
+
+def element_curve(curve: ImpedanceCurve, i: int, k: int) -> BodeCurve:
+    """Curve of the estimate of ``Z_ik`` (0-based)."""
+    radius = np.full(curve.f.size, np.nan)
+    if curve.averages > 1.0:
+        radius = confidence_radius(curve.variance[i, k], curve.averages)
+    return _bode(curve.f, curve.Z[i, k], radius)
+
+
+def true_curve(truth: MBK, f: FloatArray, i: int, k: int) -> BodeCurve:
+    """Curve of the true ``Z_ik`` (0-based)."""
+    return _bode(f, truth.impedance(f)[i, k], np.zeros(f.size))
+
+
+def _bode(f: FloatArray, z: ComplexArray, radius: FloatArray) -> BodeCurve:
+    phase = np.degrees(np.unwrap(np.angle(z)))
+    # The turn in which the unwrapped phase begins is chance, most of all where noise begins it.
+    phase = phase - 360.0 * np.round(np.median(phase) / 360.0)
+    return BodeCurve(f=f, magnitude=np.abs(z), phase=phase, radius=radius)
+
+
+def phase_about(truth: ComplexArray, z: ComplexArray) -> FloatArray:
+    """Phase of an estimate, degrees, counted from that of the truth so that it never jumps a turn.
+
+    Both have shape (n_freq,), at the same frequencies, N·m/rad.
+    """
+    return np.degrees(np.unwrap(np.angle(truth)) + np.angle(z / truth))
+
+
+def deviation_percent(truth: ComplexArray, z: ComplexArray) -> FloatArray:
+    """Distance of an estimate from the truth in the complex plane, % of the truth."""
+    return 100.0 * np.abs(z / truth - 1.0)
+
+
+def reference_of(curves: Mapping[str, ImpedanceCurve], truth: MBK | None) -> str:
+    """Tell what estimates are compared with: the truth (empty), or an estimator by its name."""
+    if truth is not None:
+        return ""
+    return _REFERENCE if _REFERENCE in curves else next(iter(curves))
+
+
+def distances(
+    curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, k: int
+) -> tuple[dict[str, Distance], tuple[float, float]]:
+    """Distance of every estimate of ``Z_ik`` (0-based) from its reference, see `reference_of`.
+
+    And the ends of a logarithmic axis that shows them, %.
+    """
+    reference = reference_of(curves, truth)
+    lines: dict[str, Distance] = {}
+    found = []
+    for name, curve in curves.items():
+        if truth is not None:
+            centre = truth.impedance(curve.f)[i, k]
+        else:
+            other = curves[reference]
+            centre = np.interp(curve.f, other.f, other.Z[i, k])
+        off = None if name == reference else deviation_percent(centre, curve.Z[i, k])
+        radius = 100.0 * element_curve(curve, i, k).radius / np.abs(centre)
+        lines[name] = curve.f, off, radius
+        found += [radius] if off is None else [radius, off]
+    values = np.concatenate(found)
+    values = values[np.isfinite(values) & (values > 0.0)]
+    low, high = np.quantile(values, (0.02, 0.995)) if values.size else (0.01, 60.0)
+    return lines, (float(min(low, 0.15 * high)), float(1.5 * high))
+
+
+# The ranges follow the curves, not their bands: one wild band must not flatten everything else.
+def magnitude_range(curves: Sequence[BodeCurve]) -> tuple[float, float]:
+    """Range of a logarithmic axis that shows all of the magnitudes, N·m/rad."""
+    values = np.concatenate([one.magnitude for one in curves])
+    low, high = _range(np.log10(values[np.isfinite(values) & (values > 0.0)]), 0.06, 0.02)
+    return 10.0**low, 10.0**high
+
+
+def phase_range(curves: Sequence[BodeCurve]) -> tuple[float, float]:
+    """Range of an axis that shows all of the phases, degrees."""
+    values = np.concatenate([one.phase for one in curves])
+    return _range(values[np.isfinite(values)], 0.08, 2.0)
+
+
+def phase_step(ends: tuple[float, float]) -> float:
+    """Distance of ticks on an axis of phases, degrees, so that there are five of them at most."""
+    span = ends[1] - ends[0]
+    return next((step for step in (15.0, 30.0, 45.0, 90.0) if span <= 5.0 * step), 180.0)
+
+
+def _range(values: FloatArray, share: float, least: float) -> tuple[float, float]:
+    if not values.size:
+        return 0.0, 1.0
+    low, high = float(values.min()), float(values.max())
+    margin = share * (high - low) + least
+    return low - margin, high + margin
+
+
+def envelope(values: FloatArray, buckets: int) -> tuple[FloatArray, float]:
+    """Thin out a signal so that it looks the same where there are no more pixels than buckets.
+
+    Parameters
+    ----------
+    values : ndarray, shape (N,)
+        The signal; NaN where there is a gap.
+    buckets : int
+        Number of parts; each gives its smallest and its largest value, in their order in time.
+
+    Returns
+    -------
+    thinned : ndarray, shape (at most 2·buckets,)
+        The signal itself if it is no longer than that.
+    step : float
+        Distance of the thinned values, in samples of the signal.
+    """
+    if values.size <= 2 * buckets:
+        return values, 1.0
+    size = -(-values.size // buckets)
+    padded = np.full(-(-values.size // size) * size, np.nan)
+    padded[: values.size] = values
+    parts = padded.reshape(-1, size)
+    gaps = np.isnan(parts)
+    lowest = np.argmin(np.where(gaps, np.inf, parts), axis=1)
+    highest = np.argmax(np.where(gaps, -np.inf, parts), axis=1)
+    order = np.sort(np.stack([lowest, highest], axis=1), axis=1)
+    return np.take_along_axis(parts, order, axis=1).ravel(), size / 2

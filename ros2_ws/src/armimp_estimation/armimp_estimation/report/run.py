@@ -3,51 +3,47 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from markupsafe import Markup
 
 from armimp_common import topics
 from armimp_common.realtime import LATE_NS
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.atomic_write import write_text
-from armimp_estimation.distortion import Distortion
-from armimp_estimation.mbk import MBK
-from armimp_estimation.nonlinearity import deviations
 from armimp_estimation.problems import Kind, ProblemCode, kind_of
 from armimp_estimation.report.formats import (
     STREAMS,
     alarming,
     mark,
     number,
+    setting,
     symbol,
 )
-from armimp_estimation.report.look import joint_colour, strokes
 from armimp_estimation.report.page import Content, Section, Table, box, render_page
-from armimp_estimation.report.plots import BANDS, Plot
-from armimp_estimation.report.result_plots import (
+from armimp_estimation.report.plots import (
     BAND,
+    BANDS,
     PERIOD,
     SIDE_BY_SIDE,
     TRUTH,
     bode_plot,
     coherence_plot,
-    distortion_plot,
+    joint_colour,
     plot_matrix,
     reference_of,
+    strokes,
     trace_plot,
-    trace_views,
 )
-from armimp_estimation.report.settings import assumptions_content, configuration, identity
 from armimp_estimation.result import Result
 from armimp_estimation.verdict import Limits
 
 REPORT_FILE = "report.html"
 _LIMITS = Limits()
-_FEW_BUCKETS = 250
-"""Parts of thinned signals where many trials share a plot, so that the file stays small."""
+_BUCKETS, _FEW_BUCKETS = 1000, 250
+"""Parts of thinned signals; fewer where there are many trials, so that the file stays small."""
 
 
 def report_page(result: Result) -> str:
@@ -56,10 +52,10 @@ def report_page(result: Result) -> str:
     estimated: Content | None = {} if summary.estimators else None
     known = summary.torque_reading
     settings = {
-        "identity": identity(summary.config, summary.seed) if summary.config else None,
+        "config": summary.config,
+        "seed": summary.seed,
         "reading": None if known is None else known.sentence,
         "conditions": False,
-        "tables": configuration(summary.config),
     }
     timing = None if summary.timing is None else {"late": LATE_NS / 1e9}
     excluded = [one for one in result.trials if one.statistics.excluded or one.statistics.clipped]
@@ -70,12 +66,11 @@ def report_page(result: Result) -> str:
         ("impedance", "Impedance", _impedance(result)),
         ("coherence", "Coherence", _coherence(result)),
         ("locking", "Locking", _locking(result)),
-        ("distortion", "Distortion", _distortion(result)),
         ("samples", "Samples", {"excluded": excluded}),
         ("timing", "Timing", timing),
         ("signals", "Signals", _signals(result)),
         ("settings", "Settings", settings),
-        ("assumptions", "Assumptions", assumptions_content(summary.config)),
+        ("assumptions", "Assumptions", assumptions(summary.config)),
     ]
     state = "valid" if summary.valid else "not valid"
     return render_page(
@@ -147,68 +142,45 @@ def advised(problems: Iterable[tuple[ProblemCode, str]]) -> list[tuple[Kind, lis
 
 
 def _limits_table(result: Result) -> Table:
+    """What decides: the worst of each score, where it was found, and its limit."""
     summary, names = result.summary, result.joint_names
     first = next(iter(summary.estimators.values()))
+    judged = summary.estimators.get("lpm_full")  # of estimators with known biases it says nothing
+    elements = list(np.ndindex(summary.joints, summary.joints))
+    coherences: dict[object, float] = {
+        f"angle, {name} perturbed": first.coherence_motion[k] for k, name in enumerate(names)
+    }
+    locks: dict[object, float] = {}
+    bounds: dict[object, float] = {}
+    lacks: dict[object, float] = {}
+    for i, k in elements:
+        place = f"torque of {names[i]}, {names[k]} perturbed"
+        coherences[place] = first.coherence_torque[i][k]
+        if judged is not None:
+            lacks[symbol("Z", i + 1, k + 1)] = judged.lack_of_fit[i][k]
+    for trial in summary.trials if summary.joints > 1 else ():
+        for i, name in enumerate(names):
+            bounds[symbol("Z", i + 1, trial.k)] = 100.0 * trial.bias_bound[i]
+            if i != trial.k - 1:
+                place = f"{name}, while {names[trial.k - 1]} is perturbed"
+                locks[place] = 100.0 * trial.lock_ratio[i]
     rows: list[list[object]] = []
-
-    def add(
-        title: str,
-        found: Iterable[tuple[float, object]],
-        limit: float | None = None,
-        spec: str = ".4f",
-        unit: str = "",
-        *,
-        ceiling: bool = False,
-    ) -> None:
-        """Add a row with the worst of some values and where it was found; NaN is the worst."""
-        sign = 1.0 if ceiling else -1.0
-        known = list(found)
-        if not known:
-            return
-        value, where = max(known, key=lambda one: math.inf if math.isnan(one[0]) else sign * one[0])
-        bound: str = ""
-        verdict: object = "not judged"
-        if limit is not None:
-            bound = f"{'≤' if ceiling else '≥'} {number(limit, spec, unit).rstrip()}"
-            verdict = mark(sign * value <= sign * limit)
-        rows.append([title, number(value, spec, unit), bound, verdict, where])
-
-    def elements(field: str, *only: str) -> Iterator[tuple[float, object]]:
-        for name in only or summary.estimators:
-            one = summary.estimators[name]
-            for i, row in enumerate(getattr(one, field) or []):
-                for k, value in enumerate(row):
-                    yield value, Markup("{}, {}").format(symbol("Z", i + 1, k + 1), name)
-
-    if summary.joints > 1:
-        locks = [
-            (100.0 * ratio, f"{names[i]}, while {names[trial.k - 1]} is perturbed")
-            for trial in summary.trials
-            for i, ratio in enumerate(trial.lock_ratio)
-            if i != trial.k - 1
-        ]
-        bounds = [
-            (100.0 * bound, symbol("Z", i + 1, trial.k))
-            for trial in summary.trials
-            for i, bound in enumerate(trial.bias_bound)
-        ]
-        limits = 100.0 * _LIMITS.lock_ratio, 100.0 * _LIMITS.bias_bound
-        add("motion of held joints", locks, limits[0], ".2f", "%", ceiling=True)
-        add("bias that this may cause", bounds, limits[1], ".2f", "%", ceiling=True)
-    coherent = [(v, f"angle, {names[k]} perturbed") for k, v in enumerate(first.coherence_motion)]
-    coherent += [
-        (value, f"torque of {names[i]}, {names[k]} perturbed")
-        for i, row in enumerate(first.coherence_torque)
-        for k, value in enumerate(row)
-    ]
-    add("coherence with perturbation", coherent, result.significance)
-    # Of estimators with known biases, these are part of the misfit.
-    if (judged := summary.estimators.get("lpm_full")) is not None:
-        lacks = elements("lack_of_fit", "lpm_full")
-        add("lack of fit", lacks, judged.lack_limit, ".2f", ceiling=True)
-    add("derived coherence", elements("coherence_derived"))
-    add("R² of the fit", elements("r2"))
-    add("VAF (simulation)", elements("vaf"), spec=".2f", unit="%")
+    scores: tuple[tuple[str, dict[object, float], float | None, str, float], ...] = (
+        ("motion of held joints (%)", locks, 100.0 * _LIMITS.lock_ratio, ".2f", 1.0),
+        ("bias that this may cause (%)", bounds, 100.0 * _LIMITS.bias_bound, ".2f", 1.0),
+        ("coherence with perturbation", coherences, result.significance, ".4f", -1.0),
+        ("lack of fit", lacks, None if judged is None else judged.lack_limit, ".2f", 1.0),
+    )
+    for title, found, limit, spec, sign in scores:
+        if limit is None or not found:
+            continue
+        # Written so that NaN is the worst, and beyond every limit.
+        off = {place: math.inf if math.isnan(v) else sign * v for place, v in found.items()}
+        where = max(off, key=lambda place: off[place])
+        bound = f"{'≤' if sign > 0.0 else '≥'} {number(limit, spec)}"
+        rows.append(
+            [title, number(found[where], spec), bound, mark(off[where] <= sign * limit), where]
+        )
     lost = sum(trial.lost for trial in summary.trials)
     rows.append(["lost samples", lost, "0", mark(not lost), ""])
     return Table(
@@ -283,50 +255,29 @@ def _locking(result: Result) -> Content | None:
     return {"trials": list(zip(scored, motions, strict=True))}
 
 
-def _distortion(result: Result) -> Content | None:
-    """What periodic perturbations show of each trial beside the fitted arm."""
-    summary = result.summary
-    if not summary.estimators:
-        return None
-    fitted = summary.estimators.get("lpm_full") or next(iter(summary.estimators.values()))
-    arm = MBK(M=np.array(fitted.M), B=np.array(fitted.B), K=np.array(fitted.K))
-    trials = []
-    for one in result.trials:
-        record = one.record
-        found = None if record is None else Distortion.of(record, arm)
-        if record is None or found is None:
-            continue
-        changes = deviations(record, arm)
-        trials.append((one, found, changes.get("amplitude"), changes.get("time")))
-    if not trials:
-        return None
-    plots = [distortion_plot(found, one.trial) for one, found, *_ in trials]
-    return {"trials": trials, "plots": plots, "joints": len(plots)}
-
-
 def _signals(result: Result) -> Content:
-    """Plot the signals of all trials: each for itself, or with many joints all in one plot."""
+    """Plot the signals of every trial."""
     shown = [one for one in result.trials if one.segments]
-    signals = "Perturbation, angles, torques and commands of"
-    plots: list[Plot | None] = [None] * len(shown)
-    together = None
-    if result.summary.joints <= SIDE_BY_SIDE:
-        plots = [
-            trace_plot(f"trace-{place}", f"{signals} trial {one.trial}.", trace_views(one))
-            for place, one in enumerate(shown, 1)
-        ]
-    elif shown:
-        views = [
-            view
-            for one in shown
-            for view in trace_views(one, f"{_title(result, one)}, ", _FEW_BUCKETS)
-        ]
-        together = trace_plot("traces-all", f"{signals} all trials.", views)
+    buckets = _BUCKETS if result.summary.joints <= SIDE_BY_SIDE else _FEW_BUCKETS
+    plots = [trace_plot(f"trace-{n}", one, buckets) for n, one in enumerate(shown, 1)]
     return {
         "key": [
             box("", name, joint_colour(joint)) for joint, name in enumerate(result.joint_names)
         ],
         "band": f"{BAND:g}",
         "trials": list(zip(shown, plots, strict=True)),
-        "plot": together,
+    }
+
+
+def assumptions(config: Mapping[str, Any], *, friction: str | None = None) -> Content | None:
+    """What the simulation assumes; None where nothing is known to be simulated.
+
+    The configuration may be of any form. Levels of friction are told in words where there is more
+    than one.
+    """
+    if setting(config, "experiment") is None or setting(config, "arm_sim") is None:
+        return None
+    return {
+        "joints": setting(config, "experiment", "joints"),
+        "friction": friction or f"level {setting(config, 'experiment', 'friction')}",
     }
