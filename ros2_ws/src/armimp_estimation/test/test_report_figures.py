@@ -24,9 +24,7 @@ def test_figures_are_written_as_png_and_pdf_the_same_each_time(
         (tmp_path / name).mkdir()
         write_figures(tmp_path / name, result)
     first = {path.name: path.read_bytes() for path in (tmp_path / "one").iterdir()}
-    assert set(first) == {
-        f"{name}.{form}" for name in ("impedance", "coherence", "traces") for form in ("png", "pdf")
-    }
+    assert set(first) == {f"impedance.{form}" for form in ("png", "pdf")}
     for name, content in first.items():
         assert content.startswith(b"\x89PNG" if name.endswith("png") else b"%PDF")
         assert content == (tmp_path / "two" / name).read_bytes()
@@ -55,7 +53,7 @@ def test_legend_names_estimators_bands_and_truth(result: Result) -> None:
     ]
 
 
-def test_without_an_estimate_the_traces_alone_are_drawn_whatever_the_joints_are_called(
+def test_without_an_estimate_there_is_no_figure(
     tmp_path: Path,
 ) -> None:
     recording = synthetic_recording(joint_names=("$x", "<b>_{"), ticks=3000)
@@ -63,7 +61,7 @@ def test_without_an_estimate_the_traces_alone_are_drawn_whatever_the_joints_are_
     directory = make_result(tmp_path / "one", messages=recording.messages, metadata=metadata)
     (tmp_path / "figures").mkdir()
     write_figures(tmp_path / "figures", load_result(directory))
-    assert {path.name for path in (tmp_path / "figures").iterdir()} == {"traces.png", "traces.pdf"}
+    assert not list((tmp_path / "figures").iterdir())
 
 
 def test_when_a_figure_cannot_be_written_expect_its_path_in_the_error(

@@ -113,9 +113,6 @@ class Stroke:
 
 
 TRUE = Stroke(name="truth", colour="--ink", dash="dot", tags=[TRUTH])
-MOTION = Stroke(name="perturbation → angle", colour="--signal-0", width=1.3)
-TORQUE = Stroke(name="perturbation → torque", colour="--signal-1", width=1.3)
-UNRELATED = Stroke(name="unrelated signals stay below", colour="--soft", dash="dot", width=1.0)
 
 
 def estimator_tag(name: str) -> str:
@@ -379,36 +376,29 @@ def bode_chart(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, 
     """
     grids = [curve.f for curve in curves.values()]
     parted, ends = distances(curves, truth, i, k)
-    lines, every = [], []
+    lines: list[Line] = []
     for name, stroke in strokes(curves).items():
-        one = element_curve(curves[name], i, k)
+        one = BodeCurve.of(curves[name], i, k)
         f, off, radius = parted[name]
+        thin, circle = replace(stroke, width=1.1), (np.zeros(f.size), radius)
         lines += [
-            Line(x=one.f, y=one.magnitude, stroke=stroke, unit=IMPEDANCE, ends=one.magnitude_band),
-            Line(x=one.f, y=one.phase, stroke=stroke, row=2, unit="°", ends=one.phase_band),
-            Line(
-                x=f,
-                y=off,
-                stroke=replace(stroke, width=1.1),
-                row=3,
-                unit="%",
-                ends=(np.zeros(f.size), radius),
-            ),
+            Line(x=f, y=one.magnitude, stroke=stroke, unit=IMPEDANCE, ends=one.magnitude_band),
+            Line(x=f, y=one.phase, stroke=stroke, row=2, unit="°", ends=one.phase_band),
+            Line(x=f, y=off, stroke=thin, row=3, unit="%", ends=circle),
         ]
-        every.append(one)
     if truth is not None:
-        true = true_curve(truth, max(grids, key=len), i, k)
-        lines.append(Line(x=true.f, y=true.magnitude, stroke=TRUE, unit=IMPEDANCE))
-        lines.append(Line(x=true.f, y=true.phase, stroke=TRUE, row=2, unit="°"))
-        every.append(true)
-    phases = phase_range(every)
-    phase = Axis(title="phase (°)", ends=phases, step=phase_step(phases), hoverformat=".1f")
+        f = max(grids, key=len)
+        true = truth.impedance(f)[i, k]
+        lines.append(Line(x=f, y=np.abs(true), stroke=TRUE, unit=IMPEDANCE))
+        lines.append(Line(x=f, y=phase_of(true), stroke=TRUE, row=2, unit="°"))
+    chart = Chart(abscissa=frequency_axis(grids), rows=[], lines=lines)
+    magnitudes, phases = range_of(chart.values(), log=True), range_of(chart.values(2))
     rows = [
-        (3.0, Axis(title="magnitude (N·m/rad)", ends=magnitude_range(every), log=True)),
-        (2.0, phase),
+        (3.0, Axis(title="magnitude (N·m/rad)", ends=magnitudes, log=True)),
+        (2.0, Axis(title="phase (°)", ends=phases, hoverformat=".1f")),
         (2.4, Axis(title="distance (%)", ends=ends, log=True, hoverformat=".3~g")),
     ]
-    return Chart(abscissa=frequency_axis(grids), rows=rows, lines=lines)
+    return replace(chart, rows=rows)
 
 
 def bode_plot(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, k: int) -> Plot:
@@ -427,40 +417,35 @@ def bode_plot(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, k
     )
 
 
-def coherence_chart(
+def coherence_plot(
     curves: Mapping[str, ImpedanceCurve], i: int, k: int, joint_names: Sequence[str], level: float
-) -> Chart:
+) -> Plot:
     """Coherences behind ``Z_ik`` (0-based) over frequency, of at least one estimator by name.
 
     Below `level` signals count as unrelated.
     """
     common = next(iter(curves.values())).coherence
-    shown = [
-        (common.motion[k], replace(MOTION, name=f"{MOTION.name} of {joint_names[k]}")),
-        (common.torque[i, k], replace(TORQUE, name=f"{TORQUE.name} of {joint_names[i]}")),
+    lines = [
+        Line(x=common.f, y=values, stroke=Stroke(name=name, colour=colour, width=1.3))
+        for name, colour, values in (
+            (f"perturbation → angle of {joint_names[k]}", "--signal-0", common.motion[k]),
+            (f"perturbation → torque of {joint_names[i]}", "--signal-1", common.torque[i, k]),
+        )
     ]
     for name, stroke in strokes(curves).items():
         derived = curves[name].coherence.derived[i, k]
-        shown.append((derived, replace(stroke, name=f"derived, {name}")))
-    lines = [Line(x=common.f, y=values, stroke=stroke) for values, stroke in shown]
-    lines.append(Line(x=common.f[[0, -1]], y=np.full(2, level), stroke=UNRELATED))
+        lines.append(Line(x=common.f, y=derived, stroke=replace(stroke, name=f"derived, {name}")))
+    lowest = min(float(np.nanmin(one.y)) for one in lines if one.y is not None)
+    unrelated = Stroke(name="unrelated signals stay below", colour="--soft", dash="dot", width=1.0)
+    lines.append(Line(x=common.f[[0, -1]], y=np.full(2, level), stroke=unrelated))
     ordinate = Axis(title="coherence γ²", ends=(0.0, 1.02), hoverformat=".4f")
-    return Chart(abscissa=frequency_axis([common.f]), rows=[(1.0, ordinate)], lines=lines)
-
-
-def coherence_plot(
-    curves: Mapping[str, ImpedanceCurve], i: int, k: int, joint_names: Sequence[str], level: float
-) -> Plot:
-    """Plot of a page with the chart of `coherence_chart`."""
-    chart = coherence_chart(curves, i, k, joint_names, level)
-    lowest = np.nanmin(np.concatenate([one.y for one in chart.lines[:-1] if one.y is not None]))
     return Plot(
         identifier=f"coherence-{i + 1}-{k + 1}",
         caption=symbol("Z", i + 1, k + 1),
         description=(
             f"Coherences behind Z {i + 1} {k + 1} over frequency; the lowest is {lowest:.2g}."
         ),
-        views={"": chart},
+        views={"": Chart(abscissa=frequency_axis([common.f]), rows=[(1.0, ordinate)], lines=lines)},
         height=250,
     )
 
@@ -589,7 +574,7 @@ def trace_chart(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BodeCurve:
-    """Magnitude and phase of one element of the impedance matrix over frequency."""
+    """Magnitude and phase of one element of the impedance matrix over frequency, with bands."""
 
     f: FloatArray
     """Frequencies, Hz; shape (n_freq,)."""
@@ -599,6 +584,15 @@ class BodeCurve:
     radius: FloatArray
     """Radius of the circle about each value that holds the truth in 95 %, N·m/rad; NaN if unknown;
     shape (n_freq,)."""
+
+    @classmethod
+    def of(cls, curve: ImpedanceCurve, i: int, k: int) -> BodeCurve:
+        """Curve of an estimate of ``Z_ik`` (0-based)."""
+        f, z = curve.f, curve.Z[i, k]
+        radius = np.full(f.size, np.nan)
+        if curve.averages > 1.0:
+            radius = confidence_radius(curve.variance[i, k], curve.averages)
+        return cls(f=f, magnitude=np.abs(z), phase=phase_of(z), radius=radius)
 
     @property
     def magnitude_band(self) -> Band:
@@ -617,24 +611,11 @@ class BodeCurve:
         return self.phase - spread, self.phase + spread
 
 
-def element_curve(curve: ImpedanceCurve, i: int, k: int) -> BodeCurve:
-    """Curve of the estimate of ``Z_ik`` (0-based)."""
-    radius = np.full(curve.f.size, np.nan)
-    if curve.averages > 1.0:
-        radius = confidence_radius(curve.variance[i, k], curve.averages)
-    return _bode(curve.f, curve.Z[i, k], radius)
-
-
-def true_curve(truth: MBK, f: FloatArray, i: int, k: int) -> BodeCurve:
-    """Curve of the true ``Z_ik`` (0-based)."""
-    return _bode(f, truth.impedance(f)[i, k], np.zeros(f.size))
-
-
-def _bode(f: FloatArray, z: ComplexArray, radius: FloatArray) -> BodeCurve:
+def phase_of(z: ComplexArray) -> FloatArray:
+    """Phase over frequency, degrees, in the turn next to zero."""
     phase = np.degrees(np.unwrap(np.angle(z)))
     # The turn in which the unwrapped phase begins is chance, most of all where noise begins it.
-    phase = phase - 360.0 * np.round(np.median(phase) / 360.0)
-    return BodeCurve(f=f, magnitude=np.abs(z), phase=phase, radius=radius)
+    return np.asarray(phase - 360.0 * np.round(np.median(phase) / 360.0))
 
 
 def phase_about(truth: ComplexArray, z: ComplexArray) -> FloatArray:
@@ -674,7 +655,7 @@ def distances(
             other = curves[reference]
             centre = np.interp(curve.f, other.f, other.Z[i, k])
         off = None if name == reference else deviation_percent(centre, curve.Z[i, k])
-        radius = 100.0 * element_curve(curve, i, k).radius / np.abs(centre)
+        radius = 100.0 * BodeCurve.of(curve, i, k).radius / np.abs(centre)
         lines[name] = curve.f, off, radius
         found += [radius] if off is None else [radius, off]
     values = np.concatenate(found)
@@ -683,31 +664,19 @@ def distances(
     return lines, (float(min(low, 0.15 * high)), float(1.5 * high))
 
 
-# The ranges follow the curves, not their bands: one wild band must not flatten everything else.
-def magnitude_range(curves: Sequence[BodeCurve]) -> tuple[float, float]:
-    """Range of a logarithmic axis that shows all of the magnitudes, N·m/rad."""
-    values = np.concatenate([one.magnitude for one in curves])
-    low, high = _range(np.log10(values[np.isfinite(values) & (values > 0.0)]), 0.06, 0.02)
-    return 10.0**low, 10.0**high
+def range_of(values: FloatArray, *, log: bool = False) -> tuple[float, float]:
+    """Range of an axis that shows all of the values.
 
-
-def phase_range(curves: Sequence[BodeCurve]) -> tuple[float, float]:
-    """Range of an axis that shows all of the phases, degrees."""
-    values = np.concatenate([one.phase for one in curves])
-    return _range(values[np.isfinite(values)], 0.08, 2.0)
-
-
-def phase_step(ends: tuple[float, float]) -> float:
-    """Distance of ticks on an axis of phases, degrees, so that there are five of them at most."""
-    span = ends[1] - ends[0]
-    return next((step for step in (15.0, 30.0, 45.0, 90.0) if span <= 5.0 * step), 180.0)
-
-
-def _range(values: FloatArray, share: float, least: float) -> tuple[float, float]:
-    if not values.size:
-        return 0.0, 1.0
-    low, high = float(values.min()), float(values.max())
-    margin = share * (high - low) + least
+    It follows the curves, not their bands: one wild band must not flatten everything else.
+    """
+    known = values[np.isfinite(values) & ((values > 0.0) | (not log))]
+    if not known.size:
+        return (1.0, 10.0) if log else (0.0, 1.0)
+    low, high = float(known.min()), float(known.max())
+    if log:
+        margin = 1.05 * (high / low) ** 0.06
+        return low / margin, high * margin
+    margin = 0.08 * (high - low) + 2.0
     return low - margin, high + margin
 
 

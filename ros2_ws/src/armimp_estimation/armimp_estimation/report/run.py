@@ -241,18 +241,9 @@ def _coherence(result: Result) -> Content | None:
 
 
 def _locking(result: Result) -> Content | None:
-    """List trials with scores of locking, and the rms motion of all joints in each, degrees."""
+    """List trials with scores of locking."""
     scored = [trial for trial in result.summary.trials if not np.isnan(trial.lock_ratio).all()]
-    if not scored or result.summary.joints == 1:
-        return None
-    records = {one.window.joint: one.record for one in reversed(result.trials)}
-    motions = []
-    for trial in scored:
-        record = records.get(trial.k - 1)
-        unknown = np.full(result.summary.joints, np.nan)
-        motion = unknown if record is None else np.degrees(np.std(record.position, axis=1))
-        motions.append(motion.tolist())
-    return {"trials": list(zip(scored, motions, strict=True))}
+    return {"trials": scored} if scored and result.summary.joints > 1 else None
 
 
 def _signals(result: Result) -> Content:
