@@ -44,8 +44,8 @@ from armimp_control.parameters import ControllerParameters
 from armimp_estimation.curves import ImpedanceCurve, write_frf
 from armimp_estimation.estimators.registry import estimator_names
 from armimp_estimation.identify import Identification, identify
-from armimp_estimation.messages import RESULT_NAME, column_message, result_message
 from armimp_estimation.metadata import READING_KEYS, Timing
+from armimp_estimation.node import RESULT_NAME, column_message, result_message
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.result import Result
 from armimp_estimation.summary import (

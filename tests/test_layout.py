@@ -40,7 +40,6 @@ WITH_ROS = {
     "armimp_common.executor",
     "armimp_control.node",
     "armimp_driver_template.node",
-    "armimp_estimation.messages",
     "armimp_estimation.node",
     "armimp_ros2_control.node",
     "armimp_sim.node",

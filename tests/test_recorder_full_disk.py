@@ -17,7 +17,7 @@ from armimp_bringup.orchestrator import run_experiment
 from armimp_common.errors import ArmimpError, BagError
 from armimp_common.status import Progress
 from armimp_estimation.bags import BagWriter
-from armimp_estimation.bags.files import BAGS
+from armimp_estimation.bags.reader import BAGS
 from armimp_estimation.bags.writer import finish_bag
 from armimp_estimation.recorder import TrialRecorder
 from support.bag_files import iterate_messages

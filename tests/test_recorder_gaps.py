@@ -9,7 +9,7 @@ import pytest
 from armimp_bringup.cli import main
 from armimp_common.status import Phase
 from armimp_common.topics import PERIOD_NS, TORQUE_SENSORS
-from armimp_estimation.bags.files import BAGS
+from armimp_estimation.bags.reader import BAGS
 from armimp_estimation.curves import FRF_FILE
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.recorder import TrialRecorder

@@ -20,7 +20,7 @@ from armimp_bringup.offline_estimate import estimate_bags
 from armimp_bringup.orchestrator import run_experiment
 from armimp_common.status import Progress
 from armimp_estimation.bags import read_bag
-from armimp_estimation.bags.files import BAGS
+from armimp_estimation.bags.reader import BAGS
 from armimp_estimation.bags.writer import finish_bag, finish_bags
 from armimp_estimation.problems import ProblemCode
 from support.bag_files import iterate_messages

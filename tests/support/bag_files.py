@@ -11,9 +11,8 @@ from rosbags.typesys import Stores, get_typestore
 from armimp_common.errors import BagError
 from armimp_common.topics import MESSAGE_TYPES
 from armimp_estimation.bags import BagContent, BagWriter
-from armimp_estimation.bags.files import read_storage
 from armimp_estimation.bags.metadata_yaml import absolute, message_definition
-from armimp_estimation.bags.reader import contract_topic, resolve_topics
+from armimp_estimation.bags.reader import contract_topic, read_storage, resolve_topics
 from armimp_estimation.record import TrialRecord
 from support.synthetic_bags import Message
 

@@ -42,7 +42,7 @@ from armimp_common.status import (
     make_status,
     status_message,
 )
-from armimp_estimation.messages import RESULT_NAME
+from armimp_estimation.node import RESULT_NAME
 from armimp_estimation.summary import Summary
 from support.graph import joined
 

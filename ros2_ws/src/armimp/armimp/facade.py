@@ -14,12 +14,12 @@ from numpy.typing import ArrayLike
 
 from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError, DataError
+from armimp_estimation.alignment.trial_windows import HIGHEST, LOWEST
 from armimp_estimation.arm_models import ModelFit, supported
 from armimp_estimation.fit import Calibration
 from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import Problem
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.sampling import HIGHEST, LOWEST
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 
 

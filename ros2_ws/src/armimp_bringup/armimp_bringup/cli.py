@@ -224,7 +224,7 @@ def estimate(
         from armimp_bringup.config import checked, prepare_directory
         from armimp_bringup.offline_estimate import estimate_bags
         from armimp_bringup.presentation import present
-        from armimp_estimation.bags.files import find_bags
+        from armimp_estimation.bags.reader import find_bags
 
         declared = checked(Declared, options)
         bags = find_bags(bags)
@@ -263,7 +263,7 @@ def replay(
         from armimp_bringup.presentation import present
         from armimp_bringup.replay import replay_bags
         from armimp_common.executor import stop_on_signals
-        from armimp_estimation.bags.files import find_bags
+        from armimp_estimation.bags.reader import find_bags
 
         bags = find_bags(bags)
         with stop_on_signals() as stopped:

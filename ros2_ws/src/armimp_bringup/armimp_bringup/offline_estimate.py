@@ -10,7 +10,7 @@ from pathlib import Path
 from armimp_bringup.config import Declared
 from armimp_common.errors import DataError
 from armimp_estimation.bags import BagContent, read_bag
-from armimp_estimation.bags.files import require_distinct
+from armimp_estimation.bags.reader import require_distinct
 from armimp_estimation.bags.writer import finish_bag
 from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.metadata import CALIBRATION_KEYS, Metadata, latest_metadata

@@ -39,8 +39,8 @@ from armimp_common.status import (
 )
 from armimp_estimation.bags import require_free_space
 from armimp_estimation.bags.writer import finish_bags
-from armimp_estimation.messages import RESULT_NAME
 from armimp_estimation.metadata import RECORD_KEY, Timing
+from armimp_estimation.node import RESULT_NAME
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.problems import Problem, ProblemCode, problem
 from armimp_estimation.result import Result, conclude

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
+from collections.abc import Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -19,6 +20,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, UInt64
 
 from armimp_common import qos, topics
+from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import (
     ArmimpError,
     ConfigurationError,
@@ -37,16 +39,18 @@ from armimp_common.pubsub import (
     wait_for_partners,
 )
 from armimp_common.status import (
+    Level,
     Phase,
     TimingFigures,
     TrialStatus,
+    make_status,
     status_message,
     values_of,
 )
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.alignment.synchronizer import FETCHED, TOGETHER, StreamSynchronizer
 from armimp_estimation.alignment.trial_windows import AnnouncedTrials, fault_of
-from armimp_estimation.messages import column_message, failed_trial_message, result_message
+from armimp_estimation.frf import frf_matrix
 from armimp_estimation.metadata import RECORD_KEY, Metadata, Timing
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.problems import Problem, ProblemCode, problem
@@ -58,6 +62,9 @@ _LATE_PERIOD = 0.005
 """How often to poll for messages that are late (s); mostly there are none."""
 _STRAGGLERS = 5.0
 """Seconds after the end of the last trial in which samples of it may still come."""
+_SHOWN = 16
+"""Number of frequencies at which curves are published; files hold all."""
+RESULT_NAME = f"{topics.ESTIMATOR_NODE}: impedance"
 _MESSAGE_CLASSES = {
     "sensor_msgs/msg/JointState": JointState,
     "std_msgs/msg/Float64MultiArray": Float64MultiArray,
@@ -88,7 +95,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         """Make the topics."""
         self._settings = load(self, EstimatorParameters)
         # The stopping rule sees only what has been recorded.
-        self._together = topics.RECEIVED_EVERY if self._settings.goal().bound else TOGETHER
+        self._together = topics.RECEIVED_EVERY if self._settings.target_error else TOGETHER
         self._metadata = self._settings.bag_metadata()
         try:
             # A mistake is reported now rather than after the last trial.
@@ -197,7 +204,8 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             self._on_finished,
             self._refuse,
             lpm=self._known.lpm,
-            goal=self._settings.goal(),
+            target_error=self._settings.target_error,
+            least_duration=self._settings.least_duration,
         )
 
     def _stop(self, reason: str) -> None:
@@ -389,6 +397,78 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             return
         if (progress := self._recording.progress()) is not None:
             self._progress.publish(status_message(progress))
+
+
+def column_message(data: TrialData, lost: int) -> DiagnosticStatus:
+    """Tell column k of T, R and ``Z = T/R_kk`` as soon as its trial is over.
+
+    Raises
+    ------
+    DataError
+        If the trial tells no responses.
+    """
+    frf = frf_matrix([data])
+    R, T = frf.R[:, 0], frf.T[:, 0]
+    column = data.joint + 1
+    values = {"trial": data.record.trial, "joint": column, "lost": lost}
+    curves = {
+        f"{name}_{i + 1}{column}": row
+        for name, curve in (("R", R), ("T", T), ("Z", T / R[data.joint]))
+        for i, row in enumerate(curve)
+    }
+    text = f"trial {data.record.trial}: column {column} of the impedance"
+    name = f"{topics.ESTIMATOR_NODE}: column {column}"
+    return make_status(name, Level.OK, text, {**values, **_selected(frf.f, curves)})
+
+
+def failed_trial_message(trial: Trial, reason: str) -> DiagnosticStatus:
+    """Say that a trial cannot be estimated, and why."""
+    joint = trial.joint + 1
+    values = {"trial": trial.trial, "joint": joint, "lost": trial.statistics.lost}
+    return make_status(f"{topics.ESTIMATOR_NODE}: column {joint}", Level.ERROR, reason, values)
+
+
+def result_message(result: Result) -> DiagnosticStatus:
+    """Tell M, B and K with standard errors, the scores, and Z at selected frequencies."""
+    summary = result.summary
+    codes = dict.fromkeys(one.code.value for one in summary.faults)
+    values: dict[str, str | bool | list[float]] = {
+        "valid": summary.valid,
+        "problems": " ".join(codes),
+    }
+    for name, found in summary.estimators.items():
+        for key in ("M", "B", "K", "M_se", "B_se", "K_se", "vaf", "r2", "coherence_derived"):
+            matrix = getattr(found, key)
+            if matrix is not None:
+                values[f"{name}.{key}"] = [value for row in matrix for value in row]
+    for name, curve in result.curves.items():
+        elements = {
+            f"Z_{i + 1}{k + 1}": element
+            for i, row in enumerate(curve.Z)
+            for k, element in enumerate(row)
+        }
+        chosen = _selected(curve.f, elements)
+        values |= {f"{name}.{key}": numbers for key, numbers in chosen.items()}
+    return make_status(
+        RESULT_NAME,
+        Level.OK if summary.valid else Level.ERROR,
+        "valid" if summary.valid else f"not valid: {summary.faults[0]}",
+        values,
+    )
+
+
+def _selected(f: FloatArray, curves: Mapping[str, ComplexArray]) -> dict[str, list[float]]:
+    """Real and imaginary parts at up to 16 frequencies, evenly spread over their logarithm."""
+    places = list(range(f.size))
+    if f.size > _SHOWN:
+        ratio = (f.size - 1) ** (1.0 / (_SHOWN - 1))
+        places = sorted({0} | {round(ratio**power) for power in range(_SHOWN)})
+    parts = {
+        f"{name}.{part}": values[places].tolist()
+        for name, curve in curves.items()
+        for part, values in (("re", curve.real), ("im", curve.imag))
+    }
+    return {"f": f[places].tolist(), **parts}
 
 
 def main() -> int:

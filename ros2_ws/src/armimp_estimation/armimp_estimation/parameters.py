@@ -12,7 +12,6 @@ from armimp_common.schema import Schema
 from armimp_estimation.estimators.registry import estimator_names
 from armimp_estimation.metadata import READING_KEYS
 from armimp_estimation.result import MOST_EXCLUDED
-from armimp_estimation.stopping import PrecisionGoal
 from armimp_estimation.torque_timing import HIGHEST_ORDER
 
 
@@ -97,10 +96,6 @@ class EstimatorParameters(Schema):
         le=9000.0,
         description="length of a trial that ends early, at least (s)",
     )
-
-    def goal(self) -> PrecisionGoal:
-        """When trials may end before their time."""
-        return PrecisionGoal(bound=self.target_error, least=self.least_duration)
 
     def bag_metadata(self) -> dict[str, str]:
         """The metadata as a dictionary, with what is known of the torque readings.

@@ -15,7 +15,13 @@ import numpy as np
 from armimp_common.arrays import IntArray
 from armimp_common.cdr import encode_trial_status, stamp_of
 from armimp_common.errors import ArmimpError, DataError, MalformedMessageError
-from armimp_common.status import Phase, Progress, StoppingDecision, TrialStatus
+from armimp_common.status import (
+    NOTICE_TICKS,
+    Phase,
+    Progress,
+    StoppingDecision,
+    TrialStatus,
+)
 from armimp_common.topics import (
     COMMANDS,
     DATA_STREAMS,
@@ -30,14 +36,13 @@ from armimp_common.topics import (
 from armimp_estimation.alignment.assemble import Trial, assemble_trials
 from armimp_estimation.alignment.streams import Stream, Streams, stamps_in_step
 from armimp_estimation.bags import BagWriter, require_free_space
-from armimp_estimation.bags.files import BAGS
+from armimp_estimation.bags.reader import BAGS
 from armimp_estimation.estimators.lpm import FittedColumn, LpmConfig, LpmFull
 from armimp_estimation.metadata import RECORD_KEY, Timing
 from armimp_estimation.problems import Problem, ProblemCode
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.scores import coherence
 from armimp_estimation.spectra import SpectralAccumulator, WelchConfig
-from armimp_estimation.stopping import PrecisionGoal, StoppingRule, largest_error
 from armimp_estimation.trial import channels
 
 _RATE = NS_PER_S / PERIOD_NS
@@ -55,6 +60,11 @@ _STEP_BACK_NS = 1_000_000_000
 """Stamps that step back by more than this (ns) belong to another run."""
 _STRAY = 50
 """As many messages show together what time it is, even if some are somebody else's."""
+_DECIDED_EVERY = 2.0
+"""Time from one decision on an early end to the next (s)."""
+_GROWTH = 10
+"""Decisions on long trials are further apart, by this part of the length so far, as an estimate
+from a long record takes long."""
 _OVERDUE_NS = 2_000_000_000
 """What is missing this long after the planned end (ns) is lost: queues do not hold more."""
 
@@ -79,8 +89,8 @@ class TrialRecorder:
         Called with topic and error for each message that is too short to have a stamp.
     lpm : LpmConfig, optional
         Options of the running column.
-    goal : PrecisionGoal, optional
-        When trials may end before their time; by default never.
+    target_error, least_duration : float
+        Bound and least length (s) of the stopping rule; a bound of 0 lets trials last as planned.
     """
 
     def __init__(
@@ -92,13 +102,14 @@ class TrialRecorder:
         refuse: Callable[[str, MalformedMessageError], None] = lambda *_: None,
         *,
         lpm: LpmConfig | None = None,
-        goal: PrecisionGoal | None = None,
+        target_error: float = 0.0,
+        least_duration: float = 20.0,
     ) -> None:
         self._joint_names = joint_names
         self._directory, self._metadata = directory, metadata
         self._on_finished, self._refuse = on_finished, refuse
         self._lpm = LpmFull() if lpm is None else LpmFull(config=lpm)
-        self._goal = goal if goal is not None else PrecisionGoal()
+        self._target_error, self._least_duration = target_error, least_duration
         self._writer: BagWriter | None = None
         self._bag = ""
         self._past: list[TrialRecord] = []
@@ -244,11 +255,15 @@ class TrialRecorder:
     def decide(self) -> StoppingDecision | None:
         """Decide whether the present trial has lasted long enough, if it is time."""
         status = self.status
-        if not self._goal.bound or status is None or status.phase is not Phase.PERTURB:
+        if not self._target_error or status is None or status.phase is not Phase.PERTURB:
             return None
         if self._rule is None:
             self._rule = StoppingRule(
-                self._goal, trial=status.trial, planned=status.ticks, rate=_RATE
+                self._target_error,
+                self._least_duration,
+                trial=status.trial,
+                planned=status.ticks,
+                rate=_RATE,
             )
         return self._rule.decide(self.samples, self._column_of)
 
@@ -559,6 +574,95 @@ class RunningTrial:
         self._in_step &= all(np.array_equal(leading[new], other[new]) for other in others)
         self._in_step &= bool((np.abs(steps - PERIOD_NS) < PERIOD_NS // 2).all())
         self._used = available
+
+
+class StoppingRule:
+    """Decides on one trial at numbers of samples that depend on nothing but its parameters.
+
+    Parameters
+    ----------
+    bound : float
+        Largest relative standard error (one standard error) of M, B and K of the column that the
+        trial gives, with which it has lasted long enough.
+    least : float
+        Length that every trial has at least, s.
+    trial : int
+        Number of the trial, 1-based.
+    planned : int
+        Samples that it has at most.
+    rate : float
+        Samples per second, Hz.
+    """
+
+    def __init__(
+        self, bound: float, least: float, *, trial: int, planned: int, rate: float
+    ) -> None:
+        self._bound = bound
+        self._trial = trial
+        self._planned = planned
+        self._every = round(_DECIDED_EVERY * rate)
+        self._announced = False
+        self._due: int | None = self._within(max(round(least * rate) - NOTICE_TICKS, 1))
+
+    def decide(
+        self, samples: int, column: Callable[[int], FittedColumn | None]
+    ) -> StoppingDecision | None:
+        """Decide whether the trial has lasted long enough, if it is time.
+
+        Parameters
+        ----------
+        samples : int
+            Samples that are there.
+        column : callable
+            Gives the column that follows from the first so many samples; None if there is none.
+
+        Returns
+        -------
+        StoppingDecision or None
+            The first one of all announces when the next is made.
+        """
+        if not self._announced:
+            self._announced = True
+            return self._decision(0, enough=False)
+        if self._due is None or samples < self._due:
+            return None
+        considered = self._due
+        found = column(considered)
+        largest, element = (np.nan, "") if found is None else largest_error(found)
+        enough = bool(largest < self._bound)
+        self._due = None
+        if not enough:
+            self._due = self._within(considered + max(self._every, considered // _GROWTH))
+        return self._decision(considered, enough=enough, largest=largest, element=element)
+
+    def _within(self, samples: int) -> int | None:
+        """A number of samples at which it is not too late to end the trial before its time."""
+        return samples if samples + NOTICE_TICKS < self._planned else None
+
+    def _decision(
+        self, samples: int, *, enough: bool, largest: float = np.nan, element: str = ""
+    ) -> StoppingDecision:
+        return StoppingDecision(
+            trial=self._trial,
+            samples=samples,
+            enough=enough,
+            due=self._due,
+            bound=self._bound,
+            largest=largest,
+            element=element,
+        )
+
+
+def largest_error(column: FittedColumn) -> tuple[float, str]:
+    """Largest relative standard error of a column, and the name of the element, such as ``K21``.
+
+    One standard error over the absolute value of its parameter; infinite for a parameter of 0.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = column.errors / np.abs(column.values)
+    relative[np.isnan(relative)] = np.inf
+    letter, row = np.unravel_index(int(relative.argmax()), relative.shape)
+    return float(relative.max()), f"{'MBK'[letter]}{row + 1}{column.joint + 1}"
 
 
 def _last_step_back(stamps: IntArray, start_ns: int) -> int:

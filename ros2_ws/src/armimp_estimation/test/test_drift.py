@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from armimp_estimation.drift import drift_of
 from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
 from armimp_estimation.estimators.welch import WelchFull
 from armimp_estimation.fit import fit_mbk
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
-from armimp_estimation.trial import TrialData
+from armimp_estimation.trial import TrialData, drift_of
 from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 FloatArray = NDArray[np.float64]

@@ -27,8 +27,7 @@ from armimp_common.schema import Value
 from armimp_common.status import Level, Phase
 from armimp_common.topics import COMMANDS, DATA_STREAMS, RESULT, TRIAL
 from armimp_estimation.bags import read_bag
-from armimp_estimation.messages import RESULT_NAME
-from armimp_estimation.node import ImpedanceEstimatorNode
+from armimp_estimation.node import RESULT_NAME, ImpedanceEstimatorNode
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.summary import Summary, read_summary

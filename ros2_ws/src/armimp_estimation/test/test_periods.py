@@ -9,14 +9,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from armimp_estimation.drift import drift_of
 from armimp_estimation.estimators.local_polynomial import LocalPolynomialConfig, local_response
 from armimp_estimation.mbk import MBK
 from armimp_estimation.nonlinearity import deviations
 from armimp_estimation.periods import Periods, common_periods
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import WelchConfig
-from armimp_estimation.trial import segments_for
+from armimp_estimation.trial import drift_of, segments_for
 from support.synthetic_trials import LOOP, TWO_JOINT_ARM, synthetic_trial
 
 Array = NDArray[np.float64]

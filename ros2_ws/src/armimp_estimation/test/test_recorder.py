@@ -37,9 +37,8 @@ from armimp_estimation.bags import read_bag
 from armimp_estimation.estimators.lpm import FittedColumn, LpmConfig, LpmFull
 from armimp_estimation.problems import Problem, ProblemCode
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.recorder import RunningTrial, TrialRecorder
+from armimp_estimation.recorder import RunningTrial, TrialRecorder, largest_error
 from armimp_estimation.spectra import WelchConfig
-from armimp_estimation.stopping import PrecisionGoal, largest_error
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from support.bag_files import iterate_messages, records_of
@@ -68,12 +67,18 @@ class Desk:
     names: tuple[str, ...] = NAMES
     finished: list[Trial] = field(default_factory=list)
     problems: list[Problem] = field(default_factory=list)
-    goal: PrecisionGoal | None = None
+    target_error: float = 0.0
+    least_duration: float = 20.0
     together: int = 1
 
     def __post_init__(self) -> None:
         self.recorder = TrialRecorder(
-            self.names, self.directory, METADATA, self.on_finished, goal=self.goal
+            self.names,
+            self.directory,
+            METADATA,
+            self.on_finished,
+            target_error=self.target_error,
+            least_duration=self.least_duration,
         )
 
     def on_finished(self, trial: Trial | Problem) -> None:
@@ -383,7 +388,7 @@ def test_coherence_begins_anew_with_each_trial() -> None:
 
 def test_when_a_trial_ends_depends_on_its_first_samples_and_the_trials_before() -> None:
     considered = 6000 - NOTICE_TICKS
-    desk = Desk(None, ARM_NAMES, goal=PrecisionGoal(bound=0.5, least=6.0))
+    desk = Desk(None, ARM_NAMES, target_error=0.5, least_duration=6.0)
 
     made: list[StoppingDecision | None] = []
     record(desk.recorder, ARM_RECORDING.messages, 10, lambda: made.append(desk.recorder.decide()))

@@ -23,8 +23,8 @@ from armimp_estimation.bags import read_bag
 from armimp_estimation.curves import ImpedanceCurve, read_frf, write_frf
 from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.identify import Identification, identify
-from armimp_estimation.messages import result_message
 from armimp_estimation.metadata import RECORD_KEY, Metadata, Timing, latest_metadata
+from armimp_estimation.node import result_message
 from armimp_estimation.problems import Problem, ProblemCode, Severity, Verdict, problem
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.recorder import TrialRecorder

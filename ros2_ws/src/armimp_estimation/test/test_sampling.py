@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from armimp_common.errors import DataError
+from armimp_estimation.alignment.trial_windows import is_customary, judge_stamps, sampling_period
 from armimp_estimation.problems import ProblemCode
-from armimp_estimation.sampling import is_customary, judge_stamps, sampling_period
 
 START = 1_700_000_000_000_000_000
 

@@ -10,13 +10,13 @@ from armimp_common.status import NOTICE_TICKS, StoppingDecision
 from armimp_estimation.estimators.lpm import FittedColumn, LpmConfig, LpmFull
 from armimp_estimation.fit import FitConfig, fit_mbk
 from armimp_estimation.record import TrialRecord
+from armimp_estimation.recorder import StoppingRule, largest_error
 from armimp_estimation.spectra import WelchConfig
-from armimp_estimation.stopping import PrecisionGoal, StoppingRule, largest_error
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
-GOAL = PrecisionGoal(bound=0.02, least=20.0)
+BOUND = 0.02
 LEAST = 20_000 - NOTICE_TICKS
 
 
@@ -29,8 +29,8 @@ def column(error: float) -> FittedColumn:
     )
 
 
-def rule(planned: int = 50_000, goal: PrecisionGoal = GOAL) -> StoppingRule:
-    return StoppingRule(goal, trial=2, planned=planned, rate=1000.0)
+def rule(planned: int = 50_000, least: float = 20.0) -> StoppingRule:
+    return StoppingRule(BOUND, least, trial=2, planned=planned, rate=1000.0)
 
 
 def decisions(
@@ -137,9 +137,7 @@ def ended(record: TrialRecord, others: Sequence[TrialRecord]) -> TrialRecord:
         }
         return replace(record, **parts)
 
-    rule = StoppingRule(
-        PrecisionGoal(bound=0.15, least=20.0), trial=1, planned=record.samples, rate=record.rate
-    )
+    rule = StoppingRule(0.15, 20.0, trial=1, planned=record.samples, rate=record.rate)
     decision = rule.decide(0, lambda _: None)
     while decision is not None and decision.due is not None:
         decision = rule.decide(decision.due, lambda count: LPM.column(first(count), others))

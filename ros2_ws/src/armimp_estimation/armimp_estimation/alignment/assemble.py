@@ -37,14 +37,15 @@ from armimp_estimation.alignment.trial_windows import (
     MOST_TICKS,
     TrialWindow,
     infer_windows,
+    judge_stamps,
     require_few_trials,
+    sampling_period,
     tick_numbers,
     windows_from_statuses,
 )
 from armimp_estimation.json_model import JsonModel
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.sampling import judge_stamps, sampling_period
 
 _LATE = 0.25
 """Periods by which a step between stamps may be too long."""

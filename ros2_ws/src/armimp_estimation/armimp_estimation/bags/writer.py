@@ -38,7 +38,6 @@ from mcap.records import (
 from armimp_common.errors import BagError
 from armimp_common.topics import DATA_STREAMS, MESSAGE_TYPES
 from armimp_estimation.atomic_write import open_regular
-from armimp_estimation.bags.files import BAGS, read_storage
 from armimp_estimation.bags.mcap_reader import BEYOND_LENGTH, MAGIC, MESSAGE, MESSAGE_HEAD
 from armimp_estimation.bags.metadata_yaml import (
     FILE_NAME,
@@ -52,7 +51,7 @@ from armimp_estimation.bags.metadata_yaml import (
     write_metadata,
 )
 from armimp_estimation.bags.raw import RawMessages
-from armimp_estimation.bags.reader import contract_topic
+from armimp_estimation.bags.reader import BAGS, contract_topic, read_storage
 
 METADATA_RECORD: Final = "armimp"
 """Name of the MCAP metadata record with the metadata, for files that lost their directory."""

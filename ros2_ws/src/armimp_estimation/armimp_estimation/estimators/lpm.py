@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError, DataError
-from armimp_estimation.drift import drift_of
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.estimators.local_polynomial import (
     LocalPolynomialConfig,
@@ -27,7 +26,7 @@ from armimp_estimation.record import TrialRecord
 from armimp_estimation.signal_quality import lost_motion, rounding_lead, speed_of
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
-from armimp_estimation.trial import TrialData
+from armimp_estimation.trial import TrialData, drift_of
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
