@@ -19,8 +19,7 @@ from armimp_bringup.study.engine import Threads
 from armimp_bringup.study.scores import judge, results_table
 from armimp_bringup.study.study import run_study
 from armimp_common.errors import DataError
-from armimp_estimation.curves import read_frf
-from armimp_estimation.summary import read_summary
+from armimp_estimation.summary import read_frf, read_summary
 
 BASE = ExperimentConfig(duration=4.0, estimators=("welch_full",))
 ONLY = "friction=0,resolution=0,perturbation=3"

@@ -15,9 +15,9 @@ from armimp_common.topics import (
     PERTURBATION,
 )
 from armimp_estimation.bags import read_bag
-from armimp_estimation.curves import read_frf
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.result import conclude
+from armimp_estimation.summary import read_frf
 from support.runs import FinishedRun, Run
 
 TICKS = 2_000

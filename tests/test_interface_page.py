@@ -41,7 +41,6 @@ from armimp_common.topics import (
     VALUE_FIELD,
 )
 from armimp_control.parameters import ControllerParameters
-from armimp_estimation.curves import ImpedanceCurve, write_frf
 from armimp_estimation.estimators.registry import estimator_names
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.metadata import READING_KEYS, Timing
@@ -50,10 +49,12 @@ from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.result import Result
 from armimp_estimation.summary import (
     EstimatorSummary,
+    ImpedanceCurve,
     OriginSummary,
     Summary,
     TrialSummary,
     WallSummary,
+    write_frf,
 )
 from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.trial import TrialData

@@ -10,10 +10,9 @@ from armimp_bringup.cli import main
 from armimp_common.status import Phase
 from armimp_common.topics import PERIOD_NS, TORQUE_SENSORS
 from armimp_estimation.bags.reader import BAGS
-from armimp_estimation.curves import FRF_FILE
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.recorder import TrialRecorder
-from armimp_estimation.summary import SUMMARY_FILE, Summary, read_summary
+from armimp_estimation.summary import FRF_FILE, SUMMARY_FILE, Summary, read_summary
 from support.streams import record
 from support.synthetic_bags import recorded_arm
 

@@ -28,7 +28,7 @@ from armimp_bringup.study.scores import (
 )
 from armimp_bringup.study.study import run_study
 from armimp_common.errors import ConfigurationError
-from armimp_estimation.curves import ImpedanceCurve
+from armimp_estimation.summary import ImpedanceCurve
 from armimp_estimation.mbk import MBK
 
 BASE = ExperimentConfig(duration=4.0, estimators=("welch_siso", "lpm_full"))

@@ -17,11 +17,10 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, MultipleLocator, NullLocator
 
 from armimp_estimation.atomic_write import write_atomically
-from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.report.formats import plain
 from armimp_estimation.report.plots import TRUE, Axis, Chart, Stroke, bode_chart, printed, strokes
 from armimp_estimation.result import Result
-from armimp_estimation.summary import Summary
+from armimp_estimation.summary import ImpedanceCurve, Summary
 
 TWO_COLUMNS = 7.16
 """Width of a figure of two columns, inches."""

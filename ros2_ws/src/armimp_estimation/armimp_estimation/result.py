@@ -12,7 +12,6 @@ from armimp_common.topics import NS_PER_S, PERIOD_NS, PERTURBATION
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.alignment.trial_windows import TOLERANCE
 from armimp_estimation.bags import BagContent, read_bag
-from armimp_estimation.curves import FRF_FILE, ImpedanceCurve, read_frf, write_frf
 from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.identify import Identification, TrialScores, identify
@@ -20,10 +19,14 @@ from armimp_estimation.metadata import Metadata
 from armimp_estimation.problems import Problem, ProblemCode, problem
 from armimp_estimation.scores import coherence_significance
 from armimp_estimation.summary import (
+    FRF_FILE,
     SUMMARY_FILE,
+    ImpedanceCurve,
     Summary,
     TrialSummary,
+    read_frf,
     read_summary,
+    write_frf,
     write_summary,
 )
 from armimp_estimation.trial import TrialData, segments_for

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.mbk import MBK
 from armimp_estimation.report.plots import (
     DASHES,
@@ -20,6 +19,7 @@ from armimp_estimation.report.plots import (
     strokes,
 )
 from armimp_estimation.scores import Coherences
+from armimp_estimation.summary import ImpedanceCurve
 from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 F = np.linspace(0.1, 15.0, 40)

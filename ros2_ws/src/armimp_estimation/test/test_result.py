@@ -20,7 +20,6 @@ from armimp_common.status import Cause, Phase, TimingFigures
 from armimp_common.topics import JOINT_STATES, PERIOD_NS, TORQUE_SENSORS, TRIAL
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.bags import read_bag
-from armimp_estimation.curves import ImpedanceCurve, read_frf, write_frf
 from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.metadata import RECORD_KEY, Metadata, Timing, latest_metadata
@@ -31,7 +30,14 @@ from armimp_estimation.recorder import TrialRecorder
 from armimp_estimation.report import report_page
 from armimp_estimation.result import Result, conclude
 from armimp_estimation.spectra import WelchConfig, bin_correlation, effective_averages
-from armimp_estimation.summary import ModelParameterSummary, read_summary, write_summary
+from armimp_estimation.summary import (
+    ImpedanceCurve,
+    ModelParameterSummary,
+    read_frf,
+    read_summary,
+    write_frf,
+    write_summary,
+)
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData, segments_for
 from support.streams import record

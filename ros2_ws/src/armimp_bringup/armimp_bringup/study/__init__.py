@@ -13,7 +13,7 @@ from pydantic import TypeAdapter
 
 from armimp_common.errors import ConfigurationError
 from armimp_control.presets import LEVELS as PERTURBATION_LEVELS
-from armimp_estimation.curves import ImpedanceCurve, read_frf, write_frf
+from armimp_estimation.summary import ImpedanceCurve, read_frf, write_frf
 from armimp_estimation.identify import EstimatorResult
 from armimp_estimation.json_model import read_json
 from armimp_estimation.summary import Summary, write_summary

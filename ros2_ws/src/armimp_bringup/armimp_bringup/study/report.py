@@ -21,7 +21,7 @@ from armimp_bringup.study.scores import (
     WorstValue,
 )
 from armimp_bringup.study.scores import Table as Results
-from armimp_estimation.curves import ImpedanceCurve
+from armimp_estimation.summary import ImpedanceCurve
 from armimp_estimation.mbk import MBK
 from armimp_estimation.report.formats import (
     NONE,

@@ -26,12 +26,12 @@ from numpy.typing import ArrayLike
 from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.topics import PERIOD_NS
 from armimp_estimation.alignment.assemble import Trial
-from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.estimators.estimate import confidence_radius
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.report.formats import plain, symbol
 from armimp_estimation.spectra import WelchConfig
+from armimp_estimation.summary import ImpedanceCurve
 
 Options: TypeAlias = dict[str, Any]
 """As plotly.js takes them."""
