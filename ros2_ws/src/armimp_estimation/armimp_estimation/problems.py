@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from enum import Enum
 from functools import cache
 from importlib.resources import files
@@ -114,8 +113,7 @@ class ProblemCode(str, Enum):
     NO_RESPONSE = "no_response"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Kind:
+class Kind(JsonModel):
     """A kind of problems, for all of which the same advice holds."""
 
     title: str
@@ -130,14 +128,7 @@ class Kind:
 def kinds() -> tuple[Kind, ...]:
     """All kinds of problems, as ``problems.yaml`` has them; each code belongs to one."""
     text = files(__package__).joinpath("problems.yaml").read_text(encoding="utf-8")
-    return tuple(
-        Kind(
-            title=one["title"],
-            advice=one["advice"],
-            sentences={ProblemCode(code): text for code, text in one["sentences"].items()},
-        )
-        for one in load_yaml(text, TextLoader)
-    )
+    return tuple(Kind.model_validate(one) for one in load_yaml(text, TextLoader))
 
 
 @cache

@@ -187,10 +187,10 @@ class TrialRecorder:
         BagError
             If they can't be written.
         """
-        if self._start_ns is None:
-            self._wait(messages)
-        elif self._is_past(0):
-            self._wait(self._keep_late(messages))
+        if self._start_ns is None or self._is_past(0):
+            after = messages if self._start_ns is None else self._keep_late(messages)
+            for topic, raws in after.items():
+                self._between[topic].extend(raws)
             self._finish_if_complete()
         else:
             count = self._up_to_end(messages.get(PERTURBATION, ()))
@@ -335,11 +335,6 @@ class TrialRecorder:
                     after[topic].append(message)
         return after
 
-    def _wait(self, messages: Mapping[str, Sequence[bytes]]) -> None:
-        """Let messages wait for the next trial."""
-        for topic, raws in messages.items():
-            self._between[topic].extend(raws)
-
     def _begin(self, status: TrialStatus, start_ns: int) -> None:
         """Begin with the samples of a trial, and keep what came before."""
         self._start_ns, self._began = start_ns, time.monotonic()
@@ -432,33 +427,32 @@ class TrialRecorder:
         elapsed = time.monotonic() - self._began
         self._forget()
         if begun:
-            self._hand_over(statuses, streams, elapsed)
+            self._on_finished(self._completed(statuses, streams, elapsed))
         later, self._later = self._later, deque()
         for status in later:
             self.add_status(status)
 
-    def _hand_over(self, statuses: Sequence[TrialStatus], streams: Streams, elapsed: float) -> None:
+    def _completed(
+        self, statuses: Sequence[TrialStatus], streams: Streams, elapsed: float
+    ) -> Trial | Problem:
+        """Assemble a trial that took so long (s), and close its bag."""
         try:
             try:
-                trial = self._assemble(statuses, streams)
+                trials = assemble_trials(streams, statuses)
+                if len(trials) != 1:
+                    number = statuses[0].trial
+                    raise DataError(f"trial {number}: its statuses speak of {len(trials)} trials")
                 if self._writer is not None and self.timing is not None:
                     self._writer.add_metadata({RECORD_KEY: self.timing.model_dump_json()})
             finally:
                 self.close()
         except ArmimpError as error:
-            self._on_finished(Problem.of(error, ProblemCode.RECORDING_FAILED))
-            return
-        duration = trial.statistics.span / _RATE
-        self._on_finished(replace(trial, bag=self._bag or None, rtf=duration / elapsed))
-
-    def _assemble(self, statuses: Sequence[TrialStatus], streams: Streams) -> Trial:
-        trials = assemble_trials(streams, statuses)
-        if len(trials) != 1:
-            number = statuses[0].trial
-            raise DataError(f"trial {number}: its statuses speak of {len(trials)} trials")
-        if trials[0].record is not None:
-            self._past.append(trials[0].record)
-        return trials[0]
+            return Problem.of(error, ProblemCode.RECORDING_FAILED)
+        (trial,) = trials
+        if trial.record is not None:
+            self._past.append(trial.record)
+        rtf = trial.statistics.span / _RATE / elapsed
+        return replace(trial, bag=self._bag or None, rtf=rtf)
 
 
 class RunningTrial:

@@ -351,47 +351,36 @@ def judge_stamps(
         if own is not None and abs(own / period - 1.0) > _DRIFT:
             rates = {"stream": topic, "rate": NS_PER_S / own, "other": rate}
             found.append((ProblemCode.STREAM_RATES_DIFFER, rates))
-    grid = Grid.of(next(iter(streams.values())))
-    if grid is not None and abs(grid.drift) > _DRIFT:
-        first, second = rate * (1.0 - 0.5 * grid.drift), rate * (1.0 + 0.5 * grid.drift)
-        found.append((ProblemCode.RATE_DRIFTS, {"first": first, "second": second}))
-    elif grid is not None and not (grid.scatter <= _SCATTER and grid.largest <= _LARGEST):
-        off = {"scatter": grid.scatter, "largest": grid.largest, "rate": rate}
-        found.append((ProblemCode.STAMPS_IRREGULAR, off))
+    if (off := _off_grid(next(iter(streams.values())))) is not None:
+        drift, scatter, largest = off
+        if abs(drift) > _DRIFT:
+            first, second = rate * (1.0 - 0.5 * drift), rate * (1.0 + 0.5 * drift)
+            found.append((ProblemCode.RATE_DRIFTS, {"first": first, "second": second}))
+        elif not (scatter <= _SCATTER and largest <= _LARGEST):
+            values = {"scatter": scatter, "largest": largest, "rate": rate}
+            found.append((ProblemCode.STAMPS_IRREGULAR, values))
     return [problem(code, trial=trial, **values) for code, values in found]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Grid:
-    """How far stamps are from a regular grid."""
+def _off_grid(stamps: IntArray) -> tuple[float, float, float] | None:
+    """How far stamps are from the straight line through them; None for fewer than 20.
 
-    drift: float
-    """Relative change of the rate from the first half to the second."""
-    scatter: float
-    largest: float
-    """Rms and largest distance of a stamp from the grid, periods."""
-
-    @classmethod
-    def of(cls, stamps: IntArray) -> Grid | None:
-        """Compare stamps with the straight line through them; None for fewer than 20."""
-        period = _period(stamps)
-        if stamps.size < 20 or period is None:
-            return None
-        steps = np.asarray(np.diff(stamps) / period, dtype=np.float64)
-        whole = np.where(steps < _MISSING, 1.0, np.rint(steps))
-        numbers = np.concatenate(([0.0], np.cumsum(whole)))
-        times = (stamps - stamps[0]) / period
-        half = stamps.size // 2
-        slopes = [
-            np.polyfit(numbers[part], times[part], 1)[0]
-            for part in (slice(None, half), slice(half, None))
-        ]
-        off = times - np.polyval(np.polyfit(numbers, times, 1), numbers)
-        return cls(
-            drift=float(slopes[0] / slopes[1] - 1.0),
-            scatter=float(np.std(off)),
-            largest=float(np.max(np.abs(off))),
-        )
+    Relative change of the rate from the first half to the second, rms and largest distance of a
+    stamp from the line, periods.
+    """
+    period = _period(stamps)
+    if stamps.size < 20 or period is None:
+        return None
+    numbers = np.concatenate(
+        ([0.0], np.cumsum(_whole(np.asarray(np.diff(stamps) / period, dtype=np.float64))))
+    )
+    times = (stamps - stamps[0]) / period
+    half = stamps.size // 2
+    first, second = (
+        np.polyfit(numbers[part], times[part], 1)[0] for part in (slice(half), slice(half, None))
+    )
+    off = times - np.polyval(np.polyfit(numbers, times, 1), numbers)
+    return float(first / second - 1.0), float(np.std(off)), float(np.max(np.abs(off)))
 
 
 def _period(stamps: IntArray) -> float | None:
@@ -399,6 +388,9 @@ def _period(stamps: IntArray) -> float | None:
     if steps.size == 0:
         return None
     relative = np.asarray(steps / float(np.median(steps)), dtype=np.float64)
-    # A step that is only a little longer or shorter is jitter, not a sample that is missing.
-    whole = np.where(relative < _MISSING, 1.0, np.rint(relative))
-    return float(np.sum(steps) / np.sum(whole))
+    return float(np.sum(steps) / np.sum(_whole(relative)))
+
+
+def _whole(steps: FloatArray) -> FloatArray:
+    """Whole periods of steps: one that is only a little longer or shorter than one is jitter."""
+    return np.where(steps < _MISSING, 1.0, np.rint(steps))

@@ -15,7 +15,6 @@ import zstandard
 from armimp_common import topics
 from armimp_common.cdr import decode_trial_statuses, joint_names_of
 from armimp_common.errors import BagError, ConfigurationError, DataError, MalformedMessageError
-from armimp_common.status import TrialStatus
 from armimp_estimation.alignment.assemble import Trial, assemble_trials
 from armimp_estimation.alignment.streams import decode_streams
 from armimp_estimation.atomic_write import open_regular, require_text
@@ -98,7 +97,9 @@ def read_bag(path: Path, *, namespace: str | None = None, trust: bool = False) -
         cut = f"; the file {raw.cut}" if raw.cut else ""
         raise BagError(f"{path}: no messages of an experiment in it{cut}")
     found = resolve_topics(raw.topics, bag=str(path), namespace=namespace)
-    require_topics(found, bag=str(path))
+    for topic, content in _NEEDED.items():
+        if topic not in found:
+            raise BagError(f"{path}: has no {content}: no topic {topic}")
     by_index = raw.by_topic()
     messages = {
         topic: by_index.get(found[topic], []) if topic in found else []
@@ -117,7 +118,8 @@ def read_bag(path: Path, *, namespace: str | None = None, trust: bool = False) -
         cut = f" (the file {raw.cut})" if raw.cut else ""
         raise BagError(f"{path}: {one_line(error)}{cut}") from None
     if not trials:
-        raise BagError(f"{path}: no trial in it; {_last_words(statuses)}")
+        last = one_line(statuses[-1].sentence)
+        raise BagError(f"{path}: no trial in it; the last status is: {last}")
     notes = [f"{path}: {raw.cut}"] if raw.cut else []
     if defect:
         notes.append(f"{path}: damaged messages of {topics.TRIAL}: {one_line(defect)}")
@@ -159,10 +161,6 @@ def _joint_names(metadata: Mapping[str, str], perturbation: Sequence[bytes]) -> 
     raise defect or DataError(f"no messages of {topics.PERTURBATION}")
 
 
-def _last_words(statuses: Sequence[TrialStatus]) -> str:
-    return f"the last status is: {one_line(statuses[-1].sentence)}"
-
-
 def contract_topic(name: str) -> str | None:
     """Topic of the contract of which this may be the name in a bag; None if there is none."""
     return next((topic for topic in topics.MESSAGE_TYPES if _prefix(name, topic) is not None), None)
@@ -195,41 +193,32 @@ def resolve_topics(
     BagError
         If the choice is not clear, or a topic has another type than it must have.
     """
-    if namespace is not None:
-        wanted = "/" + namespace.strip("/") + "/" if namespace.strip("/") else "/"
-        prefixes = [wanted]
+    matches = {topic: _candidates(recorded, topic) for topic in topics.MESSAGE_TYPES}
+    if namespace is None:
+        of_needed = [set(matches[topic].values()) for topic in _NEEDED]
+        complete = sorted(set.intersection(*of_needed))
     else:
-        prefixes = _complete_prefixes(recorded)
-    if len(prefixes) > 1:
-        names = _listed([prefix.rstrip("/") or "/" for prefix in prefixes])
+        complete = [f"/{namespace.strip('/')}/" if namespace.strip("/") else "/"]
+    if len(complete) > 1:
+        names = _listed([prefix.rstrip("/") or "/" for prefix in complete])
         raise BagError(f"{bag}: holds the topics of several rigs, choose a namespace: {names}")
     found: dict[str, int] = {}
-    for topic in topics.MESSAGE_TYPES:
-        matches = _candidates(recorded, topic)
-        if prefixes:
-            under = [i for i in matches if _prefix(recorded[i][0], topic) in (prefixes[0], "")]
+    for topic, prefixes in matches.items():
+        chosen = list(prefixes)
+        if complete:
+            under = [i for i, prefix in prefixes.items() if prefix in (complete[0], "")]
             # Those not needed may be recorded elsewhere, if only once.
-            matches = under if under or topic in _NEEDED or namespace is not None else matches
-        if len(matches) > 1 and (topic in _NEEDED or topic == topics.TRIAL):
-            names = _listed(sorted({recorded[i][0] for i in matches}))
+            chosen = under if under or topic in _NEEDED or namespace is not None else chosen
+        if len(chosen) > 1 and (topic in _NEEDED or topic == topics.TRIAL):
+            names = _listed(sorted({recorded[i][0] for i in chosen}))
             raise BagError(f"{bag}: {topic} is ambiguous: {names}")
-        if len(matches) == 1:
-            _check_type(recorded[matches[0]], topic, bag)
-            found[topic] = matches[0]
+        if len(chosen) == 1:
+            name, kind = recorded[chosen[0]]
+            if kind not in ("", topics.MESSAGE_TYPES[topic]):
+                expected = topics.MESSAGE_TYPES[topic]
+                raise BagError(f"{bag}: topic {name} is of type {kind}, not {expected}")
+            found[topic] = chosen[0]
     return found
-
-
-def require_topics(found: dict[str, int], *, bag: str) -> None:
-    """Check that everything is there which an estimate is made from.
-
-    Raises
-    ------
-    BagError
-        If a topic is missing.
-    """
-    for topic, content in _NEEDED.items():
-        if topic not in found:
-            raise BagError(f"{bag}: has no {content}: no topic {topic}")
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -237,19 +226,11 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(names[:_SHOWN]) + more
 
 
-def _complete_prefixes(recorded: Sequence[tuple[str, str]]) -> list[str]:
-    """Prefixes under which all needed topics are."""
-    sets = [
-        {_prefix(recorded[i][0], topic) or "" for i in _candidates(recorded, topic)}
-        for topic in _NEEDED
-    ]
-    return sorted(set.intersection(*sets))
-
-
-def _candidates(recorded: Sequence[tuple[str, str]], topic: str) -> list[int]:
-    """Topics with the right name, and where there are such, the right type."""
-    named = [i for i, (name, _) in enumerate(recorded) if _prefix(name, topic) is not None]
-    typed = [i for i in named if recorded[i][1] == topics.MESSAGE_TYPES[topic]]
+def _candidates(recorded: Sequence[tuple[str, str]], topic: str) -> dict[int, str]:
+    """Prefixes of the topics with the right name, and where there are such, the right type."""
+    prefixes = {i: _prefix(name, topic) for i, (name, _) in enumerate(recorded)}
+    named = {i: prefix for i, prefix in prefixes.items() if prefix is not None}
+    typed = {i: named[i] for i in named if recorded[i][1] == topics.MESSAGE_TYPES[topic]}
     return typed or named
 
 
@@ -261,13 +242,6 @@ def _prefix(name: str, topic: str) -> str | None:
     if not name.endswith(tail):
         return None
     return name[: len(name) - len(tail) + 1]
-
-
-def _check_type(recorded: tuple[str, str], topic: str, bag: str) -> None:
-    name, message_type = recorded
-    expected = topics.MESSAGE_TYPES[topic]
-    if message_type not in ("", expected):
-        raise BagError(f"{bag}: topic {name} is of type {message_type}, not {expected}")
 
 
 def read_storage(path: Path, wanted: TopicFilter, *, trust: bool = False) -> RawMessages:
@@ -324,7 +298,8 @@ def _files_of(directory: Path) -> tuple[list[Path], dict[str, str]]:
     entries = sorted(directory.iterdir())
     files = [entry for entry in entries if entry.name.endswith(_SUFFIXES) and entry.is_file()]
     if not files:
-        raise BagError(f"{directory}: {_why_no_bag(entries)}")
+        none = f"no {metadata_yaml.FILE_NAME} and no .mcap or .db3 file"
+        raise BagError(f"{directory}: is not a bag: it has {none}")
     return sorted(files, key=_natural), {}
 
 
@@ -376,15 +351,6 @@ def _holds_bag(folder: Path) -> bool:
         one.name.endswith(_SUFFIXES) or one.name == metadata_yaml.FILE_NAME
         for one in folder.iterdir()
     )
-
-
-def _why_no_bag(entries: Sequence[Path]) -> str:
-    if not entries:
-        return "is an empty directory"
-    bags = [entry for entry in entries if (entry / metadata_yaml.FILE_NAME).exists()]
-    if bags:
-        return f"is not a bag but holds {len(bags)}, {bags[0].name} for one"
-    return f"is not a bag: it has no {metadata_yaml.FILE_NAME} and no .mcap or .db3 file"
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
