@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import LogLocator, MultipleLocator, NullLocator
+from matplotlib.ticker import LogLocator, NullLocator
 
 from armimp_estimation.atomic_write import write_atomically
 from armimp_estimation.report.formats import plain
@@ -222,8 +222,6 @@ def _scale(panel: Axes, letter: str, axis: Axis) -> None:
         panel.set(**{f"{letter}lim": axis.ends})
     if axis.ticks:
         shown.set_ticks(axis.ticks, axis.labels or None)
-    elif axis.step:
-        shown.set_major_locator(MultipleLocator(axis.step))
 
 
 def _tex(name: str) -> str:

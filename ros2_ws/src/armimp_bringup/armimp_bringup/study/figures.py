@@ -172,7 +172,7 @@ def overlay_chart(
         ends.append((0.8 * float(values.min()), 1.25 * float(values.max())))
     rows = [
         (3.0, Axis(title="magnitude (N·m/rad)", ends=ends[0], log=True)),
-        (2.0, Axis(title="phase (°)", step=90.0, hoverformat=".1f")),
+        (2.0, Axis(title="phase (°)", hoverformat=".1f")),
         (2.0, Axis(title="error (%)", ends=ends[1], log=True, hoverformat=".3~g")),
     ]
     closest = {"hovermode": "closest"}  # one box for all lines would cover the plot

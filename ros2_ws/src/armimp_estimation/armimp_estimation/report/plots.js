@@ -3,7 +3,6 @@
 (() => {
   const figures = [...document.querySelectorAll("figure.plot")];
   const switches = [...document.querySelectorAll("input[data-switch]")];
-  const dark = matchMedia("(prefers-color-scheme: dark)");
   // Buttons are listed, as the library has one by default that uploads the data.
   const options = {
     responsive: true,
@@ -104,7 +103,6 @@
   for (const figure of figures) {
     figure.addEventListener("change", () => draw(figure));
   }
-  dark.addEventListener("change", () => drawAll(figures));
 
   // Paper is narrower than most screens, always white, and nobody can unfold anything on it.
   const folded = () => document.querySelectorAll("details:not([open])");

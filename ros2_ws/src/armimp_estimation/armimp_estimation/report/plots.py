@@ -7,8 +7,8 @@ plots at once.
 One colour stands for one thing. Estimators have those of Okabe and Ito, joints those that Tol calls
 muted, elements those that he calls bright, levels steps from light to dark: all can be told apart
 by colour-blind people. Lines differ in their dashes as well. A page has them as variables of its
-style, with a lighter set for the dark mode; charts name them so, ``--estimator-0``. A page looks
-them up in ``plots.js``, a figure with `printed`.
+style, and charts name them so, ``--estimator-0``. A page looks them up in ``plots.js``, a figure
+with `printed`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,6 @@ from armimp_estimation.estimators.estimate import confidence_radius
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.report.formats import plain, symbol
-from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.summary import ImpedanceCurve
 
 Options: TypeAlias = dict[str, Any]
@@ -40,35 +39,21 @@ Band: TypeAlias = tuple[FloatArray, FloatArray]
 Distance: TypeAlias = tuple[FloatArray, FloatArray | None, FloatArray]
 """Frequencies (Hz), distance, None for the reference, and radius of the 95 % circle (%)."""
 
-_PALETTES: Mapping[str, Sequence[tuple[str, str]]] = {
-    "estimator": (
-        *(("#0072b2", "#4aa8e0"), ("#d55e00", "#ff8a3d"), ("#009e73", "#2cc79b")),
-        *(("#cc79a7", "#e79bc4"), ("#56b4e9", "#8fd0f5"), ("#e69f00", "#f5bd4a")),
-    ),
-    "joint": (
-        *(("#332288", "#9a8cf0"), ("#cc6677", "#e58391"), ("#44aa99", "#5cc4b3")),
-        *(("#999933", "#c2c25a"), ("#88ccee", "#88ccee"), ("#882255", "#d46a9f")),
-        ("#5f5f5f", "#b5b5b5"),
-    ),
-    "level": (
-        *(("#b8a500", "#fde725"), ("#35a06a", "#4fd18b"), ("#2f6f8f", "#58a8cf")),
-        ("#440154", "#c06fd6"),
-    ),
-    "element": tuple(
-        (colour, colour)
-        for colour in ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#8f8f8f")
-    ),
-    "signal": (("#8a8a8a", "#9a9a9a"), ("#2b2b2b", "#dddddd")),
-    "ink": (("#1d2329", "#e3e7eb"),),
-    "soft": (("#55606b", "#a2adb8"),),
-    "rule": (("#d5dae0", "#3a424b"),),
-    "paper": (("#ffffff", "#15191d"),),
-    "shade": (("#f5f7f9", "#1e242a"),),
-    "good": (("#00704f", "#41c79b"),),
-    "bad": (("#b03a00", "#ff8a5c"),),
-    "link": (("#005a94", "#6db8f0"),),
+_PALETTES: Mapping[str, Sequence[str]] = {
+    "estimator": ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00"),
+    "joint": ("#332288", "#cc6677", "#44aa99", "#999933", "#88ccee", "#882255", "#5f5f5f"),
+    "level": ("#b8a500", "#35a06a", "#2f6f8f", "#440154"),
+    "element": ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#8f8f8f"),
+    "signal": ("#8a8a8a", "#2b2b2b"),
+    "ink": ("#1d2329",),
+    "soft": ("#55606b",),
+    "rule": ("#d5dae0",),
+    "paper": ("#ffffff",),
+    "shade": ("#f5f7f9",),
+    "good": ("#00704f",),
+    "bad": ("#b03a00",),
+    "link": ("#005a94",),
 }
-"""Colours in the light and in the dark mode."""
 LEVEL_DASHES = ("solid", "dash", "dashdot", "dot")
 """Of friction and resolution in a study."""
 DASHES = ("solid", "dash", "dashdot", "longdash", "longdashdot", "dot")
@@ -85,10 +70,7 @@ SIDE_BY_SIDE = 3
 """Joints up to which the elements of a matrix are shown beside each other."""
 PERIOD: float = PERIOD_NS / 1e9
 """Time from one sample to the next, s."""
-BAND = 2.0 * WelchConfig.f_high
-"""Up to where signals are shown: what is estimated ends at half of it, Hz."""
 _TICKS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
-_ORDER = 4
 _GAP = 0.04
 """Between axes one above the other, as a part of the whole height."""
 _BUCKETS = 1000
@@ -144,23 +126,17 @@ def joint_colour(joint: int) -> str:
 def printed(colour: str) -> str:
     """Colour of a figure on paper, ``#rrggbb``, for a variable of the style."""
     name, _, number = colour.removeprefix("--").partition("-")
-    return _PALETTES[name][int(number or 0)][0]
+    return _PALETTES[name][int(number or 0)]
 
 
 def style_rules() -> str:
-    """Rules of a style sheet that define the colours in both modes."""
-
-    def rules(mode: int) -> str:
-        return "".join(
-            f"--{name}{f'-{number}' if len(colours) > 1 else ''}:{colours[number][mode]};"
-            for name, colours in _PALETTES.items()
-            for number in range(len(colours))
-        )
-
-    return (
-        f":root{{{rules(0)}}}\n"
-        f"@media screen and (prefers-color-scheme:dark){{:root{{{rules(1)}}}}}\n"
+    """Rule of a style sheet that defines the colours."""
+    variables = "".join(
+        f"--{name}{f'-{number}' if len(colours) > 1 else ''}:{colour};"
+        for name, colours in _PALETTES.items()
+        for number, colour in enumerate(colours)
     )
+    return f":root{{{variables}}}\n"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,8 +153,6 @@ class Axis:
     """Where its ticks are, if they are chosen."""
     labels: Sequence[str] = ()
     """Of these ticks, where they are not their numbers."""
-    step: float | None = None
-    """Distance of its ticks, if that is chosen."""
     hoverformat: str = ".4~g"
     """Of the numbers that the pointer shows."""
     unit: str = ""
@@ -195,8 +169,6 @@ class Axis:
             found["tickvals"] = list(self.ticks)
             if self.labels:
                 found["ticktext"] = list(self.labels)
-        elif self.step:
-            found |= {"tick0": 0, "dtick": self.step}
         if self.unit:
             found["unifiedhovertitle"] = {"text": f"%{{x}} {self.unit}"}
         return found
@@ -463,14 +435,10 @@ class Row:
     """One value for each control period; NaN where there is none; shape (len(joints), N)."""
 
 
-def rows_of(
-    segments: Sequence[TrialRecord], start_ns: int, *, cutoff: float | None = BAND
-) -> list[Row]:
+def rows_of(segments: Sequence[TrialRecord], start_ns: int) -> list[Row]:
     """Signals of a trial as a reader wants to see them: angles in degrees, about their mean.
 
     Joints that were to be held still have a row of their own, as their motion is far smaller.
-    Commands and torques chatter far above the band in which the arm is perturbed, so that all of
-    them would be solid bars.
 
     Parameters
     ----------
@@ -478,8 +446,6 @@ def rows_of(
         Parts of the trial without gaps, at least one.
     start_ns : int
         Stamp of the first sample of the trial (ns).
-    cutoff : float or None
-        Of the low-pass that the signals are seen through, Hz; None shows them as recorded.
     """
     starts = [round((segment.start_ns - start_ns) / PERIOD_NS) for segment in segments]
     span = max(start + part.samples for start, part in zip(starts, segments, strict=True))
@@ -488,9 +454,7 @@ def rows_of(
         """Signal of all segments, with NaN in the gaps; shape (n, span)."""
         whole = np.full((segments[0].joints, span), np.nan)
         for start, segment in zip(starts, segments, strict=True):
-            values = getattr(segment, field)
-            seen = values if cutoff is None else _smoothed(values, cutoff / segment.rate)
-            whole[:, start : start + segment.samples] = seen
+            whole[:, start : start + segment.samples] = getattr(segment, field)
         return whole
 
     def row(title: str, unit: str, joints: tuple[int, ...], values: FloatArray) -> Row:
@@ -513,33 +477,22 @@ def rows_of(
     return rows
 
 
-def _smoothed(values: FloatArray, cutoff: float) -> FloatArray:
-    """Signals without what is above a frequency, cycles per sample; neither early nor late."""
-    # A sampled Butterworth filter there and back, on the signal and its mirror image. That of
-    # scipy.signal does the same, but takes longer to import than the whole report to write.
-    mirrored = np.concatenate((values, values[:, ::-1]), axis=1)
-    ratio = np.tan(np.pi * np.fft.rfftfreq(mirrored.shape[1])) / np.tan(np.pi * cutoff)
-    seen = np.fft.irfft(np.fft.rfft(mirrored) / (1.0 + ratio ** (2 * _ORDER)), mirrored.shape[1])
-    return seen[:, : values.shape[1]]
-
-
 def trace_plot(identifier: str, trial: Trial, buckets: int = _BUCKETS) -> Plot:
-    """Plot of a trial over time: the whole of it as `rows_of` shows it, and its end as recorded.
+    """Plot of a trial over time: the whole of it, thinned out as `envelope` does, and its end.
 
-    The trial has at least one segment; long signals are thinned out, see `envelope`.
+    The trial has at least one segment.
     """
     start_ns, names = trial.window.start_ns, trial.segments[0].joint_names
     rows = rows_of(trial.segments, start_ns)
     span = rows[0].values.shape[1]
     last = max(span - _EXCERPT, 0), span
-    recorded = rows_of(trial.segments, start_ns, cutoff=None)
     return Plot(
         identifier=identifier,
         caption="Signals over time",
         description=f"Perturbation, angles, torques and commands of trial {trial.trial}.",
         views={
             "whole trial": trace_chart(rows, names, (0, span), buckets),
-            f"last {(span - last[0]) * PERIOD:g} s as recorded": trace_chart(recorded, names, last),
+            f"last {(span - last[0]) * PERIOD:g} s": trace_chart(rows, names, last),
         },
         height=125 * len(rows) + 50,
     )

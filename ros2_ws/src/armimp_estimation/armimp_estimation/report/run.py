@@ -24,7 +24,6 @@ from armimp_estimation.report.formats import (
 )
 from armimp_estimation.report.page import Content, Section, Table, box, render_page
 from armimp_estimation.report.plots import (
-    BAND,
     BANDS,
     PERIOD,
     SIDE_BY_SIDE,
@@ -255,7 +254,6 @@ def _signals(result: Result) -> Content:
         "key": [
             box("", name, joint_colour(joint)) for joint, name in enumerate(result.joint_names)
         ],
-        "band": f"{BAND:g}",
         "trials": list(zip(shown, plots, strict=True)),
     }
 
