@@ -400,11 +400,6 @@ class TestRefusals:
         path.write_bytes(content)
         assert refusal(path) == f"{path}: {reason}"
 
-    def test_directory_of_bags_is_told_from_a_bag(self, tmp_path: Path) -> None:
-        write_ours(tmp_path / "trial_1")
-        write_ours(tmp_path / "trial_2")
-        assert refusal(tmp_path) == (f"{tmp_path}: is not a bag but holds 2, trial_1 for one")
-
     @pytest.mark.parametrize(
         ("text", "reason"),
         [
