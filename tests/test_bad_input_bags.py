@@ -133,11 +133,10 @@ class TestFiles:
         for command in ("estimate", "replay"):
             assert str(tmp_path) in refused(command, str(tmp_path / name)).err
 
-    def test_a_directory_without_files(self, tmp_path: Path) -> None:
-        assert "is an empty directory" in both_refuse(tmp_path)
-
-    def test_a_directory_of_other_files(self, tmp_path: Path) -> None:
-        (tmp_path / "thesis.tex").write_text("ten years of work")
+    @pytest.mark.parametrize("names", [(), ("thesis.tex",)])
+    def test_a_directory_without_a_bag(self, tmp_path: Path, names: Sequence[str]) -> None:
+        for name in names:
+            (tmp_path / name).write_text("ten years of work")
         assert "is not a bag: it has no metadata.yaml" in both_refuse(tmp_path)
 
     @pytest.mark.parametrize("name", ["/dev/null", "/dev/full", "/proc/self/mem", "a" * 300])

@@ -28,8 +28,8 @@ from armimp_bringup.study.scores import (
 )
 from armimp_bringup.study.study import run_study
 from armimp_common.errors import ConfigurationError
-from armimp_estimation.summary import ImpedanceCurve
 from armimp_estimation.mbk import MBK
+from armimp_estimation.summary import ImpedanceCurve
 
 BASE = ExperimentConfig(duration=4.0, estimators=("welch_siso", "lpm_full"))
 CONDITIONS = select_conditions(["friction=0+3,resolution=3,perturbation=1"], "1:3")

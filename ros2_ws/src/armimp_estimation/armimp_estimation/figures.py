@@ -143,10 +143,6 @@ def save_figure(figure: Figure, path: Path) -> list[Path]:
     DataError
         If one cannot be written.
     """
-    if (layout := figure.get_layout_engine()) is not None:
-        # Once is enough for both files.
-        layout.execute(figure)
-        figure.set_layout_engine("none")
     written = []
     # The time of day would make every file another one.
     for suffix, metadata in ((".png", {"Software": None}), (".pdf", {"CreationDate": None})):

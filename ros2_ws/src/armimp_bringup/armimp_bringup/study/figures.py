@@ -18,7 +18,6 @@ from armimp_bringup.bench import available_cores
 from armimp_bringup.study import LEVELS, Condition
 from armimp_bringup.study.scores import COHERENCE_SCORES, FIT_SCORES, Score, Table, statistics
 from armimp_common.errors import DataError
-from armimp_estimation.summary import ImpedanceCurve
 from armimp_estimation.figures import TWO_COLUMNS, element_figure, matrix_figure, save_figure
 from armimp_estimation.mbk import MBK
 from armimp_estimation.report.formats import symbol
@@ -36,6 +35,7 @@ from armimp_estimation.report.plots import (
     frequency_axis,
     phase_about,
 )
+from armimp_estimation.summary import ImpedanceCurve
 
 Curves = Callable[[Condition], Mapping[str, ImpedanceCurve]]
 _Drawing = Callable[[Any, Any], Figure]
