@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from pydantic import Field
+from pydantic import Field, TypeAdapter, ValidationError
 
 from armimp_common.errors import ConfigurationError
 from armimp_common.realtime import TimingLimits
@@ -116,11 +116,9 @@ class EstimatorParameters(Schema):
                     f"{', '.join(estimator_names())}"
                 )
         try:
-            values = json.loads(self.metadata)
-        except (ValueError, RecursionError):
-            values = None
-        if not isinstance(values, dict) or not all(isinstance(v, str) for v in values.values()):
+            values = TypeAdapter(dict[str, str]).validate_json(self.metadata)
+        except ValidationError:
             raise ConfigurationError(
                 f"parameter 'metadata' is not a JSON object of strings: {self.metadata[:60]!r}"
-            )
+            ) from None
         return {**values, **self.torque.metadata()}

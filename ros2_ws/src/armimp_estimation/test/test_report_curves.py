@@ -1,10 +1,14 @@
 """What is drawn of a curve or a signal."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from armimp_estimation.alignment.assemble import StreamStatistics, Trial
+from armimp_estimation.alignment.trial_windows import TrialWindow
 from armimp_estimation.mbk import MBK
 from armimp_estimation.report.plots import (
     DASHES,
@@ -15,6 +19,7 @@ from armimp_estimation.report.plots import (
     range_of,
     rows_of,
     strokes,
+    trace_plot,
 )
 from armimp_estimation.scores import Coherences
 from armimp_estimation.summary import ImpedanceCurve
@@ -154,6 +159,25 @@ def test_a_gap_between_segments_stays_a_gap() -> None:
     # Degrees.
     expected = np.degrees(np.ptp(record.position[1, 50:]))
     assert np.ptp(angle.values[0, 55:]) == pytest.approx(expected)
+
+
+def test_time_goes_by_the_rate_of_the_record() -> None:
+    config = SyntheticConfig(samples=5000)
+    record = replace(synthetic_trial(TWO_JOINT_ARM, 1, config, seed=1), rate=500.0)
+    window = TrialWindow(
+        trial=1,
+        joint=1,
+        joint_name="",
+        start_ns=record.start_ns,
+        ticks=record.samples,
+        seed=None,
+        ended=True,
+    )
+    trial = Trial(window=window, segments=(record,), statistics=StreamStatistics())
+    whole, last = trace_plot("trace", trial, 100).views.values()
+    assert whole.abscissa.ends == (0.0, 10.0)
+    assert last.abscissa.ends == (6.0, 10.0)
+    np.testing.assert_allclose(last.lines[0].x, np.arange(3000, 5000) / 500.0)
 
 
 def test_an_estimator_looks_the_same_whatever_it_is_shown_with() -> None:

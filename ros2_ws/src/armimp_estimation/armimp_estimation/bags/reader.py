@@ -1,6 +1,5 @@
 """Reading of bags, recorded here or elsewhere: finding their files, into trials and messages."""
 
-import json
 import os
 import re
 import tempfile
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 import zstandard
+from pydantic import TypeAdapter, ValidationError
 
 from armimp_common import topics
 from armimp_common.cdr import decode_trial_statuses, joint_names_of
@@ -146,12 +146,9 @@ def read_bag(path: Path, *, namespace: str | None = None, trust: bool = False) -
 
 def _joint_names(metadata: Mapping[str, str], perturbation: Sequence[bytes]) -> tuple[str, ...]:
     """Joint order: that of the recording's metadata, else that of the controller."""
-    try:
-        names = json.loads(metadata.get("joint_names", "null"))
-    except (ValueError, RecursionError):
-        names = None
-    if isinstance(names, list) and names and all(isinstance(name, str) for name in names):
-        return tuple(names)
+    with suppress(ValidationError):
+        if names := TypeAdapter(tuple[str, ...]).validate_json(metadata.get("joint_names", "[]")):
+            return names
     defect: MalformedMessageError | None = None
     for message in perturbation:
         try:

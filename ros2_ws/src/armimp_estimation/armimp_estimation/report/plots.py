@@ -24,7 +24,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armimp_common.arrays import ComplexArray, FloatArray
-from armimp_common.topics import PERIOD_NS
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.estimators.estimate import confidence_radius
 from armimp_estimation.mbk import MBK
@@ -60,7 +59,6 @@ DASHES = ("solid", "dash", "dashdot", "longdash", "longdashdot", "dot")
 """As plotly names them; dotted is the truth's own, so it comes last."""
 _KNOWN = ("welch_siso", "welch_full", "lpm_full", "direct", "mimo")
 
-
 BANDS = "bands"
 """Tag of confidence bands."""
 TRUTH = "truth"
@@ -68,12 +66,9 @@ TRUTH = "truth"
 IMPEDANCE = "N·m/rad"
 SIDE_BY_SIDE = 3
 """Joints up to which the elements of a matrix are shown beside each other."""
-PERIOD: float = PERIOD_NS / 1e9
-"""Time from one sample to the next, s."""
 _TICKS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 _GAP = 0.04
 """Between axes one above the other, as a part of the whole height."""
-_BUCKETS = 1000
 _EXCERPT = 2000
 """Samples at the end that are shown in full."""
 _REFERENCE = "lpm_full"
@@ -447,7 +442,7 @@ def rows_of(segments: Sequence[TrialRecord], start_ns: int) -> list[Row]:
     start_ns : int
         Stamp of the first sample of the trial (ns).
     """
-    starts = [round((segment.start_ns - start_ns) / PERIOD_NS) for segment in segments]
+    starts = [round(one.rate * (one.start_ns - start_ns) / 1e9) for one in segments]
     span = max(start + part.samples for start, part in zip(starts, segments, strict=True))
 
     def signal(field: str) -> FloatArray:
@@ -477,52 +472,42 @@ def rows_of(segments: Sequence[TrialRecord], start_ns: int) -> list[Row]:
     return rows
 
 
-def trace_plot(identifier: str, trial: Trial, buckets: int = _BUCKETS) -> Plot:
+def trace_plot(identifier: str, trial: Trial, buckets: int) -> Plot:
     """Plot of a trial over time: the whole of it, thinned out as `envelope` does, and its end.
 
     The trial has at least one segment.
     """
-    start_ns, names = trial.window.start_ns, trial.segments[0].joint_names
-    rows = rows_of(trial.segments, start_ns)
+    first = trial.segments[0]
+    rows = rows_of(trial.segments, trial.window.start_ns)
     span = rows[0].values.shape[1]
-    last = max(span - _EXCERPT, 0), span
+    last = max(span - _EXCERPT, 0)
+
+    def chart(start: int, buckets: int) -> Chart:
+        """Signals from a sample on."""
+        lines = []
+        for number, row in enumerate(rows, 1):
+            for joint, values in zip(row.joints, row.values, strict=True):
+                name = f"{row.title}, {first.joint_names[joint]}"
+                stroke = Stroke(name=name, colour=joint_colour(joint), width=1.0)
+                thinned, step = envelope(values[start:], buckets)
+                time = (start + step * np.arange(thinned.size, dtype=np.float64)) / first.rate
+                lines.append(Line(x=time, y=thinned, stroke=stroke, row=number, unit=row.unit))
+        ends = start / first.rate, span / first.rate
+        title = "time since the perturbation began (s)"
+        abscissa = Axis(title=title, ends=ends, hoverformat=".3f", unit="s")
+        ordinates = [(1.0, Axis(title=f"{row.title}<br>({row.unit})")) for row in rows]
+        return Chart(abscissa=abscissa, rows=ordinates, lines=lines)
+
     return Plot(
         identifier=identifier,
         caption="Signals over time",
         description=f"Perturbation, angles, torques and commands of trial {trial.trial}.",
         views={
-            "whole trial": trace_chart(rows, names, (0, span), buckets),
-            f"last {(span - last[0]) * PERIOD:g} s": trace_chart(rows, names, last),
+            "whole trial": chart(0, buckets),
+            f"last {(span - last) / first.rate:g} s": chart(last, _EXCERPT),
         },
         height=125 * len(rows) + 50,
     )
-
-
-def trace_chart(
-    rows: Sequence[Row], names: Sequence[str], part: Sequence[int], buckets: int = _BUCKETS
-) -> Chart:
-    """Signals over time, of joints with these names.
-
-    Shown are the samples from the first of `part` to the one before the second, thinned out into so
-    many parts, see `envelope`.
-    """
-    start, stop = part
-    lines = []
-    for number, row in enumerate(rows, 1):
-        for joint, values in zip(row.joints, row.values, strict=True):
-            name, colour = f"{row.title}, {names[joint]}", joint_colour(joint)
-            stroke = Stroke(name=name, colour=colour, width=1.0)
-            thinned, step = envelope(values[start:stop], buckets)
-            time = PERIOD * (start + step * np.arange(thinned.size, dtype=np.float64))
-            lines.append(Line(x=time, y=thinned, stroke=stroke, row=number, unit=row.unit))
-    abscissa = Axis(
-        title="time since the perturbation began (s)",
-        ends=(start * PERIOD, stop * PERIOD),
-        hoverformat=".3f",
-        unit="s",
-    )
-    ordinates = [(1.0, Axis(title=f"{row.title}<br>({row.unit})")) for row in rows]
-    return Chart(abscissa=abscissa, rows=ordinates, lines=lines)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

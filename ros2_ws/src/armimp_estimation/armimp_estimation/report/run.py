@@ -25,7 +25,6 @@ from armimp_estimation.report.formats import (
 from armimp_estimation.report.page import Content, Section, Table, box, render_page
 from armimp_estimation.report.plots import (
     BANDS,
-    PERIOD,
     SIDE_BY_SIDE,
     TRUTH,
     bode_plot,
@@ -56,6 +55,7 @@ def report_page(result: Result) -> str:
         "reading": None if known is None else known.sentence,
         "conditions": False,
     }
+    rates = [one.segments[0].rate for one in result.trials if one.segments]
     timing = None if summary.timing is None else {"late": LATE_NS / 1e9}
     excluded = [one for one in result.trials if one.statistics.excluded or one.statistics.clipped]
     found: list[tuple[str, str, Content | None]] = [
@@ -88,7 +88,7 @@ def report_page(result: Result) -> str:
         noted=lambda count: alarming(count) if count else 0,
         STREAMS=STREAMS,
         COMMANDS=topics.COMMANDS,
-        PERIOD=PERIOD,
+        rate=rates[0] if rates else 1e9 / topics.PERIOD_NS,
         DEGREE=180.0 / math.pi,
     )
 
