@@ -13,10 +13,9 @@ from pydantic import TypeAdapter
 
 from armimp_common.errors import ConfigurationError
 from armimp_control.presets import LEVELS as PERTURBATION_LEVELS
-from armimp_estimation.summary import ImpedanceCurve, read_frf, write_frf
 from armimp_estimation.identify import EstimatorResult
 from armimp_estimation.json_model import read_json
-from armimp_estimation.summary import Summary, write_summary
+from armimp_estimation.summary import ImpedanceCurve, Summary, read_frf, write_frf, write_summary
 from armimp_sim.presets import LEVELS as SIMULATOR_LEVELS
 
 LEVELS: Final[Mapping[str, tuple[int, ...]]] = {

@@ -21,7 +21,6 @@ from armimp_bringup.study.scores import (
     WorstValue,
 )
 from armimp_bringup.study.scores import Table as Results
-from armimp_estimation.summary import ImpedanceCurve
 from armimp_estimation.mbk import MBK
 from armimp_estimation.report.formats import (
     NONE,
@@ -38,7 +37,7 @@ from armimp_estimation.report.plots import (
     plot_matrix,
 )
 from armimp_estimation.report.run import advised, assumptions
-from armimp_estimation.summary import OriginSummary
+from armimp_estimation.summary import ImpedanceCurve, OriginSummary
 
 Curves = Callable[[Condition], Mapping[str, ImpedanceCurve]]
 _COUNTS: Final = ("", "one", "two", "three", "four", "five", "six", "seven")
