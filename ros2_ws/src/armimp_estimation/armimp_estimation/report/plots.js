@@ -72,7 +72,7 @@
     const off = new Set(switches.filter((box) => !box.checked).map((box) => box.dataset.switch));
     try {
       const number = chosen ? Number(chosen.value) : 0;
-      const plain = styled(JSON.parse(views[number].textContent), number);
+      const plain = styled(JSON.parse(views[number].textContent), `view ${number}`);
       const view = coloured(plain, getComputedStyle(document.documentElement));
       for (const trace of view.data) {
         trace.visible = !(trace.meta || []).some((tag) => off.has(tag));
