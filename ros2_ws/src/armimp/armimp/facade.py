@@ -32,7 +32,7 @@ class Recording:
     reading: TorqueReading = field(default_factory=TorqueReading)
     """When and how torques were read."""
     truth: MBK | None = None
-    """MBK or None The arm that was simulated, if it was."""
+    """The arm that was simulated, if it was."""
     calibration: Calibration = field(default_factory=Calibration.undeclared)
     """What is known of the torque transducers; by default what is assumed of any, 1 % of gain and
     of cross-talk."""
