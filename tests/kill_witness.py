@@ -2,7 +2,8 @@
 
 It is a process of its own, since the middleware reads its profile once in each process, and the
 tests' has done so long before. When its node is up the file exists, empty. When the nodes know of
-its subscriptions, so that it will miss nothing, so does ``FILE.known``. When it is told to end
+its subscriptions, so that it will miss nothing, so does ``FILE.known``; when it has seen more of a
+perturbation than a bag may lack, ``FILE.moving``. When it is told to end
 (SIGTERM), it writes into FILE, as JSON, what it saw, each with the monotonic time of this machine,
 which all processes share.
 """
@@ -29,6 +30,8 @@ from armimp_common.topics import CONTROLLER_NODE, SIM_NODE
 
 JOINTS = ("shoulder", "elbow")
 _PATIENCE = 60.0
+_MOVING = 300
+"""Samples of a perturbation: three times as many as a bag may lack."""
 
 
 class Witness(Node):
@@ -40,6 +43,7 @@ class Witness(Node):
         self._torques: list[float] = []
         self._resting = True
         self._stamps: list[tuple[float, int]] = []
+        self._perturbed = 0
         self._statuses: list[tuple[float, dict[str, str]]] = []
         self._reports: list[tuple[float, str, str]] = []
         self._subscriptions = [
@@ -49,7 +53,7 @@ class Witness(Node):
                 topics.PERTURBATION,
                 JOINTS,
                 "effort",
-                lambda stamp_ns, _: self._stamps.append((time.monotonic(), stamp_ns)),
+                self._on_perturbation,
             ),
             self.create_subscription(DiagnosticStatus, topics.TRIAL, self._on_trial, qos.LATCHED),
             self.create_subscription(
@@ -64,6 +68,12 @@ class Witness(Node):
             self._timer.cancel()
             wait_until_known_to(self, [SIM_NODE, CONTROLLER_NODE], timeout_s=_PATIENCE)
             self._file.with_suffix(".known").touch()
+
+    def _on_perturbation(self, stamp_ns: int, torque: tuple[float, ...]) -> None:
+        self._stamps.append((time.monotonic(), stamp_ns))
+        self._perturbed += any(torque)
+        if self._perturbed == _MOVING:
+            self._file.with_suffix(".moving").touch()
 
     def _on_command(self, command: tuple[float, ...]) -> None:
         self._resting = not any(command)

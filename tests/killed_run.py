@@ -3,8 +3,9 @@
 Arguments: file for events; file that exists as soon as the witness listens; phase; victim; delay
 (s) after the beginning of the phase; time (s) for which the orchestrator does not see that its
 child is dead, as on a rig where it has none; and then the arguments of ``armimp``. The phases are
-``start``; the transitions ``configure``, ``activate`` and ``shutdown``; and those of the trial
-status with the number of the trial, like ``perturb 1``. Events are lines: ``domain ID``, and
+``start``; the transitions ``configure``, ``activate`` and ``shutdown``; those of the trial
+status with the number of the trial, like ``perturb 1``; and ``moving``, as soon as the witness has
+seen some of the first perturbation, however long that takes. Events are lines: ``domain ID``, and
 ``killed T`` with the monotonic time of this machine, which all processes share.
 """
 
@@ -29,7 +30,8 @@ from armimp_common.lifecycle import LifecycleManager, TransitionName
 from armimp_common.status import values_of
 from armimp_common.topics import SUPERVISOR_NODE
 
-PATIENCE = 60.0
+PATIENCE = 180.0
+MOVING = "moving"
 
 
 class Killer:
@@ -39,7 +41,7 @@ class Killer:
         self, events: Path, seen: Path, phase: str, victim: str, delay: float, blind: float
     ) -> None:
         self._events, self._seen = events, seen
-        self._phase, self._victim, self._delay = phase, victim, delay
+        self.phase, self._victim, self._delay = phase, victim, delay
         self._armed = True
         self._blind = blind
         self.blind_until = -math.inf
@@ -53,15 +55,20 @@ class Killer:
         """Return when the witness listens."""
         _await(self._seen)
 
+    def await_motion(self) -> None:
+        """Tell when the witness has seen some of a perturbation."""
+        _await(self._seen.with_suffix(".moving"))
+        self.reach(MOVING)
+
     def before(self, transition: str) -> None:
         """A transition is to be asked for."""
-        if transition == "activate" and " " in self._phase:
+        if transition == "activate" and (" " in self.phase or self.phase == MOVING):
             _await(self._seen.with_suffix(".known"))
 
     def reach(self, phase: str, *, node: str | None = None) -> None:
         """A phase has come; a phase of nodes counts only for the victim, if it is a node."""
         concerned = node is None or self._victim in (node, SUPERVISOR_NODE) or phase == "shutdown"
-        if self._armed and concerned and phase == self._phase:
+        if self._armed and concerned and phase == self.phase:
             self._armed = False
             threading.Timer(self._delay, self._kill).start()
 
@@ -91,6 +98,8 @@ def install(killer: Killer) -> None:
             super().__init__(domain_id)
             killer.note(f"domain {self.claim.domain_id}")
             killer.await_witness()
+            if killer.phase == MOVING:
+                threading.Thread(target=killer.await_motion, daemon=True).start()
 
     class Kept(SeparateNodes):
         def __init__(self, *args: Any, **kwargs: Any) -> None:

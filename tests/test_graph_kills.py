@@ -277,7 +277,7 @@ def assert_recorded(done: Kill) -> None:
 def test_when_a_node_is_killed_in_a_trial_expect_the_others_safe_even_without_orchestrator(
     tmp_path: Path, victim: str
 ) -> None:
-    done = kill(tmp_path, "perturb 1", victim, delay=0.5, blind=5.0, duration=100)
+    done = kill(tmp_path, "moving", victim, blind=5.0, duration=100)
 
     assert done.seen.torques
     assert_told(done)
@@ -288,7 +288,7 @@ def test_when_a_node_is_killed_in_a_trial_expect_the_others_safe_even_without_or
 
 
 def test_when_the_orchestrator_is_killed_expect_the_nodes_safe_and_gone(tmp_path: Path) -> None:
-    done = kill(tmp_path, "perturb 1", SUPERVISOR_NODE, delay=0.5, duration=100)
+    done = kill(tmp_path, "moving", SUPERVISOR_NODE, duration=100)
 
     assert done.seen.torques
     assert_told(done)
