@@ -79,6 +79,4 @@ def test_when_an_estimator_copes_with_poor_locking_expect_only_the_other_to_be_r
 def test_pd_locking_is_stable_on_every_preset(joints: int) -> None:
     options = {"joints": joints, "imbic_controller": {"law": {"kind": "pd"}}}
     config = ExperimentConfig.model_validate(options)
-    margins = node_parameters(config, None).controller.check()
-    assert max(margins.spectral_radius) < 1.0
-    assert margins.warnings == ()
+    assert node_parameters(config, None).controller.check() == ()

@@ -92,7 +92,7 @@ class ImbicControllerNode(ManagedNode):
         """Check the parameters and the stability of the loop; make the topics."""
         parameters = self._settings = load(self, ControllerParameters)
         names = parameters.joints
-        for warning in self._prepare().margins.warnings:
+        for warning in self._prepare().warnings:
             self.get_logger().warning(warning)
         self._commands = CommandPublisher(self, topics.COMMANDS, len(names))
         self._perturbation = JointStatePublisher(self, topics.PERTURBATION, names, "effort")

@@ -18,7 +18,7 @@ from armimp_control.laws.pd import PdConfig
 from armimp_control.perturbation import JointPrior, PerturbationKind, PerturbationParameters
 from armimp_control.safety_limiter import SafetyParameters
 from armimp_control.sequence import PERIOD, SequenceParameters, TareParameters
-from armimp_control.stability import RigDynamics, StabilityMargins, check_stability
+from armimp_control.stability import RigDynamics, check_stability
 
 Vector = tuple[float, ...]
 
@@ -240,8 +240,8 @@ class ControllerParameters(Schema):
         """Longest wall time that may count as one period for the watchdog, s."""
         return PERIOD if self.mode == "realtime" else self.safety.slowest_tick
 
-    def check(self) -> StabilityMargins:
-        """Check that everything fits together and is stable when sampled.
+    def check(self) -> tuple[str, ...]:
+        """Check that everything fits together and is stable when sampled; return warnings.
 
         Raises
         ------

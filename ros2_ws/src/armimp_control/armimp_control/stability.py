@@ -146,24 +146,13 @@ def _moved_by(lag: float, period: float) -> dict[str, tuple[float, float]]:
     return {"speed": (left, period - left), "way": (way, 0.5 * period**2 - way)}
 
 
-@dataclass(frozen=True, kw_only=True)
-class StabilityMargins:
-    """How far a sampled loop is from instability."""
-
-    spectral_radius: tuple[float, ...]
-    """Of the sampled loop while each joint is perturbed and while all are locked, each with an arm
-    as known, three times as heavy and three times as light."""
-    warnings: tuple[str, ...]
-    """Sentences for values near the edge."""
-
-
 def check_stability(
     config: LawConfig,
     *,
     robot_inertia: FloatArray,
     arm_inertia: FloatArray,
     dynamics: RigDynamics | None = None,
-) -> StabilityMargins:
+) -> tuple[str, ...]:
     """Check the sampled loop with every joint perturbed in turn, and with all locked.
 
     The condition is that the loop of law and inertia returns to rest, see :func:`spectral_radius`,
@@ -178,10 +167,15 @@ def check_stability(
     arm_inertia : (n, n) M_h as far as it is known beforehand, kg·m²
     dynamics : of drives and transducers; by default they are prompt
 
+    Returns
+    -------
+    tuple of str
+        The warnings, a sentence each.
+
     Raises
     ------
     ConfigurationError
-        If a condition is violated or the inertia makes no sense; the message carries the value.
+        If the loop is unstable or the inertia makes no sense; the message carries the value.
     """
     _check_inertia(config.joints, robot_inertia, arm_inertia)
     gains = "M̄" if isinstance(config, ImbicConfig) else "gains"
@@ -206,14 +200,13 @@ def check_stability(
         ARM_RANGE: f" with an arm {ARM_RANGE:g} times as heavy",
         1.0 / ARM_RANGE: f" with an arm {ARM_RANGE:g} times as light",
     }
-    radii = []
     for k, role in roles.items():
         for arm, described in arms.items():
-            radii.append(radius_of(k, known, arm=arm))
-            if not radii[-1] < 1.0 + _GROWTH:
+            radius = radius_of(k, known, arm=arm)
+            if not radius < 1.0 + _GROWTH:
                 raise ConfigurationError(
                     f"controller: unstable when sampled: while {role}, motion grows by a factor of "
-                    f"{radii[-1]:.4g} per tick{described}" + _with(known)
+                    f"{radius:.4g} per tick{described}" + _with(known)
                 )
     warnings = []
     changes = {
@@ -227,7 +220,7 @@ def check_stability(
         ]
         if swings:
             warnings.append(f"with {change} the loop would be unstable while {', '.join(swings)}")
-    return StabilityMargins(spectral_radius=tuple(radii), warnings=tuple(warnings))
+    return tuple(warnings)
 
 
 def spectral_radius(

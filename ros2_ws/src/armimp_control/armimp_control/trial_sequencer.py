@@ -38,6 +38,7 @@ class TrialSequencer:
     lost : number of samples that were missing between others in the present trial
     finished : whether all trials are over, in good order or not
     tick : number of samples answered
+    warnings : of the stability check
 
     Raises
     ------
@@ -48,7 +49,7 @@ class TrialSequencer:
     def __init__(
         self, parameters: ControllerParameters, announce: Callable[[TrialStatus], None]
     ) -> None:
-        self.margins = parameters.check()
+        self.warnings = parameters.check()
         self._parameters, self._announce = parameters, announce
         n = self._count = len(parameters.joints)
         self._law = Controller(parameters.law_config(), safety=parameters.safety)

@@ -13,7 +13,7 @@ from armimp_control import presets
 from armimp_control.laws import ANGLE_GAIN, DISTURBANCE_GAIN, INVERSE, VELOCITY_GAIN
 from armimp_control.laws.imbic import ImbicConfig, Observer
 from armimp_control.laws.law import Controller
-from armimp_control.stability import RigDynamics, StabilityMargins, check_stability
+from armimp_control.stability import RigDynamics, check_stability
 from support.safety import torque_only, within_torque
 
 Array = NDArray[np.float64]
@@ -180,7 +180,7 @@ def test_no_gains_are_worked_out_between_two_samples(monkeypatch: pytest.MonkeyP
 
 
 def test_defaults_bear_one_late_period_and_any_arm_within_a_factor_of_three() -> None:
-    def check(known: int, delay: int) -> StabilityMargins:
+    def check(known: int, delay: int) -> tuple[str, ...]:
         return check_stability(
             _config(delay=known),
             robot_inertia=ROBOT,
@@ -189,9 +189,7 @@ def test_defaults_bear_one_late_period_and_any_arm_within_a_factor_of_three() ->
         )
 
     for delay in (0, 1):
-        margins = check(delay, delay)
-        assert max(margins.spectral_radius) < 0.9995
-        assert margins.warnings == ()
+        assert check(delay, delay) == ()
     with pytest.raises(ConfigurationError, match=r"grows by .* act 2 periods late"):
         check(2, 2)
     # An observer that does not know of the delay makes a heavy arm swing.

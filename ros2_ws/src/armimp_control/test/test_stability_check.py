@@ -147,13 +147,13 @@ def test_drives_that_are_too_slow_are_refused_with_what_is_known_of_the_rig() ->
 
 def test_when_a_little_more_delay_would_make_the_loop_unstable_expect_a_warning() -> None:
     def warnings(delay: float) -> list[str]:
-        margins = check_stability(
+        found = check_stability(
             _config(),
             robot_inertia=ROBOT,
             arm_inertia=ARM,
             dynamics=RigDynamics(torque_delay=delay, actuator_lag=0.0005),
         )
-        return [one for one in margins.warnings if "read 1 ms later" in one]
+        return [one for one in found if "read 1 ms later" in one]
 
     assert warnings(0.0005) == []
     assert warnings(0.001)[0].endswith("while joint 1 is perturbed")
@@ -161,10 +161,8 @@ def test_when_a_little_more_delay_would_make_the_loop_unstable_expect_a_warning(
 
 def test_the_default_is_accepted_without_a_warning_and_tde_with_one_of_late_commands() -> None:
     default = presets.imbic(ROBOT, POSTURE)
-    assert check_stability(default, robot_inertia=ROBOT, arm_inertia=ARM).warnings == ()
-    margins = check_stability(_config(), robot_inertia=ROBOT, arm_inertia=ARM)
-    assert max(margins.spectral_radius) < 1.0
-    (warning,) = margins.warnings
+    assert check_stability(default, robot_inertia=ROBOT, arm_inertia=ARM) == ()
+    (warning,) = check_stability(_config(), robot_inertia=ROBOT, arm_inertia=ARM)
     assert "commands that act 1 ms later" in warning
     assert warning.endswith("while all joints are locked")
 
