@@ -418,6 +418,8 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     for gap in (0.01, 0.05, 0.2):
         rubbed = changed(torque=_backlash(gap))
         add(MUST, "torque hysteresis", (f"{gap:g} N·m", {"readings": rubbed}))
+        unseen: dict[str, Any] = {"readings": rubbed, "voluntary": 0.3}
+        add(MUST, "torque hysteresis, voluntary 0.3 N·m", (f"{gap:g} N·m", unseen))
     for gap in (1e-4, 1e-3, 5e-3):
         loose = changed(position=_backlash(gap))
         add(MUST, "angle backlash", (f"{gap:g} rad", {"readings": loose}))

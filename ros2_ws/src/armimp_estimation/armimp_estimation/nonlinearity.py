@@ -8,21 +8,21 @@ short range yields, a play operator of the angle (the spring's stretch: Brokate 
 stiffness changes over the trial, ``θ t``, or is larger at its begin, ``θ exp(-t)``. If the
 transducer is not linear, e follows the torque τ̂, up to the end of the perturbation: ``|τ̂|`` if it
 shows more in one direction, ``τ̂³`` if its gain changes with the torque, ``τ̂ t`` if its gain
-changes over the trial. Terms and e are taken without all that any linear filter makes of angle and
-perturbation, and the coefficient is found with what of the term turns with the sign of the
-perturbation, or the same term of what that alone causes, as the instrument (Söderström & Stoica,
-*Instrumental Variable Methods for System Identification*): so a linear arm gives zero on average,
-whatever the person does beside, although that moves the arm, too. What a person does is slow and
-hides what a stiffness that changes does there, so e is looked at with what the angle exceeds its
-rms by, where it has least noise. What M, B and K are alike of the regressor, times the coefficient,
-is what the term does to them; what the gain of a transducer changes by is in doubt for all that it
-measures. What readings lack because torques jump with commands is put right before: commands that
-overcome friction would make it look like a bent spring. The trial is cut into parts, and the
-scatter of what each of them says is the error, with no assumption about the spectrum of e; parts
-that weigh much pull the coefficient towards themselves, which is made up for (MacKinnon & White,
-*Journal of Econometrics* 29, 1985: HC3). Few parts tell that scatter badly, so what counts as
-significant follows Student's distribution. The ends of a trial are left out: there the derivatives
-of a record that is cut off ring.
+changes over the trial, a play operator of it if it has hysteresis. Terms and e are taken without
+all that any linear filter makes of angle and perturbation, and the coefficient is found with what
+of the term turns with the sign of the perturbation, or the same term of what that alone causes, as
+the instrument (Söderström & Stoica, *Instrumental Variable Methods for System Identification*): so
+a linear arm gives zero on average, whatever the person does beside, although that moves the arm,
+too. What a person does is slow and hides what a stiffness that changes does there, so e is looked
+at with what the angle exceeds its rms by, where it has least noise. What M, B and K are alike of
+the regressor, times the coefficient, is what the term does to them; what the gain of a transducer
+changes by is in doubt for all that it measures. What readings lack because torques jump with
+commands is put right before: commands that overcome friction would make it look like a bent spring.
+The trial is cut into parts, and the scatter of what each of them says is the error, with no
+assumption about the spectrum of e; parts that weigh much pull the coefficient towards themselves,
+which is made up for (MacKinnon & White, *Journal of Econometrics* 29, 1985: HC3). Few parts tell
+that scatter badly, so what counts as significant follows Student's distribution. The ends of a
+trial are left out: there the derivatives of a record that is cut off ring.
 """
 
 from __future__ import annotations
@@ -60,6 +60,7 @@ LARGE = {
     "curvature": 0.1,
     "posture": 0.1,
     "hysteresis": 0.05,
+    "slack": np.inf,
     "time": 0.05,
     "onset": 0.3,
     "friction": np.inf,
@@ -79,7 +80,8 @@ REST = 0.5
 HIDDEN: Mapping[str, tuple[float, tuple[float, ...]]] = {
     "curvature": (0.2, (0.03, 0.1, 0.3, 1.0)),
     "onset": (0.2, (0.1, 0.3, 1.0)),
-    "hysteresis": (0.2, (0.03, 0.1)),
+    "hysteresis": (0.1, (0.01, 0.03, 0.1)),
+    "slack": (0.2, (0.01, 0.03, 0.1)),
     "direction": (0.05, (0.1,)),
     "gain": (0.05, (0.1,)),
     "drift": (0.05, (0.1,)),
@@ -92,6 +94,8 @@ ONSETS = 15.0
 """Length of a trial in times within which an arm that is startled calms down."""
 PLAY = 0.12
 """Half of the play, in rms angles."""
+SLACK = 0.05
+"""Half of the play of a transducer, in rms torques."""
 SLOW = 0.1
 """Speed at which friction has three quarters of its size, in rms speeds."""
 _ENDS = 3.0
@@ -102,6 +106,9 @@ _PART = 1.5
 """Seconds of a part: motion and torque of a person hardly are alike any more after it."""
 _BEYOND_CHANCE = 4.0
 _NEGLIGIBLE = 0.003
+_UNFELT = 0.001
+_RUBBING = 0.03
+"""Share of friction from which on it is the arm's: what the robot's leaves in torques is less."""
 _LEFT = 0.01
 _LEAST = 10.0
 _TOLD = 0.05
@@ -115,6 +122,7 @@ _BENT: Mapping[str, Callable[[FloatArray], FloatArray]] = {
     "curvature": lambda signals: signals[0] - np.clip(signals[0], -FAR, FAR),
     "posture": lambda signals: np.abs(signals[0]),
     "hysteresis": lambda signals: play(signals[1], PLAY),
+    "slack": lambda signals: -play(signals[3], SLACK),
     "friction": lambda signals: np.tanh(signals[2] / SLOW),
     "time": lambda signals: signals[0] * np.linspace(-0.5, 0.5, signals.shape[1]),
     "onset": lambda signals: signals[0] * np.exp(-np.linspace(0.0, ONSETS, signals.shape[1])),
@@ -146,6 +154,7 @@ _CODES = {
     "curvature": ProblemCode.DEPENDS_ON_AMPLITUDE,
     "posture": ProblemCode.DEPENDS_ON_DIRECTION,
     "hysteresis": ProblemCode.HYSTERESIS,
+    "slack": ProblemCode.HYSTERESIS,
     "friction": ProblemCode.FRICTION_LEFT,
     "time": ProblemCode.CHANGES_OVER_TIME,
     "onset": ProblemCode.CHANGES_OVER_TIME,
@@ -172,7 +181,10 @@ class Deviation:
     gain: float = 0.0
     """What it adds to the gain of the transducer, relative to that."""
     held: float = 0.0
-    """Stiffness that the joint has in addition while it hardly moves, N·m/rad."""
+    """Torque of friction or of a spring that yields, N·m: it is there while the joint hardly moves,
+    too."""
+    slack: float = 0.0
+    """Torque by which the transducer lags on either way, N·m."""
 
     @property
     def significant(self) -> bool:
@@ -347,8 +359,8 @@ def deviations(
     -------
     dict of str to Deviation
         ``"amplitude"``, ``"curvature"``, ``"posture"``, ``"hysteresis"``, ``"friction"``,
-        ``"time"``, ``"onset"``, and of the transducer ``"direction"``, ``"gain"`` and ``"drift"``;
-        empty for trials of less than 10 s.
+        ``"time"``, ``"onset"``, and of the transducer ``"slack"``, ``"direction"``, ``"gain"`` and
+        ``"drift"``; empty for trials of less than 10 s.
     """
     if record.duration < _LEAST:
         return {}
@@ -400,7 +412,7 @@ def deviations(
         slope, error, freedom = _slope(instrument, linear.removed(term), remains)
         if np.linalg.norm(instrument) < _TOLD * np.linalg.norm(cause):
             error = np.inf
-        shift, gain, held = np.zeros(3), 0.0, 0.0
+        shift, gain, held, slack = np.zeros(3), 0.0, 0.0, 0.0
         if of_gain:
             share = _SLOPES[name] * slope / float(sizes[3, 0])
             gain = _DOUBTED[name] * share
@@ -410,9 +422,11 @@ def deviations(
                 slope
                 * np.linalg.lstsq(motion[2::-1, kept].T, band.signal(bent[1])[kept], rcond=None)[0]
             )
-            if name in {"hysteresis", "friction"}:
+            if name == "slack":
+                slack, share = slope, slope / float(sizes[3, 0])
+            elif name in {"hysteresis", "friction"}:
                 share = float(np.max(np.abs(shift / own)))
-                held = slope / (PLAY * float(sizes[1, 0])) if name == "hysteresis" else 0.0
+                held = slope if name == "hysteresis" or share > _RUBBING else 0.0
             else:
                 # Where it falls that far, the stiffness of this motion is no measure of it.
                 stiffness = float(max(abs(own[2]), abs(own[2] - shift[2])))
@@ -426,23 +440,45 @@ def deviations(
             shift=shift,
             gain=gain,
             held=held,
+            slack=slack,
         )
     return found
 
 
-def locked_spring(record: TrialRecord, joint: int) -> FloatArray:
-    """What a spring of 1 N·m/rad at a locked joint adds to M, B and K from the perturbed one, (3,).
+def lag_of_slack(record: TrialRecord, joint: int, slack: float) -> FloatArray:
+    """What the slack of a joint's transducer, N·m, adds to M, B and K from the perturbed one, (3,).
 
-    It is stretched as far as the perturbation moves that joint nonetheless.
+    It is that of the torque as it was read, whatever the person adds to it.
     """
     record = record.whole_periods
+    wide = _Band(record, WIDE)
+    torque = wide.signal(wide.of(record.torque[joint])) + record.torque[joint].mean()
+    return _like_motion(record, -slack * play(torque, slack))
+
+
+def locked_spring(record: TrialRecord, joint: int) -> FloatArray:
+    """What a spring of a locked joint adds to M, B and K from the perturbed one, (3,).
+
+    It is one that yields at 1 N·m, and is stretched by what that joint moves nonetheless.
+    """
+    record = record.whole_periods
+    band = _Band(record)
+    angle = band.signal(band.of(record.position[joint]))
+    size = float(np.std(angle[band.kept]))
+    return _like_motion(record, angle / size) if size > 0.0 else np.zeros(3)
+
+
+def _like_motion(record: TrialRecord, signal: FloatArray) -> FloatArray:
+    """M, B and K that a signal, (N,) at either rate, is like of the perturbed joint, (3,).
+
+    As far as the perturbation causes both.
+    """
     band, k = _Band(record), record.perturbed_joint
     caused = _onto(band.filters(record.perturbation[k])[:, band.kept])
-    angles = band.of(record.position[[k, joint]])
-    motion = band.signal(angles[0] * (2j * np.pi * band.f) ** np.arange(2, -1, -1)[:, None])
-    signals = np.concatenate((motion, band.signal(angles[1:])))
-    *terms, stretch = caused(signals[:, band.kept])
-    return np.asarray(np.linalg.lstsq(np.transpose(terms), stretch, rcond=None)[0])
+    angle = band.of(record.position[k])
+    motion = band.signal(angle * (2j * np.pi * band.f) ** np.arange(2, -1, -1)[:, None])
+    *terms, part = caused(np.vstack((motion, band.signal(band.of(signal))))[:, band.kept])
+    return np.asarray(np.linalg.lstsq(np.transpose(terms), part, rcond=None)[0])
 
 
 class _Linear:
@@ -517,7 +553,7 @@ def judge_linearity(
     """
     n = len(records)
     problems: list[Problem] = []
-    doubts, gain = [np.zeros((3, n, n)) for _ in records], np.zeros(n)
+    doubts, gain, slack = [np.zeros((3, n, n)) for _ in records], np.zeros(n), 0.0
     found = [deviations(record, arm, jump, reading) for record in records]
     for k, record in enumerate(records):
         said: set[tuple[ProblemCode, Severity]] = set()
@@ -528,10 +564,12 @@ def judge_linearity(
             # A transducer that isn't linear doesn't clear the others of it.
             doubt = one.doubt(told if name == "curvature" else max(told, 0.0))
             gain[k] = np.hypot(gain[k], doubt * one.gain)
+            if doubt * abs(one.share) > _UNFELT:
+                slack = max(slack, abs(doubt * one.slack))
             for m in range(n) if doubt * one.held else ():
                 if m != k:
-                    spring = locked_spring(records[m], k)
-                    doubts[k][:, k, m] = np.hypot(doubts[k][:, k, m], doubt * one.held * spring)
+                    beside = doubt * one.held * locked_spring(records[m], k)
+                    doubts[k][:, k, m] = np.hypot(doubts[k][:, k, m], beside)
             if one.significant and abs(one.share) < _NEGLIGIBLE:
                 continue
             doubts[k][:, k, k] = np.hypot(doubts[k][:, k, k], doubt * one.shift)
@@ -551,4 +589,8 @@ def judge_linearity(
                     error=100.0 * one.error,
                 )
             )
+    # Transducers of one rig are alike, and small torques tell little of what is lost of them.
+    for k, m in np.ndindex(n, n) if slack else ():
+        lag = lag_of_slack(records[m], k, slack)
+        doubts[k][:, k, m] = np.hypot(doubts[k][:, k, m], lag)
     return problems, doubts, gain
