@@ -132,6 +132,8 @@ _BENT: Mapping[str, Callable[[FloatArray], FloatArray]] = {
 }
 """What follows from angle, the same and speed without what is slow, and torque, each in units of
 its rms; (4, N)."""
+_BENDING = {"curvature", "posture", "hysteresis", "slack", "friction"}
+"""What shows at all frequencies, so also where a person's own torque has less power."""
 _SLOPES = {
     "amplitude": -1.0,
     "curvature": 0.32,
@@ -392,11 +394,14 @@ def deviations(
     loaded = known + np.array([0.0, 0.0, 0.0, 1.0])[:, None] * load / sizes
     linear = _Linear(band.filters(record.position[k])[:, kept], forces[:, kept])
     inner = band.inner(rest)
+    equal = np.ones(band.f.size)
     white = band.weights(inner)
     # What a linear arm leaves that isn't quite as it was fitted is in proportion to the torque.
     nearly = band.weights(inner, _LEFT * band.inner(torque))
     left = band.of(rest)
-    weighed = [(one, linear.removed(band.signal(one * left)[kept])) for one in (nearly, white)]
+    weighed = [
+        (one, linear.removed(band.signal(one * left)[kept])) for one in (equal, nearly, white)
+    ]
     found = {}
     for name, bend in _BENT.items():
         of_gain = name in _DOUBTED
@@ -404,9 +409,9 @@ def deviations(
         # alone causes, and tells more where the person moves or loads the joint.
         whole = bend(signals)
         turns = 0.5 * (whole - bend(signals - 2.0 * known))
-        turns = bend(loaded) + turns if of_gain else turns
+        turns = bend(loaded) + turns if of_gain or name == "posture" else turns
         bent = np.stack([band.of(one) for one in (turns, whole)])
-        weights, remains = weighed[of_gain]
+        weights, remains = weighed[2 if of_gain else 1 if name in _BENDING else 0]
         cause, term = (band.signal(weights * one)[kept] for one in bent)
         instrument = linear.unlike(cause)
         slope, error, freedom = _slope(instrument, linear.removed(term), remains)
