@@ -110,6 +110,19 @@ def test_the_end_of_a_trial_is_shown_in_full(page: Browser) -> None:
     assert page.said() == []
 
 
+def test_page_and_plots_follow_the_colour_scheme_of_the_system(page: Browser) -> None:
+    ink = "document.querySelector('#trace-2 .canvas').layout.font.color"  # drawn last
+    for scheme, colour, paper in (
+        ("dark", "#e3e7eb", "rgb(21, 25, 29)"),
+        ("light", "#1d2329", "rgb(255, 255, 255)"),
+    ):
+        wanted = [{"name": "prefers-color-scheme", "value": scheme}]
+        page.call("Emulation.setEmulatedMedia", features=wanted)
+        page.wait_for(f"{ink} === '{colour}'")
+        assert page.value("getComputedStyle(document.body).backgroundColor") == paper
+    assert page.said() == []
+
+
 def test_no_button_sends_data_anywhere(page: Browser) -> None:
     buttons = page.value(
         "[...document.querySelector('.modebar').querySelectorAll('.modebar-btn')]"

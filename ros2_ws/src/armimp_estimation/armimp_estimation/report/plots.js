@@ -103,6 +103,7 @@
   for (const figure of figures) {
     figure.addEventListener("change", () => draw(figure));
   }
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => drawAll(figures));
 
   // Paper is narrower than most screens, always white, and nobody can unfold anything on it.
   const folded = () => document.querySelectorAll("details:not([open])");
