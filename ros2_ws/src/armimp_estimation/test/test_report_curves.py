@@ -148,7 +148,7 @@ def test_a_gap_between_segments_stays_a_gap() -> None:
         )
         for start, part in ((5, slice(0, 40)), (55, slice(50, 100)))
     ]
-    perturbation, angle, held, torque = rows_of(parts, start_ns=0)
+    perturbation, angle, held, torque = rows_of(parts, start_ns=0, cutoff=None)
 
     assert (perturbation.joints, angle.joints, held.joints) == ((1,), (1,), (0,))
     assert torque.joints == (0, 1)
@@ -159,6 +159,14 @@ def test_a_gap_between_segments_stays_a_gap() -> None:
     # Degrees.
     expected = np.degrees(np.ptp(record.position[1, 50:]))
     assert np.ptp(angle.values[0, 55:]) == pytest.approx(expected)
+
+
+def test_signals_are_seen_in_the_band_of_the_perturbation_neither_early_nor_late() -> None:
+    record = synthetic_trial(TWO_JOINT_ARM, 1, SyntheticConfig(samples=4000), seed=1)
+    time = np.arange(4000) / 1000.0
+    slow, chatter = np.sin(2 * np.pi * 5.0 * time), 20.0 * np.sin(2 * np.pi * 400.0 * time)
+    torque = rows_of([replace(record, torque=np.stack([slow + chatter] * 2))], record.start_ns)[-1]
+    np.testing.assert_allclose(torque.values[0, 500:-500], slow[500:-500], atol=0.02)
 
 
 def test_time_goes_by_the_rate_of_the_record() -> None:

@@ -29,6 +29,7 @@ from armimp_estimation.estimators.estimate import confidence_radius
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.report.formats import plain, symbol
+from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.summary import ImpedanceCurve
 
 Options: TypeAlias = dict[str, Any]
@@ -81,6 +82,9 @@ TRUTH = "truth"
 IMPEDANCE = "N·m/rad"
 SIDE_BY_SIDE = 3
 """Joints up to which the elements of a matrix are shown beside each other."""
+BAND = 2.0 * WelchConfig.f_high
+"""Up to where signals are shown: what is estimated ends at half of it, Hz."""
+_ORDER = 4
 _TICKS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 _GAP = 0.04
 """Between axes one above the other, as a part of the whole height."""
@@ -449,10 +453,14 @@ class Row:
     """One value for each control period; NaN where there is none; shape (len(joints), N)."""
 
 
-def rows_of(segments: Sequence[TrialRecord], start_ns: int) -> list[Row]:
+def rows_of(
+    segments: Sequence[TrialRecord], start_ns: int, *, cutoff: float | None = BAND
+) -> list[Row]:
     """Signals of a trial as a reader wants to see them: angles in degrees, about their mean.
 
     Joints that were to be held still have a row of their own, as their motion is far smaller.
+    Commands and torques chatter far above the band in which the arm is perturbed, so that all of
+    them would be solid bars.
 
     Parameters
     ----------
@@ -460,6 +468,8 @@ def rows_of(segments: Sequence[TrialRecord], start_ns: int) -> list[Row]:
         Parts of the trial without gaps, at least one.
     start_ns : int
         Stamp of the first sample of the trial (ns).
+    cutoff : float or None
+        Of the low-pass that the signals are seen through, Hz; None shows them as recorded.
     """
     starts = [round(one.rate * (one.start_ns - start_ns) / 1e9) for one in segments]
     span = max(start + part.samples for start, part in zip(starts, segments, strict=True))
@@ -468,7 +478,9 @@ def rows_of(segments: Sequence[TrialRecord], start_ns: int) -> list[Row]:
         """Signal of all segments, with NaN in the gaps; shape (n, span)."""
         whole = np.full((segments[0].joints, span), np.nan)
         for start, segment in zip(starts, segments, strict=True):
-            whole[:, start : start + segment.samples] = getattr(segment, field)
+            values = getattr(segment, field)
+            seen = values if cutoff is None else _smoothed(values, cutoff / segment.rate)
+            whole[:, start : start + segment.samples] = seen
         return whole
 
     def row(title: str, unit: str, joints: tuple[int, ...], values: FloatArray) -> Row:
@@ -491,42 +503,58 @@ def rows_of(segments: Sequence[TrialRecord], start_ns: int) -> list[Row]:
     return rows
 
 
-def trace_plot(identifier: str, trial: Trial, buckets: int) -> Plot:
-    """Plot of a trial over time: the whole of it, thinned out as `envelope` does, and its end.
+def _smoothed(values: FloatArray, cutoff: float) -> FloatArray:
+    """Signals without what is above a frequency, cycles per sample; neither early nor late."""
+    # A sampled Butterworth filter there and back, on the signal and its mirror image. That of
+    # scipy.signal does the same, but takes longer to import than the whole report to write.
+    mirrored = np.concatenate((values, values[:, ::-1]), axis=1)
+    ratio = np.tan(np.pi * np.fft.rfftfreq(mirrored.shape[1])) / np.tan(np.pi * cutoff)
+    seen = np.fft.irfft(np.fft.rfft(mirrored) / (1.0 + ratio ** (2 * _ORDER)), mirrored.shape[1])
+    return seen[:, : values.shape[1]]
 
-    The trial has at least one segment.
+
+def trace_plot(identifier: str, trial: Trial, buckets: int) -> Plot:
+    """Plot of a trial over time: the whole of it as `rows_of` shows it, and its end as recorded.
+
+    The trial has at least one segment; the whole is thinned out as `envelope` does.
     """
-    first = trial.segments[0]
-    rows = rows_of(trial.segments, trial.window.start_ns)
+    first, start_ns = trial.segments[0], trial.window.start_ns
+    rows, recorded = (rows_of(trial.segments, start_ns, cutoff=one) for one in (BAND, None))
     span = rows[0].values.shape[1]
     last = max(span - _EXCERPT, 0)
-
-    def chart(start: int, buckets: int) -> Chart:
-        """Signals from a sample on."""
-        lines = []
-        for number, row in enumerate(rows, 1):
-            for joint, values in zip(row.joints, row.values, strict=True):
-                name = f"{row.title}, {first.joint_names[joint]}"
-                stroke = Stroke(name=name, colour=joint_colour(joint), width=1.0)
-                thinned, step = envelope(values[start:], buckets)
-                time = (start + step * np.arange(thinned.size, dtype=np.float64)) / first.rate
-                lines.append(Line(x=time, y=thinned, stroke=stroke, row=number, unit=row.unit))
-        ends = start / first.rate, span / first.rate
-        title = "time since the perturbation began (s)"
-        abscissa = Axis(title=title, ends=ends, hoverformat=".3f", unit="s")
-        ordinates = [(1.0, Axis(title=f"{row.title}<br>({row.unit})")) for row in rows]
-        return Chart(abscissa=abscissa, rows=ordinates, lines=lines)
-
+    end = f"last {(span - last) / first.rate:g} s as recorded"
     return Plot(
         identifier=identifier,
         caption="Signals over time",
         description=f"Perturbation, angles, torques and commands of trial {trial.trial}.",
         views={
-            "whole trial": chart(0, buckets),
-            f"last {(span - last) / first.rate:g} s": chart(last, _EXCERPT),
+            "whole trial": trace_chart(rows, first, 0, span, buckets),
+            end: trace_chart(recorded, first, last, span, _EXCERPT),
         },
         height=125 * len(rows) + 50,
     )
+
+
+def trace_chart(
+    rows: Sequence[Row], record: TrialRecord, start: int, stop: int, buckets: int
+) -> Chart:
+    """Signals of a trial from one sample to another, thinned out as `envelope` does.
+
+    Names of the joints and the rate are those of the record.
+    """
+    lines = []
+    for number, row in enumerate(rows, 1):
+        for joint, values in zip(row.joints, row.values, strict=True):
+            name = f"{row.title}, {record.joint_names[joint]}"
+            stroke = Stroke(name=name, colour=joint_colour(joint), width=1.0)
+            thinned, step = envelope(values[start:stop], buckets)
+            time = (start + step * np.arange(thinned.size, dtype=np.float64)) / record.rate
+            lines.append(Line(x=time, y=thinned, stroke=stroke, row=number, unit=row.unit))
+    ends = start / record.rate, stop / record.rate
+    title = "time since the perturbation began (s)"
+    abscissa = Axis(title=title, ends=ends, hoverformat=".3f", unit="s")
+    ordinates = [(1.0, Axis(title=f"{row.title}<br>({row.unit})")) for row in rows]
+    return Chart(abscissa=abscissa, rows=ordinates, lines=lines)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -24,6 +24,7 @@ from armimp_estimation.report.formats import (
 )
 from armimp_estimation.report.page import Content, Section, Table, box, render_page
 from armimp_estimation.report.plots import (
+    BAND,
     BANDS,
     SIDE_BY_SIDE,
     TRUTH,
@@ -254,6 +255,7 @@ def _signals(result: Result) -> Content:
         "key": [
             box("", name, joint_colour(joint)) for joint, name in enumerate(result.joint_names)
         ],
+        "band": f"{BAND:g}",
         "trials": list(zip(shown, plots, strict=True)),
     }
 
