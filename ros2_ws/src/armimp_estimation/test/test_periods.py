@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from armimp_estimation.distortion import Distortion
 from armimp_estimation.estimators.local_polynomial import LocalPolynomialConfig, local_response
 from armimp_estimation.mbk import MBK
 from armimp_estimation.nonlinearity import deviations
@@ -190,3 +192,41 @@ def test_arms_that_bend_or_change_show_beside_a_response_that_m_b_and_k_do_not_d
     }
     assert shown >= found
     assert found or not shown
+
+
+@pytest.mark.parametrize(
+    ("bend", "found"),
+    [(lambda x: 0.0 * x, set()), (lambda x: x**2, {"even"}), (lambda x: x**3, {"odd"})],
+    ids=["linear", "even", "odd"],
+)
+def test_torque_that_an_arm_does_not_explain_is_sorted_by_its_origin(
+    bend: Callable[[Array], Array], found: set[str]
+) -> None:
+    lines = np.delete(np.arange(1, 60, 2), [3, 6, 9, 14, 17, 21, 26])
+    source = multisine(8.4, lines)
+    angle = lagging_behind(source, np.exp(-1e-3 / 0.05))
+    angle *= 0.045 / np.std(angle)
+    random = np.random.default_rng(7)
+    noise = 0.01 * lagging_behind(random.standard_normal(angle.size), 0.99)
+    record = elbow(
+        source,
+        angle,
+        8.0 * angle + 0.02 * bend(angle / 0.045) + noise,
+    )
+    sorted_out = Distortion.of(
+        record, MBK(M=np.zeros((1, 1)), B=np.zeros((1, 1)), K=8.0 * np.eye(1))
+    )
+    assert sorted_out is not None
+    assert {kind for kind, one in sorted_out.beside.items() if one.ratio > one.limit} == found
+    assert sorted_out.count == 8
+    f = sorted_out.lines.f
+    assert np.allclose(f, lines * 1000.0 / PERIOD)
+    assert sorted_out.lines.rms == pytest.approx(np.std(record.torque - noise), rel=0.05)
+    for kind, one in sorted_out.beside.items():
+        if kind not in found:
+            assert one.rms == pytest.approx(one.expected, rel=0.3)
+    spectrum = np.abs(np.fft.rfft(noise)) ** 2
+    inside = np.fft.rfftfreq(noise.size, 1e-3) <= f[-1]
+    inside[0] = False
+    whole = float(np.sqrt(2.0 * np.sum(spectrum[inside]))) / noise.size
+    assert sorted_out.noise == pytest.approx(whole, rel=0.1)

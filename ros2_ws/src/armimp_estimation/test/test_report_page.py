@@ -6,6 +6,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from armimp_common import topics
@@ -293,3 +294,20 @@ def test_what_is_known_of_the_torque_readings_and_the_tare_is_told(tmp_path: Pat
         "through a Butterworth low-pass of order 1, 200 Hz."
     ) in words
     assert "tare 0.812 N·m, −0.500 N·m" in words.replace("\u202f", " ")
+
+
+def test_distortion_is_shown_by_trial_where_the_perturbation_repeats_itself(
+    result: Result, page: Page
+) -> None:
+    assert "Torque by its origin" not in page.words
+    harmonics = np.array([1, 3, 5, 9, 11, 15, 17])[:, None] * np.arange(1000) / 1000.0
+    period = np.sum(np.cos(2.0 * np.pi * (harmonics + harmonics[:, 1:2] ** 2)), axis=0)
+    trials = []
+    for one in result.trials:
+        (record,) = one.segments
+        source = np.zeros_like(record.perturbation)
+        source[record.perturbed_joint] = np.resize(period, record.samples)
+        trials.append(replace(one, segments=(replace(record, perturbation=source),)))
+    shown = Page(report_page(replace(result, trials=tuple(trials))))
+    assert "Torque by its origin" in shown.words
+    assert {"distortion-1", "distortion-2"} <= set(shown.ids())

@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike
 
 from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_estimation.alignment.assemble import Trial
+from armimp_estimation.distortion import Distortion
 from armimp_estimation.estimators.estimate import confidence_radius
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
@@ -437,6 +438,33 @@ def coherence_plot(
         ),
         views={"": Chart(abscissa=frequency_axis([common.f]), rows=[(1.0, ordinate)], lines=lines)},
         height=250,
+    )
+
+
+def distortion_plot(found: Distortion, trial: int) -> Plot:
+    """Torque at the lines of the perturbation, at harmonics between them, and noise there."""
+    odd, even = found.beside["odd"], found.beside["even"]
+    shown = [
+        (found.lines, Stroke(name="at lines", colour="--soft", symbol="circle")),
+        (odd, Stroke(name="odd harmonics", colour="--element-1", symbol="square")),
+        (even, Stroke(name="even harmonics", colour="--element-0", symbol="diamond")),
+    ]
+    lines = [Line(x=one.f, y=one.amplitude, stroke=mark, unit="N·m") for one, mark in shown]
+    f = np.concatenate([one.f for one, _ in shown])
+    order = np.argsort(f)
+    noise = np.concatenate([one.noise for one, _ in shown])
+    floor = Stroke(name="noise between harmonics", colour="--ink", dash="dot", width=1.0)
+    lines.append(Line(x=f[order], y=noise[order], stroke=floor, unit="N·m"))
+    ordinate = Axis(title="torque (N·m)", log=True, hoverformat=".3~g")
+    return Plot(
+        identifier=f"distortion-{trial}",
+        caption=f"Trial {trial}",
+        description=(
+            f"Torque at the harmonics of the perturbation: {found.lines.rms:.3g} N·m at its lines, "
+            f"{odd.rms:.3g} at odd and {even.rms:.3g} at even ones beside them."
+        ),
+        views={"": Chart(abscissa=frequency_axis([f]), rows=[(1.0, ordinate)], lines=lines)},
+        height=280,
     )
 
 

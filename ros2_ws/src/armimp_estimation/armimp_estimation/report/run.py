@@ -13,6 +13,9 @@ from armimp_common import topics
 from armimp_common.realtime import LATE_NS
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.atomic_write import write_text
+from armimp_estimation.distortion import Distortion
+from armimp_estimation.mbk import MBK
+from armimp_estimation.nonlinearity import deviations
 from armimp_estimation.problems import Kind, ProblemCode, kind_of
 from armimp_estimation.report.formats import (
     STREAMS,
@@ -30,6 +33,7 @@ from armimp_estimation.report.plots import (
     TRUTH,
     bode_plot,
     coherence_plot,
+    distortion_plot,
     joint_colour,
     plot_matrix,
     reference_of,
@@ -66,6 +70,7 @@ def report_page(result: Result) -> str:
         ("impedance", "Impedance", _impedance(result)),
         ("coherence", "Coherence", _coherence(result)),
         ("locking", "Locking", _locking(result)),
+        ("distortion", "Distortion", _distortion(result)),
         ("samples", "Samples", {"excluded": excluded}),
         ("timing", "Timing", timing),
         ("signals", "Signals", _signals(result)),
@@ -244,6 +249,24 @@ def _locking(result: Result) -> Content | None:
     """List trials with scores of locking."""
     scored = [trial for trial in result.summary.trials if not np.isnan(trial.lock_ratio).all()]
     return {"trials": scored} if scored and result.summary.joints > 1 else None
+
+
+def _distortion(result: Result) -> Content | None:
+    """What periodic perturbations show of each trial beside the fitted arm."""
+    summary = result.summary
+    if not summary.estimators:
+        return None
+    fitted = summary.estimators.get("lpm_full") or next(iter(summary.estimators.values()))
+    arm = MBK(M=np.array(fitted.M), B=np.array(fitted.B), K=np.array(fitted.K))
+    trials = []
+    for one in result.trials:
+        if one.record is not None and (found := Distortion.of(one.record, arm)) is not None:
+            changes = deviations(one.record, arm)
+            trials.append((one, found, changes.get("amplitude"), changes.get("time")))
+    if not trials:
+        return None
+    plots = [distortion_plot(found, one.trial) for one, found, *_ in trials]
+    return {"trials": trials, "plots": plots, "joints": min(len(plots), SIDE_BY_SIDE)}
 
 
 def _signals(result: Result) -> Content:

@@ -1,0 +1,117 @@
+"""What a periodic perturbation shows beside the arm: noise, and even and odd distortion.
+
+What the fitted arm leaves of the torque of the perturbed joint, ``E = T_k - Σ_j Z_kj Θ_j`` over
+whole periods, is noise between the harmonics of the period. What is even in the motion adds to the
+even harmonics, and what is odd to those odd ones that are left out of the perturbation (Pintelon &
+Schoukens, *System Identification: A Frequency Domain Approach*, 2nd ed., ch. 4).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from armimp_common.arrays import BoolArray, FloatArray
+from armimp_estimation.mbk import MBK
+from armimp_estimation.record import TrialRecord
+
+Kind: TypeAlias = Literal["odd", "even"]
+
+_CHANCE = 3.0
+"""Standard deviations of the mean of ``|E|²`` that chance hardly exceeds."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Harmonics:
+    """Torque at some harmonics."""
+
+    f: FloatArray
+    """Hz; shape (n_harmonics,)."""
+    amplitude: FloatArray
+    """N·m; shape (n_harmonics,)."""
+    noise: FloatArray
+    """Rms amplitude that the noise around them has at each, N·m; shape (n_harmonics,)."""
+
+    @property
+    def rms(self) -> float:
+        """Of all of it, N·m."""
+        return float(np.sqrt(0.5 * np.sum(self.amplitude**2)))
+
+    @property
+    def expected(self) -> float:
+        """Rms that the noise makes of it, N·m."""
+        return float(np.sqrt(0.5 * np.sum(self.noise**2)))
+
+    @property
+    def ratio(self) -> float:
+        """Mean power relative to that of the noise: 1 if there is nothing else."""
+        return float(np.mean((self.amplitude / self.noise) ** 2))
+
+    @property
+    def limit(self) -> float:
+        """What chance hardly exceeds of that."""
+        return 1.0 + _CHANCE / float(np.sqrt(self.f.size))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Distortion:
+    """Of one trial."""
+
+    period: float
+    """In s."""
+    count: int
+    """Whole periods."""
+    lines: Harmonics
+    """Measured torque at the lines of the perturbation."""
+    beside: Mapping[Kind, Harmonics]
+    """What the arm leaves of it at other harmonics, ``"odd"`` and ``"even"``."""
+    noise: float
+    """Rms of what it leaves between the harmonics, N·m."""
+
+    @classmethod
+    def of(cls, record: TrialRecord, arm: MBK) -> Distortion | None:
+        """What a trial shows beside the fitted arm.
+
+        None without two periods, or harmonics of each kind that are no lines.
+        """
+        periods = record.periods
+        if periods is None or periods.count < 2:
+            return None
+        record, k = record.whole_periods, record.perturbed_joint
+        count = periods.count
+        last = int(periods.lines[-1]) * count
+        bins = np.arange(1, last + count)
+        f = np.asarray(bins * (record.rate / record.samples), dtype=np.float64)
+        centred = np.concatenate([record.position, record.torque[k : k + 1]])
+        centred = centred - centred.mean(axis=1, keepdims=True)
+        *angles, torque = np.fft.rfft(centred)[:, bins] * (2.0 / record.samples)
+        left = np.abs(torque - np.sum(arm.impedance(f)[k] * np.array(angles), axis=0))
+        harmonic = bins % count == 0
+        # Noise falls steeply with the frequency: its level is that of the bins next to each.
+        between = np.add.reduceat(
+            np.where(harmonic, 0.0, left**2), np.arange(0, bins.size, count)
+        ) / (count - 1)
+        level = np.sqrt(0.5 * (between[:-1] + between[1:]))
+        orders = np.arange(1, last // count + 1)
+        is_line = np.isin(orders, periods.lines)
+        at = count * orders - 1
+
+        def harmonics(which: BoolArray, amplitude: FloatArray) -> Harmonics:
+            return Harmonics(f=f[at[which]], amplitude=amplitude[at[which]], noise=level[which])
+
+        kinds: dict[Kind, BoolArray] = {
+            "odd": ~is_line & (orders % 2 == 1),
+            "even": ~is_line & (orders % 2 == 0),
+        }
+        if not all(which.any() for which in kinds.values()) or not (level > 0.0).all():
+            return None
+        return cls(
+            period=periods.samples / record.rate,
+            count=count,
+            lines=harmonics(is_line, np.abs(torque)),
+            beside={kind: harmonics(which, left) for kind, which in kinds.items()},
+            noise=float(np.sqrt(0.5 * np.sum(left[~harmonic] ** 2))),
+        )
