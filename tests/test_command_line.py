@@ -111,12 +111,16 @@ def printed(capfd: pytest.CaptureFixture[str]) -> dict[str, Any]:
 def test_a_run_leaves_bags_summary_curves_figure_and_parameters(experiment: Path) -> None:
     assert {path.name for path in experiment.iterdir()} == {
         "bags",
+        "coherence.pdf",
+        "coherence.png",
         "frf.npz",
         "impedance.pdf",
         "impedance.png",
         "parameters.yaml",
         "report.html",
         "summary.json",
+        "traces.pdf",
+        "traces.png",
     }
     summary = json.loads((experiment / "summary.json").read_text())
     assert summary["valid"] is True

@@ -33,11 +33,11 @@ def names(directory: Path) -> set[str]:
 def test_when_figures_cannot_be_drawn_expect_one_line_and_everything_else(
     directory: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (directory / "impedance.png").mkdir()
+    (directory / "coherence.png").mkdir()
     assert present(load_result(directory), directory, as_json=True) == 1
     told = capsys.readouterr()
     (line,) = told.err.splitlines()
-    assert line.startswith(f"armimp: {directory / 'impedance.png'}: cannot be written: ")
+    assert line.startswith(f"armimp: {directory / 'coherence.png'}: cannot be written: ")
     assert json.loads(told.out)["valid"] is True
     assert "report.html" in names(directory)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,25 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullLocator
 
+from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.atomic_write import write_atomically
 from armimp_estimation.report.formats import plain
-from armimp_estimation.report.plots import TRUE, Axis, Chart, Stroke, bode_chart, printed, strokes
+from armimp_estimation.report.plots import (
+    MOTION,
+    TORQUE,
+    TRUE,
+    UNRELATED,
+    Axis,
+    Chart,
+    Stroke,
+    bode_chart,
+    coherence_chart,
+    joint_colour,
+    printed,
+    rows_of,
+    strokes,
+    trace_chart,
+)
 from armimp_estimation.result import Result
 from armimp_estimation.summary import ImpedanceCurve, Summary
 
@@ -46,6 +63,8 @@ MARKERS = {
 """Marks of matplotlib by the names that the report has for them."""
 _THINNER = 0.65
 """Points of a line on paper for a pixel of one in a page."""
+_SECONDS = 5.0
+"""How much of the signals is shown, from the beginning of the perturbation."""
 
 
 @rc_context(fname=_STYLE)
@@ -116,8 +135,36 @@ def impedance_figure(summary: Summary, curves: Mapping[str, ImpedanceCurve]) -> 
     )
 
 
+def coherence_figure(result: Result) -> Figure:
+    """Draw the coherences behind every element of Z_h, of a result with curves."""
+    names, level = result.joint_names, result.significance or 0.0
+    derived = [replace(one, name=f"derived, {one.name}") for one in strokes(result.curves).values()]
+    return element_figure(
+        len(names),
+        lambda i, k: coherence_chart(result.curves, i, k, names, level),
+        [MOTION, TORQUE, *derived, UNRELATED],
+        row_height=1.2,
+    )
+
+
+def trace_figure(trials: Sequence[Trial]) -> Figure:
+    """Draw the signals of trials over time side by side, at least one, each with a segment."""
+    names = trials[0].segments[0].joint_names
+    charts = []
+    for one in trials:
+        first = one.segments[0]
+        rows = rows_of(one.segments, one.window.start_ns)
+        stop = min(round(_SECONDS * first.rate), rows[0].values.shape[1])
+        charts.append(trace_chart(rows, first, 0, stop, stop))
+    titles = [f"{_tex(names[one.window.joint])} perturbed" for one in trials]
+    keys = [Stroke(name=name, colour=joint_colour(joint)) for joint, name in enumerate(names)]
+    return matrix_figure([charts], [titles], keys, row_height=0.8)
+
+
 def write_figures(directory: Path, result: Result) -> None:
-    """Write ``impedance`` as PNG and PDF, in place of those that are there, if there are curves.
+    """Write every figure for which a result has the data, in place of those that are there.
+
+    They are ``impedance``, ``coherence`` and ``traces`` in a directory, as PNG and PDF.
 
     Raises
     ------
@@ -126,6 +173,10 @@ def write_figures(directory: Path, result: Result) -> None:
     """
     if result.curves:
         save_figure(impedance_figure(result.summary, result.curves), directory / "impedance")
+        save_figure(coherence_figure(result), directory / "coherence")
+    trials = [one for one in result.trials if one.segments]
+    if trials and len(trials) <= result.summary.joints:
+        save_figure(trace_figure(trials), directory / "traces")
 
 
 @rc_context(fname=_STYLE)

@@ -24,7 +24,9 @@ def test_figures_are_written_as_png_and_pdf_the_same_each_time(
         (tmp_path / name).mkdir()
         write_figures(tmp_path / name, result)
     first = {path.name: path.read_bytes() for path in (tmp_path / "one").iterdir()}
-    assert set(first) == {f"impedance.{form}" for form in ("png", "pdf")}
+    assert set(first) == {
+        f"{name}.{form}" for name in ("impedance", "coherence", "traces") for form in ("png", "pdf")
+    }
     for name, content in first.items():
         assert content.startswith(b"\x89PNG" if name.endswith("png") else b"%PDF")
         assert content == (tmp_path / "two" / name).read_bytes()
@@ -53,7 +55,7 @@ def test_legend_names_estimators_bands_and_truth(result: Result) -> None:
     ]
 
 
-def test_without_an_estimate_there_is_no_figure(
+def test_without_an_estimate_the_traces_alone_are_drawn_whatever_the_joints_are_called(
     tmp_path: Path,
 ) -> None:
     recording = synthetic_recording(joint_names=("$x", "<b>_{"), ticks=3000)
@@ -61,7 +63,7 @@ def test_without_an_estimate_there_is_no_figure(
     directory = make_result(tmp_path / "one", messages=recording.messages, metadata=metadata)
     (tmp_path / "figures").mkdir()
     write_figures(tmp_path / "figures", load_result(directory))
-    assert not list((tmp_path / "figures").iterdir())
+    assert {path.name for path in (tmp_path / "figures").iterdir()} == {"traces.png", "traces.pdf"}
 
 
 def test_when_a_figure_cannot_be_written_expect_its_path_in_the_error(

@@ -110,6 +110,9 @@ class Stroke:
 
 
 TRUE = Stroke(name="truth", colour="--ink", dash="dot", tags=[TRUTH])
+MOTION = Stroke(name="perturbation → angle", colour="--signal-0", width=1.3)
+TORQUE = Stroke(name="perturbation → torque", colour="--signal-1", width=1.3)
+UNRELATED = Stroke(name="unrelated signals stay below", colour="--soft", dash="dot", width=1.0)
 
 
 def estimator_tag(name: str) -> str:
@@ -408,35 +411,40 @@ def bode_plot(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, k
     )
 
 
-def coherence_plot(
+def coherence_chart(
     curves: Mapping[str, ImpedanceCurve], i: int, k: int, joint_names: Sequence[str], level: float
-) -> Plot:
+) -> Chart:
     """Coherences behind ``Z_ik`` (0-based) over frequency, of at least one estimator by name.
 
     Below `level` signals count as unrelated.
     """
     common = next(iter(curves.values())).coherence
-    lines = [
-        Line(x=common.f, y=values, stroke=Stroke(name=name, colour=colour, width=1.3))
-        for name, colour, values in (
-            (f"perturbation → angle of {joint_names[k]}", "--signal-0", common.motion[k]),
-            (f"perturbation → torque of {joint_names[i]}", "--signal-1", common.torque[i, k]),
-        )
+    shown = [
+        (common.motion[k], replace(MOTION, name=f"{MOTION.name} of {joint_names[k]}")),
+        (common.torque[i, k], replace(TORQUE, name=f"{TORQUE.name} of {joint_names[i]}")),
     ]
     for name, stroke in strokes(curves).items():
         derived = curves[name].coherence.derived[i, k]
-        lines.append(Line(x=common.f, y=derived, stroke=replace(stroke, name=f"derived, {name}")))
-    lowest = min(float(np.nanmin(one.y)) for one in lines if one.y is not None)
-    unrelated = Stroke(name="unrelated signals stay below", colour="--soft", dash="dot", width=1.0)
-    lines.append(Line(x=common.f[[0, -1]], y=np.full(2, level), stroke=unrelated))
+        shown.append((derived, replace(stroke, name=f"derived, {name}")))
+    lines = [Line(x=common.f, y=values, stroke=stroke) for values, stroke in shown]
+    lines.append(Line(x=common.f[[0, -1]], y=np.full(2, level), stroke=UNRELATED))
     ordinate = Axis(title="coherence γ²", ends=(0.0, 1.02), hoverformat=".4f")
+    return Chart(abscissa=frequency_axis([common.f]), rows=[(1.0, ordinate)], lines=lines)
+
+
+def coherence_plot(
+    curves: Mapping[str, ImpedanceCurve], i: int, k: int, joint_names: Sequence[str], level: float
+) -> Plot:
+    """Plot of a page with the chart of `coherence_chart`."""
+    chart = coherence_chart(curves, i, k, joint_names, level)
+    lowest = np.nanmin(np.concatenate([one.y for one in chart.lines[:-1] if one.y is not None]))
     return Plot(
         identifier=f"coherence-{i + 1}-{k + 1}",
         caption=symbol("Z", i + 1, k + 1),
         description=(
             f"Coherences behind Z {i + 1} {k + 1} over frequency; the lowest is {lowest:.2g}."
         ),
-        views={"": Chart(abscissa=frequency_axis([common.f]), rows=[(1.0, ordinate)], lines=lines)},
+        views={"": chart},
         height=250,
     )
 
