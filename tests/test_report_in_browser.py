@@ -110,7 +110,7 @@ def test_the_end_of_a_trial_is_shown_in_full(page: Browser) -> None:
     assert page.said() == []
 
 
-def test_page_and_plots_follow_the_colour_scheme_of_the_system(page: Browser) -> None:
+def test_page_and_plots_follow_the_colour_scheme_of_the_system_but_on_paper(page: Browser) -> None:
     ink = "document.querySelector('#trace-2 .canvas').layout.font.color"  # drawn last
     for scheme, colour, paper in (
         ("dark", "#e3e7eb", "rgb(21, 25, 29)"),
@@ -120,6 +120,10 @@ def test_page_and_plots_follow_the_colour_scheme_of_the_system(page: Browser) ->
         page.call("Emulation.setEmulatedMedia", features=wanted)
         page.wait_for(f"{ink} === '{colour}'")
         assert page.value("getComputedStyle(document.body).backgroundColor") == paper
+        page.value("dispatchEvent(new Event('beforeprint'))")
+        assert page.value(ink) == "#1d2329"
+        page.value("dispatchEvent(new Event('afterprint'))")
+        assert page.value(ink) == colour
     assert page.said() == []
 
 

@@ -111,14 +111,18 @@
   addEventListener("beforeprint", () => {
     opened = [...folded()];
     opened.forEach((part) => (part.open = true));
+    document.documentElement.classList.add("print");
     for (const figure of figures) {
       const width = figure.closest(".matrix") ? 325 : 660;
+      draw(figure);
       Plotly.relayout(figure.querySelector(".canvas"), { width });
     }
   });
   addEventListener("afterprint", () => {
     opened.forEach((part) => (part.open = false));
+    document.documentElement.classList.remove("print");
     for (const figure of figures) {
+      draw(figure);
       Plotly.relayout(figure.querySelector(".canvas"), { width: null, autosize: true });
     }
   });

@@ -157,7 +157,7 @@ def style_rules() -> str:
         )
         for palettes in (_PALETTES, _DARK)
     )
-    screen = f"@media screen and (prefers-color-scheme:dark){{:root{{{dark}}}}}"
+    screen = f"@media screen and (prefers-color-scheme:dark){{:root:not(.print){{{dark}}}}}"
     return f":root{{{light}}}\n{screen}\n"
 
 
