@@ -55,39 +55,8 @@ MOVING = ((0.0, 0.1), BAND[1])
 """Edges of the part of the motion that bends a spring, Hz: slow motion goes along its curve."""
 SIGNIFICANT = 3.5
 """Standard errors that are significant if there are many parts: by chance, 1 in 2000 is larger."""
-LARGE = {
-    "amplitude": 0.03,
-    "curvature": 0.1,
-    "posture": 0.1,
-    "hysteresis": 0.05,
-    "slack": np.inf,
-    "time": 0.05,
-    "onset": 0.3,
-    "friction": np.inf,
-    "direction": 0.2,
-    "gain": 0.1,
-    "drift": 0.1,
-}
-"""Shares of the stiffness, or of M, B or K, beyond which these are of this motion, or time, alone.
-
-Of transducers, changes of the gain beyond which it is none.
-
-Smaller ones are in the standard errors, and so is what friction of the robot leaves in the torques
-where their jumps with the commands are not known well.
-"""
 REST = 0.5
 """Angle up to which stiffness is that of an arm at rest, in rms angles."""
-HIDDEN: Mapping[str, tuple[float, tuple[float, ...]]] = {
-    "curvature": (0.2, (0.03, 0.1, 0.3, 1.0)),
-    "onset": (0.2, (0.1, 0.3, 1.0)),
-    "hysteresis": (0.1, (0.01, 0.03, 0.1)),
-    "slack": (0.2, (0.01, 0.03, 0.1)),
-    "direction": (0.05, (0.1,)),
-    "gain": (0.05, (0.1,)),
-    "drift": (0.05, (0.1,)),
-}
-"""Assumptions: how likely a joint or a transducer isn't linear in one of these ways, and by what
-change of its stiffness or gain if so."""
 FAR = 1.0
 """Angle beyond which stiffness differs, in rms angles."""
 ONSETS = 15.0
@@ -117,53 +86,122 @@ _TOLD = 0.05
 So it is where a periodic perturbation has all lines: between them is nothing, and at them any
 motion is linear. A bent arm leaves a lack of fit there; gains are in doubt as of any transducer.
 """
-_BENT: Mapping[str, Callable[[FloatArray], FloatArray]] = {
-    "amplitude": lambda signals: np.clip(signals[0], -REST, REST),
-    "curvature": lambda signals: signals[0] - np.clip(signals[0], -FAR, FAR),
-    "posture": lambda signals: np.abs(signals[0]),
-    "hysteresis": lambda signals: play(signals[1], PLAY),
-    "slack": lambda signals: -play(signals[3], SLACK),
-    "friction": lambda signals: np.tanh(signals[2] / SLOW),
-    "time": lambda signals: signals[0] * np.linspace(-0.5, 0.5, signals.shape[1]),
-    "onset": lambda signals: signals[0] * np.exp(-np.linspace(0.0, ONSETS, signals.shape[1])),
-    "direction": lambda signals: np.abs(signals[3]),
-    "gain": lambda signals: signals[3] ** 3,
-    "drift": lambda signals: signals[3] * np.linspace(-0.5, 0.5, signals.shape[1]),
-}
-"""What follows from angle, the same and speed without what is slow, and torque, each in units of
-its rms; (4, N)."""
-_BENDING = {"curvature", "posture", "hysteresis", "slack", "friction"}
-"""What shows at all frequencies, so also where a person's own torque has less power."""
-_SLOPES = {
-    "amplitude": -1.0,
-    "curvature": 0.32,
-    "posture": 2.0,
-    "time": 1.0,
-    "onset": 1.0,
-    "direction": 2.0,
-    "gain": 3.0,
-    "drift": 1.0,
-}
-"""Of these terms over their argument at one rms, less at rest, or between both directions; of what
-the angle exceeds its rms by, over a normal distribution of angles."""
-_DOUBTED = {"direction": 0.5, "gain": 1.0, "drift": 0.5}
-"""Shares of its change by which a gain may differ from that of the calibration.
 
-That is right for one of two directions, for small torques, at the begin or at the end.
-"""
-_CODES = {
-    "amplitude": ProblemCode.DEPENDS_ON_AMPLITUDE,
-    "curvature": ProblemCode.DEPENDS_ON_AMPLITUDE,
-    "posture": ProblemCode.DEPENDS_ON_DIRECTION,
-    "hysteresis": ProblemCode.HYSTERESIS,
-    "slack": ProblemCode.HYSTERESIS,
-    "friction": ProblemCode.FRICTION_LEFT,
-    "time": ProblemCode.CHANGES_OVER_TIME,
-    "onset": ProblemCode.CHANGES_OVER_TIME,
-    "direction": ProblemCode.TORQUE_NOT_LINEAR,
-    "gain": ProblemCode.TORQUE_NOT_LINEAR,
-    "drift": ProblemCode.GAIN_DRIFTS,
+
+@dataclass(frozen=True, kw_only=True)
+class Term:
+    """One way in which a joint, or its transducer, may not be linear."""
+
+    bend: Callable[[FloatArray], FloatArray]
+    """What follows from angle, the same and speed without what is slow, and torque, each in units
+    of its rms; (4, N)."""
+    code: ProblemCode
+    slope: float = 1.0
+    """Of that over its argument at one rms, less at rest, or between both directions; of what the
+    angle exceeds its rms by, over a normal distribution of angles."""
+    large: float = np.inf
+    """Share of the stiffness, or of M, B or K, beyond which these are of this motion, or time,
+    alone; change of the gain beyond which a transducer is none.
+
+    Smaller ones are in the standard errors, and so is what friction of the robot leaves in the
+    torques where their jumps with the commands are not known well.
+    """
+    likely: float = 0.0
+    sizes: tuple[float, ...] = (0.0,)
+    """Assumptions: how likely it is there, and by what share if so."""
+    doubted: float = 0.0
+    """Of a transducer, share of its change by which its gain may differ from that of the
+    calibration, which is right for one of two directions, for small torques, at begin or end."""
+    even: bool = False
+    """Whether it doesn't turn with the sign of what the perturbation causes."""
+    broad: bool = False
+    """Whether it shows at all frequencies, so also where a person's own torque has less power."""
+
+
+TERMS: Mapping[str, Term] = {
+    "amplitude": Term(
+        bend=lambda signals: np.clip(signals[0], -REST, REST),
+        code=ProblemCode.DEPENDS_ON_AMPLITUDE,
+        slope=-1.0,
+        large=0.03,
+    ),
+    "curvature": Term(
+        bend=lambda signals: signals[0] - np.clip(signals[0], -FAR, FAR),
+        code=ProblemCode.DEPENDS_ON_AMPLITUDE,
+        slope=0.32,
+        large=0.1,
+        likely=0.2,
+        sizes=(0.03, 0.1, 0.3, 1.0),
+        broad=True,
+    ),
+    "posture": Term(
+        bend=lambda signals: np.abs(signals[0]),
+        code=ProblemCode.DEPENDS_ON_DIRECTION,
+        slope=2.0,
+        large=0.1,
+        even=True,
+        broad=True,
+    ),
+    "hysteresis": Term(
+        bend=lambda signals: play(signals[1], PLAY),
+        code=ProblemCode.HYSTERESIS,
+        large=0.05,
+        likely=0.1,
+        sizes=(0.01, 0.03, 0.1),
+        broad=True,
+    ),
+    "slack": Term(
+        bend=lambda signals: -play(signals[3], SLACK),
+        code=ProblemCode.HYSTERESIS,
+        likely=0.2,
+        sizes=(0.01, 0.03, 0.1),
+        broad=True,
+    ),
+    "friction": Term(
+        bend=lambda signals: np.tanh(signals[2] / SLOW),
+        code=ProblemCode.FRICTION_LEFT,
+        broad=True,
+    ),
+    "time": Term(
+        bend=lambda signals: signals[0] * np.linspace(-0.5, 0.5, signals.shape[1]),
+        code=ProblemCode.CHANGES_OVER_TIME,
+        large=0.05,
+    ),
+    "onset": Term(
+        bend=lambda signals: signals[0] * np.exp(-np.linspace(0.0, ONSETS, signals.shape[1])),
+        code=ProblemCode.CHANGES_OVER_TIME,
+        large=0.3,
+        likely=0.2,
+        sizes=(0.1, 0.3, 1.0),
+    ),
+    "direction": Term(
+        bend=lambda signals: np.abs(signals[3]),
+        code=ProblemCode.TORQUE_NOT_LINEAR,
+        slope=2.0,
+        large=0.2,
+        likely=0.05,
+        sizes=(0.1,),
+        doubted=0.5,
+    ),
+    "gain": Term(
+        bend=lambda signals: signals[3] ** 3,
+        code=ProblemCode.TORQUE_NOT_LINEAR,
+        slope=3.0,
+        large=0.1,
+        likely=0.05,
+        sizes=(0.1,),
+        doubted=1.0,
+    ),
+    "drift": Term(
+        bend=lambda signals: signals[3] * np.linspace(-0.5, 0.5, signals.shape[1]),
+        code=ProblemCode.GAIN_DRIFTS,
+        large=0.1,
+        likely=0.05,
+        sizes=(0.1,),
+        doubted=0.5,
+    ),
 }
+"""All of them, by name."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -208,14 +246,14 @@ class Deviation:
         return self._odds(0.0)[1]
 
     def _odds(self, elsewhere: float) -> tuple[float, float]:
-        likely, sizes = HIDDEN.get(self.name, (0.0, (0.0,)))
-        if self.name in _DOUBTED and self.error == np.inf:
-            return likely * float(np.mean(np.square(sizes))), 0.0
-        if not likely or not self._errors > 0.0:
+        term = TERMS[self.name]
+        if term.doubted and self.error == np.inf:
+            return term.likely * float(np.mean(np.square(term.sizes))), 0.0
+        if not term.likely or not self._errors > 0.0:
             return 0.0, 0.0
         told = abs(self.share)
         error = told / self._errors
-        return hidden_square(told, error, likely, sizes=sizes, elsewhere=elsewhere)
+        return hidden_square(told, error, term.likely, sizes=term.sizes, elsewhere=elsewhere)
 
     @property
     def _errors(self) -> float:
@@ -407,24 +445,24 @@ def deviations(
         (one, linear.removed(band.signal(one * left)[kept])) for one in (equal, nearly, white)
     ]
     found = {}
-    for name, bend in _BENT.items():
-        of_gain = name in _DOUBTED
+    for name, one in TERMS.items():
+        of_gain = one.doubted > 0.0
         # What turns with the sign of the perturbation is as independent of the person as what that
         # alone causes, and tells more where the person moves or loads the joint.
-        whole = bend(signals)
-        turns = 0.5 * (whole - bend(signals - 2.0 * known))
-        turns = bend(loaded) + turns if of_gain or name == "posture" else turns
-        bent = np.stack([band.of(one) for one in (turns, whole)])
-        weights, remains = weighed[2 if of_gain else 1 if name in _BENDING else 0]
-        cause, term = (band.signal(weights * one)[kept] for one in bent)
+        whole = one.bend(signals)
+        turns = 0.5 * (whole - one.bend(signals - 2.0 * known))
+        turns = one.bend(loaded) + turns if of_gain or one.even else turns
+        bent = np.stack([band.of(signal) for signal in (turns, whole)])
+        weights, remains = weighed[2 if of_gain else 1 if one.broad else 0]
+        cause, term = (band.signal(weights * part)[kept] for part in bent)
         instrument = linear.unlike(cause)
         slope, error, freedom = _slope(instrument, linear.removed(term), remains)
         if np.linalg.norm(instrument) < _TOLD * np.linalg.norm(cause):
             error = np.inf
         shift, gain, held, slack = np.zeros(3), 0.0, 0.0, 0.0
         if of_gain:
-            share = _SLOPES[name] * slope / float(sizes[3, 0])
-            gain = _DOUBTED[name] * share
+            share = one.slope * slope / float(sizes[3, 0])
+            gain = one.doubted * share
         else:
             # What M, B and K are alike of it: the derivatives 2, 1, 0.
             shift = (
@@ -439,7 +477,7 @@ def deviations(
             else:
                 # Where it falls that far, the stiffness of this motion is no measure of it.
                 stiffness = float(max(abs(own[2]), abs(own[2] - shift[2])))
-                share = _SLOPES[name] * slope / (stiffness * float(sizes[0, 0]))
+                share = one.slope * slope / (stiffness * float(sizes[0, 0]))
         relative = abs(share * error / slope) if slope else 0.0
         found[name] = Deviation(
             name=name,
@@ -582,15 +620,15 @@ def judge_linearity(
             if one.significant and abs(one.share) < _NEGLIGIBLE:
                 continue
             doubts[k][:, k, k] = np.hypot(doubts[k][:, k, k], doubt * one.shift)
-            large = resolved[k] and abs(one.share) > LARGE[name]
-            code, severity = _CODES[name], Severity.ERROR if large else Severity.NOTE
+            large = resolved[k] and abs(one.share) > TERMS[name].large
+            code, severity = TERMS[name].code, Severity.ERROR if large else Severity.NOTE
             if not one.significant or (code, severity) in said:
                 continue
             said.add((code, severity))
             problems.append(
                 problem(
                     code,
-                    concern=Concern.IMPEDANCE if name in _DOUBTED else Concern.PARAMETERS,
+                    concern=Concern.IMPEDANCE if TERMS[name].doubted else Concern.PARAMETERS,
                     severity=severity,
                     trial=record.trial,
                     name=record.joint_names[record.perturbed_joint],
