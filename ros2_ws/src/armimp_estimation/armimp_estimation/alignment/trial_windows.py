@@ -283,7 +283,7 @@ def sampling_period(streams: Mapping[str, IntArray]) -> float:
     Parameters
     ----------
     streams : mapping of str to ndarray of int64, shape (N,)
-        IntArray (ns) of each stream, in any order, by topic.
+        Stamps (ns) of each stream, in any order, by topic.
 
     Raises
     ------
@@ -327,7 +327,7 @@ def judge_stamps(
     Parameters
     ----------
     streams : mapping of str to ndarray of int64
-        IntArray (ns) of each stream within the trial, ascending, by topic.
+        Stamps (ns) of each stream within the trial, ascending, by topic.
     period : float
         Sampling period that is used, ns.
     trial : int
