@@ -132,16 +132,6 @@ def test_locked_joint_holds_still_beside_the_perturbed_one(
     assert np.std(torque[1 - joint]) > 0.1
 
 
-@pytest.mark.parametrize("friction", [0, 2])
-def test_after_the_perturbation_all_joints_return_to_the_posture(friction: int) -> None:
-    plant = study_plant(friction, substeps=50)
-    tau_delta = np.zeros(4000)
-    tau_delta[:300] = 6.0
-    position, _, _ = _run(plant, _law(plant), tau_delta, 0)
-    assert np.max(np.abs(position[0, :600])) > 0.05
-    assert np.max(np.abs(position[:, 3500:])) < 5e-4
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("friction", "level"), [(0, 3), (3, 1), (3, 3)])
 def test_with_an_observer_drives_can_follow_and_the_arm_feels_little(
