@@ -176,19 +176,6 @@ def test_an_installed_node_takes_part_in_the_graph(workspace: Workspace, node: N
     assert process.returncode == 0, said
 
 
-def test_the_installed_command_starts(workspace: Workspace) -> None:
-    command = workspace.install / "armimp_bringup" / "lib" / "armimp_bringup" / "armimp"
-    done = subprocess.run(
-        workspace.sourced(f"{shlex.quote(str(command))} run --help"),
-        capture_output=True,
-        text=True,
-        env=environment(),
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert "--processes" in done.stdout
-
-
 def test_colcon_test_runs_tests_of_every_package(workspace: Workspace) -> None:
     files = " ".join(QUICK_TESTS)
     workspace.colcon("test", "--pytest-args", "-o", f"python_files={files}")

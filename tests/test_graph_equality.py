@@ -73,6 +73,17 @@ def test_graph_and_its_bags_give_the_same_results(composed: FinishedRun) -> None
 
 
 @pytest.mark.slow
+def test_an_optimal_multisine_goes_the_same_way(run: Run) -> None:
+    options: dict[str, Any] = {"perturbation_kind": "optimal", "duration": 5.0}
+    finished = run(**options)
+
+    records = offline(**options)
+    finished.assert_same_as_offline(records)
+    assert [one.periods.count for one in records if one.periods is not None] == [4, 4]
+    assert finished.summary.problems == []
+
+
+@pytest.mark.slow
 def test_a_multisine_on_a_realistic_rig_is_valid(run: Run) -> None:
     finished = run(perturbation_kind="multisine", rig="realistic", duration=20.0)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from armimp_bringup.offline import run_offline
 from armimp_bringup.parameters import Rig
-from armimp_common.errors import ConfigurationError, DataError
+from armimp_common.errors import DataError
 from armimp_common.topics import PERIOD_NS
 from armimp_control import presets as control_presets
 from armimp_control.safety_limiter import Action
@@ -125,19 +125,3 @@ def test_experiments_of_unequal_sequence_are_refused() -> None:
     longer = replace(brief_rig(), sequence=SequenceParameters(duration=1.0))
     with pytest.raises(DataError, match="same trial sequence"):
         run_offline([brief_rig(), longer])
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"controller": brief_rig(joints=3).controller}, "have 2, 3 and 2 joints"),
-        ({"perturbation": control_presets.perturbation(1, 3)}, "have 2, 2 and 3 joints"),
-        (
-            {"controller": replace(brief_rig().controller, period=2e-3)},
-            r"periods of 0\.001 and 0\.002 s",
-        ),
-    ],
-)
-def test_rig_of_parts_that_do_not_fit_is_refused(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigurationError, match=message):
-        replace(brief_rig(), **changes)
