@@ -23,7 +23,7 @@ from armimp_estimation.json_model import JsonModel, Number, Vector
 from armimp_estimation.mbk import MBK
 from armimp_estimation.nonlinearity import judge_linearity
 from armimp_estimation.plausibility import judge_angles
-from armimp_estimation.problems import Problem, ProblemCode, Severity, Verdict
+from armimp_estimation.problems import Problem, ProblemCode, Severity, Verdict, problem
 from armimp_estimation.robot_balance import (
     RobotBalance,
     RobotResponses,
@@ -211,10 +211,13 @@ def identify(
         problems += verdict.judge_estimate(names, one.estimate, one.fit, reading, decides=decides)
         problems += verdict.judge_models(name, one.models)
     if options.calibration.assumed:
-        assumed = {"gain": 100.0 * options.calibration.gain}
-        assumed["cross_talk"] = 100.0 * options.calibration.cross_talk
         problems.append(
-            Problem(code=ProblemCode.CALIBRATION_ASSUMED, severity=Severity.NOTE, values=assumed)
+            problem(
+                ProblemCode.CALIBRATION_ASSUMED,
+                severity=Severity.NOTE,
+                gain=100.0 * options.calibration.gain,
+                cross_talk=100.0 * options.calibration.cross_talk,
+            )
         )
     best = next((r for r in results.values() if r.estimate.unbiased), None)
     records = [trial.record for trial in ordered]

@@ -219,8 +219,7 @@ def load_result(directory: Path) -> Result:
     contents = []
     for path in _bags_of(directory, summary):
         try:
-            # They have been read before, or were recorded here.
-            contents.append(read_bag(path, trust=True))
+            contents.append(read_bag(path))
         except (ArmimpError, OSError) as error:
             notes.append(f"no time traces: {error}")
     notes += (note for content in contents for note in content.notes)

@@ -1,6 +1,5 @@
 """The messages of a bag as they are stored, and what it may cost to read them."""
 
-import math
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import BinaryIO, Final, TypeAlias
@@ -22,7 +21,6 @@ NODE_COST: Final = 200
 _FREE: Final = 128 << 20
 _RATIO: Final = 20
 _LARGEST: Final = 64 << 20
-_LARGEST_TRUSTED: Final = 1 << 30
 _PIECE: Final = 1 << 20
 
 
@@ -50,14 +48,11 @@ class RawMessages:
         Bytes of all of its files.
     wanted : callable
         Tells for a topic name whether its messages are wanted.
-    trust : bool
-        Whether the limits are lifted, for files whose origin is known.
     """
 
-    def __init__(self, name: str, size: int, wanted: TopicFilter, *, trust: bool = False) -> None:
-        self._name, self.wanted, self.trust = name, wanted, trust
-        self._left = math.inf if trust else _FREE + _RATIO * size
-        self._largest = _LARGEST_TRUSTED if trust else _LARGEST
+    def __init__(self, name: str, size: int, wanted: TopicFilter) -> None:
+        self._name, self.wanted = name, wanted
+        self._left = _FREE + _RATIO * size
         # Making one takes longer than the decompression of a chunk.
         self._zstd = zstandard.ZstdDecompressor()
         self._indices: dict[tuple[str, str], int] = {}
@@ -87,7 +82,7 @@ class RawMessages:
 
     def refusal(self, reason: str) -> BagError:
         """Return the error that says why a bag goes beyond the limits."""
-        return BagError(f"{self._name}: {reason}; --trust lifts the limits")
+        return BagError(f"{self._name}: {reason}")
 
     def unzstd(self, data: bytes, most: int | None = None) -> bytes:
         """Decompress one frame of zstd, of at most so many bytes.
@@ -99,7 +94,7 @@ class RawMessages:
         zstandard.ZstdError
             If it is damaged, or holds more than `most`.
         """
-        most = int(min(self._largest, self._left)) if most is None else most
+        most = min(_LARGEST, self._left) if most is None else most
         # The library would make room for whatever the frame claims to hold.
         self._require(max(most, zstandard.frame_content_size(data)))
         content = self._zstd.decompress(data, max_output_size=most)
@@ -143,7 +138,7 @@ class RawMessages:
 
     def _require(self, size: int) -> None:
         """Refuse a piece that is too large before there is room made for it."""
-        if size > min(self._largest, self._left):
+        if size > min(_LARGEST, self._left):
             raise self.refusal(f"a piece of it claims to hold {size} bytes")
 
     def topic_index(self, name: str, message_type: str) -> int:

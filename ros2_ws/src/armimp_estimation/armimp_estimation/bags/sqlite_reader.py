@@ -1,7 +1,6 @@
 """Reading of the SQLite3 files of rosbag2, all versions of their schema."""
 
 import sqlite3
-import sys
 import tempfile
 from contextlib import closing, suppress
 from pathlib import Path
@@ -87,8 +86,7 @@ def _part_of_a_page(path: Path) -> int:
 
 def _read(path: Path, mode: str, size: int, name: str, into: RawMessages) -> None:
     uri = f"file:{quote(str(path.absolute()))}?{mode}"
-    free = sys.maxsize if into.trust else _FREE_STEPS + _STEPS_PER_BYTE * size
-    steps = iter(range(0, free, _STEPS))
+    steps = iter(range(0, _FREE_STEPS + _STEPS_PER_BYTE * size, _STEPS))
     try:
         with closing(sqlite3.connect(uri, uri=True)) as database:
             database.set_progress_handler(lambda: next(steps, None) is None, _STEPS)

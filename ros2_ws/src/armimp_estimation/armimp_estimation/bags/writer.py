@@ -474,13 +474,13 @@ def _make_directory(path: Path) -> None:
         raise BagError(f"{path}: cannot be made: {reason}") from None
 
 
-def finish_bag(path: Path, *, trust: bool = False) -> str:
+def finish_bag(path: Path) -> str:
     """Finish a bag which a killed `BagWriter` left behind; any other is left alone.
 
     Its messages are written into a new bag, which takes the place of the storage file at once and
     then that of ``metadata.yaml``. A bag that is still being recorded is known by its lock, one
     that is complete by its metadata. A bag behind a link stays as it is, since that may lead
-    anywhere. With `trust` the bag may hold any multiple of its size.
+    anywhere.
 
     Returns
     -------
@@ -496,7 +496,7 @@ def finish_bag(path: Path, *, trust: bool = False) -> str:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if files[0].name != storage_name(path) or file.read(len(HEAD)) != HEAD:
                 return ""
-            messages = read_storage(path, lambda _: True, trust=trust)
+            messages = read_storage(path, lambda _: True)
             try:
                 if not _write_anew(path, messages):
                     return ""
@@ -510,7 +510,7 @@ def finish_bag(path: Path, *, trust: bool = False) -> str:
 def finish_bags(directory: Path) -> list[str]:
     """Finish the bags below ``bags/`` of a result; return a line for each of them."""
     bags = sorted((directory / BAGS).glob("*/" + FILE_NAME))
-    return [note for bag in bags if (note := finish_bag(bag.parent, trust=True))]
+    return [note for bag in bags if (note := finish_bag(bag.parent))]
 
 
 def _write_anew(path: Path, messages: RawMessages) -> bool:
