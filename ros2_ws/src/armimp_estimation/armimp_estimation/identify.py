@@ -178,7 +178,7 @@ def identify(
         ordered = tuple(in_order(trial, order) for trial in ordered)
     frf = frf_matrix(ordered)
     averages = min(trial.spectra.effective_averages for trial in ordered)
-    level = scores.coherence_significance(averages, options.limits.significance)
+    level = scores.coherence_significance(averages, verdict.SIGNIFICANCE)
     for trial in ordered:
         scores.require_motion(trial.record)
     locks = scores.lock_ratio(ordered, frf)
@@ -205,7 +205,7 @@ def identify(
         names, first.coherence_motion, first.coherence_torque, level
     )
     if verdict.SINGLE in distinct:
-        problems += verdict.judge_locking(names, locks, bounds, options.limits)
+        problems += verdict.judge_locking(names, locks, bounds)
     for name, one in results.items():
         decides = name in _deciding(results)
         problems += verdict.judge_estimate(names, one.estimate, one.fit, reading, decides=decides)

@@ -6,13 +6,11 @@ fails.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
 from armimp_common.arrays import FloatArray
-from armimp_common.errors import ConfigurationError
 from armimp_estimation.arm_models import ModelFit, supported
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import MBKFit
@@ -20,29 +18,16 @@ from armimp_estimation.plausibility import judge_matrices
 from armimp_estimation.problems import Concern, Problem, ProblemCode, Severity, problem
 from armimp_estimation.torque_timing import TorqueReading
 
-
-@dataclass(frozen=True, kw_only=True)
-class Limits:
-    """What a valid result has to meet."""
-
-    lock_ratio: float = 0.02
-    """Largest motion of a locked joint, within the band and caused by the perturbation, relative to
-    the perturbed one; it biases ``welch_siso``. At 0.02 the bias of off-diagonal elements may reach
-    several per cent."""
-    bias_bound: float = 0.1
-    """Largest share of a torque that motion of locked joints explains, band mean, see
-    :func:`armimp_estimation.scores.bias_bound`. Good locking stays below 0.03."""
-    significance: float = 0.05
-    """Probability with which unrelated signals may pass as coherent; sets the level that band means
-    of the ordinary coherences with the perturbation have to exceed."""
-
-    def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if not 0.0 < value < 1.0:
-                raise ConfigurationError(f"limit {item.name} must be in (0, 1), got {value!r}")
-
-
+LOCK_RATIO = 0.02
+"""Largest motion of a locked joint, within the band and caused by the perturbation, relative to the
+perturbed one; it biases ``welch_siso``. Here the bias of off-diagonal elements may reach several
+per cent."""
+BIAS_BOUND = 0.1
+"""Largest share of a torque that motion of locked joints explains, band mean, see
+:func:`armimp_estimation.scores.bias_bound`. Good locking stays below 0.03."""
+SIGNIFICANCE = 0.05
+"""Probability with which unrelated signals may pass as coherent; sets the level that band means of
+the ordinary coherences with the perturbation have to exceed."""
 _NOTICED = 5.0
 _CORNER = 0.03
 """Corner of a high-pass, Hz, below which what it does is small enough for the standard errors."""
@@ -55,7 +40,7 @@ _CLEARLY = 2.0
 
 
 def judge_locking(
-    names: Sequence[str], lock_ratio: FloatArray, bias_bound: FloatArray, limits: Limits
+    names: Sequence[str], lock_ratio: FloatArray, bias_bound: FloatArray
 ) -> list[Problem]:
     """Problems with joints that were to be held still; they concern ``welch_siso`` alone.
 
@@ -66,7 +51,7 @@ def judge_locking(
     problems = []
     for k, perturbed in enumerate(names):
         for i, locked in enumerate(names):
-            if i != k and not lock_ratio[i, k] <= limits.lock_ratio:
+            if i != k and not lock_ratio[i, k] <= LOCK_RATIO:
                 problems.append(
                     problem(
                         ProblemCode.LOCK_RATIO,
@@ -74,10 +59,10 @@ def judge_locking(
                         name=locked,
                         perturbed=perturbed,
                         percent=100.0 * float(lock_ratio[i, k]),
-                        limit=100.0 * limits.lock_ratio,
+                        limit=100.0 * LOCK_RATIO,
                     )
                 )
-            if not bias_bound[i, k] <= limits.bias_bound:
+            if not bias_bound[i, k] <= BIAS_BOUND:
                 problems.append(
                     problem(
                         ProblemCode.LOCK_BIAS,
@@ -86,7 +71,7 @@ def judge_locking(
                         moving=locked if i != k else "the locked joints",
                         perturbed=perturbed,
                         percent=100.0 * float(bias_bound[i, k]),
-                        limit=100.0 * limits.bias_bound,
+                        limit=100.0 * BIAS_BOUND,
                         element=f"({i + 1}, {k + 1})",
                     )
                 )

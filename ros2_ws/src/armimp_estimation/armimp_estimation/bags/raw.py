@@ -38,16 +38,8 @@ class RawMessages:
     """Messages of one or more storage files in recorded order, and what more of them may cost.
 
     The cost, in bytes of memory or as much work, may grow with the bag, so that recordings of any
-    length can be read, but not files that hold thousands of times their size.
-
-    Parameters
-    ----------
-    name : str
-        The bag, for messages of errors.
-    size : int
-        Bytes of all of its files.
-    wanted : callable
-        Tells for a topic name whether its messages are wanted.
+    length can be read, but not files that hold thousands of times their size. Given are the name of
+    the bag for errors, the bytes of all of its files, and which topics are wanted, by name.
     """
 
     def __init__(self, name: str, size: int, wanted: TopicFilter) -> None:
@@ -69,13 +61,7 @@ class RawMessages:
         """Where and how the recording ends early; empty if it is complete."""
 
     def spend(self, cost: int) -> None:
-        """Charge a cost.
-
-        Raises
-        ------
-        BagError
-            If it exceeds what is left.
-        """
+        """Charge a cost; BagError if it exceeds what is left."""
         self._left -= cost
         if self._left < 0:
             raise self.refusal("holds far more than a bag of its size should")
@@ -102,32 +88,14 @@ class RawMessages:
         return content
 
     def unlz4(self, data: bytes, most: int) -> bytes:
-        """Decompress one frame of lz4 up to so many bytes.
-
-        Raises
-        ------
-        BagError
-            If that is more than is left.
-        RuntimeError
-            If it is damaged.
-        """
+        """As :meth:`unzstd`, for lz4; a damaged frame raises RuntimeError."""
         self._require(most)
         content: bytes = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=most)
         self.spend(len(content))
         return content
 
     def copy_unzstd(self, source: BinaryIO, target: Path) -> None:
-        """Decompress a file of zstd, as far as it goes, into another one.
-
-        Raises
-        ------
-        BagError
-            If it holds more than is left.
-        zstandard.ZstdError
-            If it is damaged.
-        OSError
-            If the other one cannot be written.
-        """
+        """Decompress a file of zstd, as far as it goes, into another one; errors as above."""
         with (
             zstandard.ZstdDecompressor().stream_reader(source, closefd=False) as reader,
             target.open("xb") as file,
@@ -151,13 +119,7 @@ class RawMessages:
     def extend(
         self, topic_indices: Iterable[int], log_times: Iterable[int], payloads: Iterable[bytes]
     ) -> None:
-        """Add messages, whose content has been charged.
-
-        Raises
-        ------
-        BagError
-            If they are more than may be.
-        """
+        """Add messages, whose content has been charged; BagError if they are too many."""
         before = len(self.payloads)
         self.topic_indices += topic_indices
         self.log_times += log_times
@@ -165,13 +127,7 @@ class RawMessages:
         self.spend(MESSAGE_COST * (len(self.payloads) - before))
 
     def sort(self) -> None:
-        """Bring the messages into the order of their log times, keeping that of equal ones.
-
-        Raises
-        ------
-        OverflowError
-            If a log time does not fit 64 bits.
-        """
+        """Sort messages by log time, stably; OverflowError if one does not fit 64 bits."""
         times = np.array(self.log_times, np.int64)
         if (np.diff(times) >= 0).all():
             return

@@ -240,15 +240,7 @@ def _prefix(name: str, topic: str) -> str | None:
 
 
 def read_storage(path: Path, wanted: TopicFilter) -> RawMessages:
-    """Read all wanted messages of a bag into memory, in the order of their log times.
-
-    Parameters
-    ----------
-    path : Path
-        A rosbag2 directory, with or without its ``metadata.yaml``, or one MCAP or SQLite3 file.
-        Compressed chunks, files and messages are decompressed.
-    wanted : callable
-        Tells for a topic name whether its messages are wanted.
+    """Read all messages of a bag, of topics that are wanted by name, in the order of log times.
 
     Raises
     ------
@@ -309,13 +301,7 @@ def find_bags(paths: Sequence[Path]) -> list[Path]:
 
 
 def require_distinct(bags: Sequence[Path]) -> None:
-    """Refuse bags that are one and the same, by another path, link or name of their files.
-
-    Raises
-    ------
-    BagError
-        If there are such ones.
-    """
+    """Raise BagError for bags that are the same, by another path, link or name of their files."""
     found: dict[tuple[int, int], Path] = {}
     for bag in bags:
         try:
