@@ -636,8 +636,9 @@ class _Elements:
             Of those of all elements, weighted by their inverse variances. The error covers their
             scatter.
         apart : float
-            Standard deviation by which those of single elements differ beyond chance, as DerSimonian
-            & Laird (*Controlled Clinical Trials* 7, 1986), but for one standard deviation of χ².
+            Standard deviation by which those of single elements differ beyond chance, as by
+            DerSimonian & Laird (*Controlled Clinical Trials* 7, 1986), from where their scatter
+            exceeds what is expected by one of its standard deviations.
         """
         found = np.array([self.coefficient_of(term, row) for row, term in enumerate(terms)])
         values, errors = found[np.isfinite(found[:, 1]) & (found[:, 1] > 0.0)].T
