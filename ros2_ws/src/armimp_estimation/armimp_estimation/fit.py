@@ -891,7 +891,7 @@ def _delay_of(problem: _Elements) -> tuple[float, float, float]:
 
     For each element ``Z = fit - d·jω·fit`` is solved for d by weighted least squares.
     """
-    fitted = np.stack([_of_mbk(one, problem.omega) for one in problem.fit()[0].T])
+    fitted = np.stack([_of_mbk(one, problem.omega) for one in problem.values().T])
     return problem.common_coefficient(-1j * problem.omega * fitted)
 
 
