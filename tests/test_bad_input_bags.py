@@ -1,7 +1,6 @@
 """Bags of every wrong kind, through the commands that take them: a result, or a clear complaint."""
 
 import json
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -118,31 +117,7 @@ class TestContradictions:
         assert trial["excluded"] == 30
 
 
-class TestMetadata:
-    def test_a_directory_as_metadata_file_is_named(self, good: Path, tmp_path: Path) -> None:
-        bag = Path(shutil.copytree(good, tmp_path / "bag"))
-        (bag / "metadata.yaml").unlink()
-        (bag / "metadata.yaml").mkdir()
-        assert "metadata.yaml: cannot be read: Is a directory" in both_refuse(bag)
-
-
 class TestFiles:
-    @pytest.mark.parametrize("name", ["bag", "bag.mcap", "bag.db3", "metadata.yaml"])
-    def test_a_file_of_length_zero(self, name: str, tmp_path: Path) -> None:
-        (tmp_path / name).touch()
-        for command in ("estimate", "replay"):
-            assert str(tmp_path) in refused(command, str(tmp_path / name)).err
-
-    @pytest.mark.parametrize("names", [(), ("thesis.tex",)])
-    def test_a_directory_without_a_bag(self, tmp_path: Path, names: Sequence[str]) -> None:
-        for name in names:
-            (tmp_path / name).write_text("ten years of work")
-        assert "is not a bag: it has no metadata.yaml" in both_refuse(tmp_path)
-
-    @pytest.mark.parametrize("name", ["/dev/null", "/dev/full", "/proc/self/mem", "a" * 300])
-    def test_what_cannot_be_read(self, name: str) -> None:
-        both_refuse(Path(name))
-
     def test_one_bad_bag_among_good_ones_is_named(self, good: Path, tmp_path: Path) -> None:
         (tmp_path / "empty.mcap").touch()
         told = refused("estimate", str(good), str(tmp_path / "empty.mcap"))

@@ -67,14 +67,3 @@ def test_when_an_import_is_interrupted_expect_one_line(monkeypatch: pytest.Monke
     monkeypatch.setattr("armimp_bringup.config.load_config", compiled_module)
     told = call("run")
     assert (told.status, told.err, told.out) == (130, "armimp: interrupted\n", "")
-
-
-def test_a_module_that_is_missing_is_not_taken_for_an_interruption(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def missing(*_: object) -> NoReturn:
-        raise ImportError("no module named rclpy")
-
-    monkeypatch.setattr("armimp_bringup.config.load_config", missing)
-    with pytest.raises(ImportError, match="rclpy"):
-        call("run")

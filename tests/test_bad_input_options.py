@@ -1,7 +1,5 @@
 """Wrong values of options: one line with the value, exit status 2 (or 1), nothing left behind."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -98,13 +96,3 @@ def test_a_name_that_is_not_text_is_refused_whatever_it_names(command: str) -> N
     told = refused(command, "no\udcffwhere")
     assert told.status == 1
     assert told.err == "armimp: no\\udcffwhere: its name is not UTF-8\n"
-
-
-def test_the_program_itself_prints_that_line_alone() -> None:
-    program: list[str | bytes] = [sys.executable, "-m", "armimp_bringup.cli"]
-    program += ["estimate", b"no\n\xff\x1b[31mwhere"]
-    done = subprocess.run(program, capture_output=True, text=True, check=False)
-    assert done.returncode == 1
-    assert done.stdout == ""
-    (line,) = done.stderr.splitlines()
-    assert line.startswith(r"armimp: no\n\udcff\x1b[31mwhere: its name is not UTF-8")

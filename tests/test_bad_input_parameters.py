@@ -1,20 +1,10 @@
 """Parameter files of every wrong kind: one line with the file or the value, and exit status 2."""
 
-import io
 from pathlib import Path
-from typing import Any
 
 import pytest
-import yaml
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from armimp_bringup.config import ExperimentConfig, load_config
-from armimp_bringup.parameters import NodeParameters, node_parameters
-from armimp_common.errors import ConfigurationError
-from armimp_common.schema import flatten
-from armimp_estimation.parameters import EstimatorParameters
-from armimp_sim.parameters import SimulatorParameters
 from support.command import refused
 
 COMMANDS = (("run",), ("reproduce", "--no-figures"))
@@ -129,89 +119,3 @@ def test_an_empty_file_leaves_the_defaults(file: Path) -> None:
     for content in ("", "# nothing\n", "---\n", "{}\n"):
         file.write_text(content)
         assert load_config(file, {}) == ExperimentConfig()
-
-
-def accepted(file: Path, content: bytes) -> NodeParameters | None:
-    """The parameters; None if they are refused with a reason."""
-    file.write_bytes(content)
-    try:
-        return node_parameters(load_config(file, {}), None)
-    except ConfigurationError:
-        return None
-
-
-NODES: dict[str, dict[str, Any]] = {
-    "arm_sim": dict(flatten(SimulatorParameters.preset())),
-    "imbic_controller": dict(flatten(node_parameters(ExperimentConfig(), None).controller)),
-    "impedance_estimator": dict(flatten(EstimatorParameters())),
-}
-FIELDS = [name for name in ExperimentConfig.model_fields if name not in NODES]
-NUMBERS = st.one_of(
-    st.floats(),
-    st.integers(),
-    st.sampled_from([0, -1, 1, 10**400, -(10**30), 1e-320, 1e308, -1e308]),
-)
-SCALARS = st.one_of(NUMBERS, st.none(), st.booleans(), st.text(max_size=6), st.dates())
-VALUES = st.one_of(
-    SCALARS,
-    st.lists(NUMBERS, max_size=5),
-    st.lists(NUMBERS, min_size=4, max_size=4),
-    st.recursive(
-        SCALARS,
-        lambda inner: st.one_of(
-            st.lists(inner, max_size=3), st.dictionaries(st.text(max_size=4), inner, max_size=3)
-        ),
-        max_leaves=8,
-    ),
-)
-EXPERIMENTS = st.one_of(
-    st.dictionaries(st.sampled_from(FIELDS) | st.text(max_size=6), VALUES, max_size=3),
-    *(
-        st.fixed_dictionaries(
-            {node: st.dictionaries(st.sampled_from(list(names)), VALUES, min_size=1, max_size=2)}
-        )
-        for node, names in NODES.items()
-    ),
-)
-QUICK = settings(
-    max_examples=30,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
-)
-
-
-def dumped(value: object) -> bytes:
-    text = io.StringIO()
-    yaml.safe_dump(value, text, allow_unicode=True)
-    return text.getvalue().encode(errors="surrogatepass")
-
-
-@QUICK
-@given(experiment=EXPERIMENTS)
-def test_any_values_are_taken_or_refused_with_a_reason(
-    file: Path, experiment: dict[str, Any]
-) -> None:
-    parameters = accepted(file, dumped(experiment))
-    if parameters is not None:
-        # What was accepted can be flown: it has all the numbers of the offline rig.
-        assert parameters.rig().plant.joints >= 1
-
-
-@QUICK
-@given(content=st.binary(max_size=60) | st.text(max_size=60).map(str.encode))
-def test_any_bytes_are_taken_or_refused_with_a_reason(file: Path, content: bytes) -> None:
-    accepted(file, content)
-
-
-DEFAULTS = dumped(NODES)
-
-
-@QUICK
-@given(data=st.data())
-def test_changed_bytes_of_a_good_file_are_taken_or_refused_with_a_reason(
-    file: Path, data: st.DataObject
-) -> None:
-    start = data.draw(st.integers(0, len(DEFAULTS) - 1))
-    length = data.draw(st.integers(0, 6))
-    part = data.draw(st.binary(max_size=4) | st.sampled_from([b": ", b"\n- ", b"[", b"&a ", b"*a"]))
-    accepted(file, DEFAULTS[:start] + part + DEFAULTS[start + length :])

@@ -4,7 +4,6 @@ import copy
 import io
 import json
 import os
-import random
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +15,6 @@ import pytest
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.study import read_study, select_conditions
 from armimp_bringup.study.engine import Threads
-from armimp_bringup.study.scores import judge, results_table
 from armimp_bringup.study.study import run_study
 from armimp_common.errors import DataError
 from armimp_estimation.summary import read_frf, read_summary
@@ -102,15 +100,6 @@ def test_a_wrong_value_in_a_result_is_named(
     assert len(told) < 800
 
 
-@pytest.mark.parametrize("number", [None, -1e-300])
-def test_numbers_that_are_unknown_or_absurd_fail_the_verdict(
-    number: float | None, result: dict[str, Any], file: Path
-) -> None:
-    file.write_bytes(with_value(result, (*ESTIMATOR, "M"), [[number, 1.0], [1.0, 1.0]]))
-    found = read_study(file)
-    assert judge(found, results_table(found)).conditions == 1
-
-
 def archive(file: Path, **arrays: Any) -> bytes:
     content = io.BytesIO()
     np.savez(content, **{**np.load(file), **arrays})
@@ -169,45 +158,3 @@ def reason_against(read: Callable[[Path], object], file: Path) -> str:
         (line,) = str(error).splitlines()
         return line
     return ""
-
-
-def changed_curves(study: Path, file: Path, rounds: int, *, seed: int) -> int:
-    """How many of so many damaged copies are refused; no other error may come."""
-    whole = (study / "conditions" / f"{NAME}.npz").read_bytes()
-    rng = random.Random(seed)
-    refused = 0
-    for number in range(rounds):
-        content = bytearray(whole[: len(whole) * number // rounds] if number % 2 else whole)
-        for _ in range(0 if number % 2 else rng.choice([1, 3, 30])):
-            # Headers are at the beginning, the directory of the archive is at the end.
-            where = rng.choice([rng.randrange(len(whole)), rng.randrange(300)])
-            content[rng.choice([where, -1 - where])] = rng.randrange(256)
-        file.write_bytes(content)
-        reason = reason_against(read_frf, file)
-        refused += bool(reason)
-        assert reason.startswith(f"{file}: not a file of impedance curves: " if reason else "")
-    return refused
-
-
-def changed_summaries(study: Path, file: Path, rounds: int, *, seed: int) -> int:
-    """Likewise, of summaries."""
-    entry = json.loads((study / "conditions" / f"{NAME}.json").read_bytes())
-    levels = ("friction", "resolution", "perturbation")
-    text = json.dumps({key: value for key, value in entry.items() if key not in levels})
-    file.write_text(text)
-    assert read_summary(file).joints == 2
-    rng = random.Random(seed)
-    refused = 0
-    for _ in range(rounds):
-        where = rng.randrange(len(text))
-        part = rng.choice(["", "[", "]", "{", "null", "1e999", "NaN", '"', ",", "\0", "-"])
-        file.write_text(text[:where] + part + text[where + rng.randrange(8) :])
-        reason = reason_against(read_summary, file)
-        refused += bool(reason)
-        assert reason.startswith(f"{file}: not a summary: " if reason else "")
-    return refused
-
-
-def test_changed_bytes_are_read_or_refused(study: Path, tmp_path: Path) -> None:
-    assert changed_curves(study, tmp_path / "frf.npz", 300, seed=1) > 150
-    assert changed_summaries(study, tmp_path / "summary.json", 300, seed=1) > 150

@@ -12,12 +12,8 @@ from typing import Any
 
 import pytest
 import yaml
-from rclpy.node import Node
 
-from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.orchestrator import run_experiment
-from armimp_common.executor import Spinner, run_node
-from armimp_common.status import Phase
+from armimp_common.executor import run_node
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
 from armimp_control.node import ImbicControllerNode
 from armimp_driver_template.node import ExoDriver
@@ -27,7 +23,7 @@ from armimp_ros2_control.node import Ros2ControlBridge
 from armimp_sim.node import ArmSimNode
 from benchmarks.ping_pong import PingNode
 from support.fault_figures import Figures
-from support.graph import CLOCK_STEPS, set_clock
+from support.graph import CLOCK_STEPS
 from support.priority import permitted_priority
 from support.runs import FinishedRun
 from support.stalls import StallWitness
@@ -43,43 +39,10 @@ LIMIT = 0.2
 SHORT = {"duration": 2.0}
 
 
-@pytest.fixture
-def nodes(monkeypatch: pytest.MonkeyPatch) -> list[Node]:
-    """All nodes of this process, as soon as they are there."""
-    nodes: list[Node] = []
-    add = Spinner.add_node
-
-    def add_node(spinner: Spinner, node: Node) -> None:
-        nodes.append(node)
-        add(spinner, node)
-
-    monkeypatch.setattr(Spinner, "add_node", add_node)
-    return nodes
-
-
 def assert_same(summary: Summary, directory: Path, untouched: FinishedRun) -> None:
     FinishedRun(directory=directory, summary=summary).assert_same_streams(untouched)
     assert summary.problems == untouched.summary.problems
     assert summary.estimators == untouched.summary.estimators
-
-
-@stepped
-def test_when_clocks_of_nodes_are_set_in_a_trial_expect_the_same_bits(
-    composed: FinishedRun, nodes: list[Node], tmp_path: Path, step: float
-) -> None:
-    names: set[str] = set()
-
-    def on_phase(phase: Phase) -> None:
-        if phase is Phase.PERTURB:
-            for node in nodes:
-                names.add(node.get_name())
-                set_clock(node, step)
-
-    config = ExperimentConfig.model_validate(SHORT)
-    summary = run_experiment(config, tmp_path / "out", on_phase=on_phase).summary
-
-    assert names == {SIM_NODE, CONTROLLER_NODE, ESTIMATOR_NODE, SUPERVISOR_NODE}
-    assert_same(summary, tmp_path / "out", composed)
 
 
 @pytest.mark.parametrize(

@@ -20,8 +20,7 @@ import pyte
 import pytest
 
 from armimp_bringup.cli import main
-from armimp_bringup.config import ExperimentConfig, load_config
-from armimp_bringup.parameters import node_parameters
+from armimp_bringup.config import ExperimentConfig
 from armimp_common.topics import TRIAL
 from armimp_estimation.bags import BagWriter, read_bag
 from support.bag_files import iterate_messages
@@ -184,17 +183,6 @@ def test_a_run_is_estimated_from_its_directory_as_from_its_bags(
     assert printed(capfd)["estimators"] == live["estimators"]
 
 
-def test_a_matrix_may_be_written_as_a_list_of_its_rows(tmp_path: Path) -> None:
-    path = tmp_path / "experiment.yaml"
-    found = []
-    for text in ("[[0.2, 0.1], [0.1, 0.1]]", "[0.2, 0.1, 0.1, 0.1]"):
-        path.write_text(f"arm_sim: {{arm: {{inertia: {text}}}}}")
-        found.append(node_parameters(load_config(path, {}), None))
-    assert found[0].simulator == found[1].simulator
-    assert found[0].controller == found[1].controller
-    assert found[0].simulator.human_arm().inertia.tolist() == [[0.2, 0.1], [0.1, 0.1]]
-
-
 def test_the_version_is_told_without_a_command(capfd: pytest.CaptureFixture[str]) -> None:
     assert main(["--version"]) == 0
     assert capfd.readouterr().out.startswith("armimp 0.")
@@ -315,9 +303,3 @@ def test_the_last_screen_has_the_trials_the_verdict_and_the_place_and_no_progres
     seen: Seen,
 ) -> None:
     assert_shown(seen)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("columns", [100, 120])
-def test_a_wider_terminal_shows_the_same(columns: int, tmp_path: Path) -> None:
-    assert_shown(ran(tmp_path / "out", columns))

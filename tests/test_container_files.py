@@ -56,15 +56,6 @@ def test_scripts_can_be_parsed_and_run(script: str) -> None:
     assert subprocess.run([shell, "-n", str(path)], check=False).returncode == 0
 
 
-@pytest.mark.parametrize("script", ["install_wheels.sh", "install_packages.sh"])
-def test_when_an_option_is_unknown_expect_usage_and_nothing_done(script: str) -> None:
-    done = subprocess.run(
-        [DOCKER / script, "--besides"], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 2
-    assert done.stderr.startswith("usage: ")
-
-
 def test_every_node_has_a_container_with_its_parameters() -> None:
     assert sorted(nodes()) == sorted((SIM_NODE, CONTROLLER_NODE, ESTIMATOR_NODE))
     for name, service in nodes().items():

@@ -1,17 +1,14 @@
 """Trials that end once their standard errors are small enough, through the whole graph."""
 
-import io
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from armimp_bringup.cli import main
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import run_experiment
-from armimp_bringup.presentation import print_result
 from armimp_common.status import Phase, Progress
 from armimp_estimation.bags import read_bag
 from armimp_estimation.summary import Summary
@@ -27,11 +24,6 @@ OPTIONS = {
     "target_error": BOUND,
     "impedance_estimator": {"least_duration": LEAST / 1000},
 }
-
-
-@pytest.fixture(scope="module")
-def seen() -> list[Progress]:
-    return []
 
 
 @pytest.fixture(scope="module")
@@ -102,35 +94,3 @@ def test_separate_processes_end_at_the_same_sample_with_the_same_bits(
     assert separate.summary.problems == []
     separate.assert_same_streams(early)
     assert separate.summary.estimators == early.summary.estimators
-
-
-def test_progress_shows_the_column_with_its_errors_and_the_new_end(
-    early: FinishedRun, seen: list[Progress]
-) -> None:
-    told = [one for one in seen if one.M]
-    assert told
-    for one in told:
-        assert [len(part) for row in one.column for part in row] == [2] * 6
-        assert one.largest_error is not None
-    assert early.summary.truth is not None
-    # How many samples each is made of depends on when the machine got round to it.
-    for one in told:
-        if not one.preliminary:
-            true = np.array(early.summary.truth.M)[:, one.joint - 1]
-            off = np.abs(np.array(one.M) - true)
-            assert np.all(off < 0.05 * np.abs(true) + 5.0 * np.array(one.M_se))
-
-
-def test_when_the_bound_is_out_of_reach_expect_trials_as_planned(
-    run: Run, composed: FinishedRun
-) -> None:
-    strict = run(target_error=1e-6, impedance_estimator={"least_duration": 5.0})
-
-    assert [trial.saved for trial in strict.summary.trials] == [0.0, 0.0]
-    strict.assert_same_streams(composed)
-    assert strict.summary.estimators == composed.summary.estimators
-    output = io.StringIO()
-    print_result(strict.summary, Console(file=output, width=200))
-    for k in (1, 2):
-        told = f"joint {k}: planned length, standard errors not below 0.0001 % before"
-        assert told in output.getvalue()

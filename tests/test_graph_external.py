@@ -3,20 +3,15 @@
 import os
 import subprocess
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from armimp_bringup import orchestrator
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.graph import external_domain
-from armimp_bringup.nodes import ExternalNodes
 from armimp_bringup.orchestrator import run_experiment
-from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_common.errors import ConfigurationError
-from armimp_common.lifecycle import LifecycleManager
 from armimp_common.status import Progress
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 from support.runs import FinishedRun
@@ -81,50 +76,6 @@ def test_when_a_node_of_others_is_killed_expect_it_named_and_the_others_left_alo
     assert summary.problems[0].sentence == f"node {CONTROLLER_NODE} is dead"
     assert started[SIM_NODE].poll() is None
     assert started[ESTIMATOR_NODE].poll() is None
-
-
-@pytest.mark.slow
-def test_when_a_node_of_others_was_finalized_expect_it_named_and_no_trial(
-    started: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with monkeypatch.context() as patch:
-        # As an orchestrator does with nodes of its own: it finalizes them at the end.
-        def finalize(_: ExternalNodes, manager: LifecycleManager, name: str) -> None:
-            manager.change(name, "shutdown")
-
-        patch.setattr(ExternalNodes, "retire", finalize)
-        told: list[Progress] = []
-        run_experiment(
-            config(),
-            tmp_path / "first",
-            on_progress=told.append,
-            interrupted=lambda: bool(told),
-        )
-    again = run_experiment(config(), tmp_path / "again").summary
-
-    assert again.problems[0].sentence.startswith(
-        f"node {ESTIMATOR_NODE} is finalized, not unconfigured"
-    )
-    assert not (tmp_path / "again" / "bags").exists()
-
-
-@pytest.mark.slow
-def test_when_a_parameter_is_refused_expect_node_and_reason(
-    started: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def spoiled(experiment: ExperimentConfig, directory: Path) -> NodeParameters:
-        sound = node_parameters(experiment, directory)
-        wrong = sound.controller.model_copy(update={"seed": -1})
-        return replace(sound, controller=wrong)
-
-    monkeypatch.setattr(orchestrator, "node_parameters", spoiled)
-
-    summary = run_experiment(config(), tmp_path / "out").summary
-
-    assert summary.problems[0].sentence.startswith(
-        f"node {CONTROLLER_NODE} refused its parameters: "
-    )
-    assert "seed" in summary.problems[0].sentence
 
 
 def test_the_domain_of_external_nodes_is_the_given_one_or_that_of_the_environment(

@@ -105,18 +105,6 @@ def test_when_interrupted_before_the_rig_is_active_expect_no_trial_begun(
 
 
 @pytest.mark.slow
-def test_when_a_phase_without_recording_takes_long_expect_the_run_to_go_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(orchestrator, "_STALL", 5.0)
-    sequence = {"sequence.settle": 100.0}
-
-    summary = run_experiment(config(imbic_controller=sequence), tmp_path / "out").summary
-
-    assert summary.problems == []
-
-
-@pytest.mark.slow
 def test_when_a_node_refuses_its_configuration_expect_it_named_and_no_trial(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -133,18 +121,6 @@ def test_when_a_node_refuses_its_configuration_expect_it_named_and_no_trial(
     assert CONTROLLER_NODE in summary.problems[0].sentence
     assert summary.trials == []
     assert not (tmp_path / "out" / "bags").exists()
-
-
-@pytest.mark.slow
-def test_when_the_simulation_breaks_down_expect_the_reason(tmp_path: Path) -> None:
-    # Bristles so stiff that they can be integrated at rest only.
-    stiff = {"friction.sigma_0": [3e6, 3e6], "friction.sigma_1": [0.0, 0.0]}
-
-    summary = run_experiment(config(arm_sim=stiff), tmp_path / "out").summary
-
-    assert not summary.valid
-    assert any("h·σ0|v|/g(v)" in problem.sentence for problem in summary.problems)
-    assert read_summary(tmp_path / "out" / "summary.json") == summary
 
 
 def test_when_the_output_is_not_empty_expect_a_refusal_before_anything_starts(

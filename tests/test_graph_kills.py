@@ -296,23 +296,6 @@ def test_when_the_orchestrator_is_killed_expect_the_nodes_safe_and_gone(tmp_path
     assert_recorded(done)
 
 
-@pytest.mark.slow
-@pytest.mark.alone
-@pytest.mark.parametrize(
-    ("phase", "victim"),
-    [("start", SIM_NODE), ("configure", CONTROLLER_NODE), ("activate", ESTIMATOR_NODE)],
-)
-def test_when_a_node_is_killed_before_a_trial_expect_its_name_at_once(
-    tmp_path: Path, phase: str, victim: str
-) -> None:
-    done = kill(tmp_path, phase, victim)
-
-    assert_named(done)
-    # Far below the minute in which a node that lives may answer.
-    assert done.after(done.ended) < 20.0
-    assert not done.seen.torques
-
-
 TRIAL_PHASES = ("settle 1", "perturb 1", "rest 1", "settle 2", "perturb 2")
 LENGTH = {"start": 1.0, "perturb 1": 2.0, "perturb 2": 2.0}
 """Seconds within which a moment of the phase is chosen; else LENGTH_OF_OTHERS."""

@@ -21,9 +21,7 @@ from typing import Any
 import pytest
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.offline_estimate import estimate_bags
 from armimp_bringup.orchestrator import run_experiment
-from armimp_bringup.replay import replay_bags
 from armimp_common.heartbeat import Presence
 from armimp_common.realtime import Pacer
 from armimp_common.status import Progress
@@ -162,22 +160,6 @@ def test_when_every_command_is_in_time_expect_the_bits_of_lockstep(
     in_time: FinishedRun, composed: FinishedRun
 ) -> None:
     in_time.assert_same_streams(composed)
-
-
-@pytest.mark.slow
-def test_bags_tell_the_timing_and_give_the_same_estimate(in_time: FinishedRun) -> None:
-    live = in_time.summary
-
-    offline = estimate_bags(in_time.bags, ("welch_siso", "lpm_full")).summary
-    replayed = replay_bags(in_time.bags, (), None).summary
-
-    for summary in (offline, replayed):
-        assert summary.estimators == live.estimators
-        assert summary.timing is not None
-        assert live.timing is not None
-        assert SECONDS * 1000 <= summary.timing.ticks <= live.timing.ticks
-        assert summary.timing.missed <= live.timing.missed
-        assert summary.timing.max_latency == live.timing.max_latency
 
 
 # On the clock of the machine.

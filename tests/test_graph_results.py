@@ -121,22 +121,6 @@ def test_published_result_is_the_stored_one(account: Account) -> None:
             assert published == np.ravel(getattr(result, key)).tolist()
 
 
-def test_published_columns_have_the_curves_of_their_joint(account: Account) -> None:
-    for k in (1, 2):
-        column = next(
-            values_of(message) for message in account.heard if what(message) == f"column {k}"
-        )
-        assert (column["trial"], column["joint"], column["lost"]) == (str(k), str(k), "0")
-        curves = {key for key in column if key.endswith((".re", ".im"))}
-        assert curves == {
-            f"{curve}_{i}{k}.{part}"
-            for curve in ("R", "T", "Z")
-            for i in (1, 2)
-            for part in ("re", "im")
-        }
-        assert len({len(column[key].split()) for key in ("f", *curves)}) == 1
-
-
 def test_progress_grows_in_every_trial(account: Account) -> None:
     order = [(progress.trial, progress.samples) for progress in account.progress]
     assert order == sorted(order)
@@ -158,9 +142,3 @@ def test_progress_tells_the_coherence_as_soon_as_there_are_two_segments(account:
         if progress.samples >= welch.segment + welch.step:
             assert None not in told
         assert all(value is None or 0.9 < value <= 1.0 for value in told)
-
-
-def test_the_same_seed_again_and_a_bystander_change_no_bit(
-    account: Account, composed: FinishedRun
-) -> None:
-    account.run.assert_same_streams(composed)

@@ -10,7 +10,6 @@ import pytest
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import run_offline
 from armimp_bringup.parameters import Rig, node_parameters
-from armimp_common.errors import DataError
 
 pytestmark = pytest.mark.slow
 
@@ -58,13 +57,3 @@ def test_joint_is_locked_from_afar_without_a_clip_and_held_in_its_posture(person
     # Here at the end of the first trial already, a rest before it gets locked.
     assert abs(first.position[0, -1] - target[0]) > 0.01
     assert np.max(np.abs(second.position[0] - target[0])) < 1e-3
-
-
-@pytest.mark.parametrize(
-    ("person", "approach"), [(AT_THE_LIMIT, 1e-5), (BEYOND_IT, 1e-5), (BEYOND_IT, 1e-3)]
-)
-def test_with_time_delay_estimation_the_safety_limiter_stops_a_target_that_jumps(
-    person: Person, approach: float
-) -> None:
-    with pytest.raises(DataError, match="safety limiter stopped in trial 2: velocity of joint"):
-        run_offline([person.rig(approach, "tde")])

@@ -9,7 +9,6 @@ from pydantic import JsonValue
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import simulate
-from armimp_bringup.parameters import node_parameters
 from armimp_estimation.identify import Identification
 from armimp_estimation.problems import ProblemCode, Verdict
 
@@ -73,10 +72,3 @@ def test_when_an_estimator_copes_with_poor_locking_expect_only_the_other_to_be_r
     assert result.deciding == ("lpm_full",)
     assert Verdict.of(result.problems, "lpm_full").impedance
     assert not Verdict.of(result.problems, "welch_siso").impedance
-
-
-@pytest.mark.parametrize("joints", [1, 3, 7])
-def test_pd_locking_is_stable_on_every_preset(joints: int) -> None:
-    options = {"joints": joints, "imbic_controller": {"law": {"kind": "pd"}}}
-    config = ExperimentConfig.model_validate(options)
-    assert node_parameters(config, None).controller.check() == ()

@@ -11,7 +11,6 @@ from typing import Literal
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from pydantic import JsonValue
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import simulate
@@ -94,27 +93,6 @@ def _shown(
     return complex(net / theta), complex(target)
 
 
-@pytest.mark.slow
-def test_score_of_the_realisation_is_what_sines_show_of_the_robot() -> None:
-    pd: dict[str, JsonValue] = {"law": {"kind": "pd"}}
-    configs = [
-        ExperimentConfig(friction=0, resolution=0, duration=6.0, imbic_controller=law)
-        for law in ({}, pd)
-    ]
-    ours, without_target = (one.identify(["lpm_full"]) for one in simulate(configs))
-    frequencies = (1.0, 3.0, 5.0, 7.0, 9.0, 11.0, 13.0, 15.0)
-    for joint, trial in enumerate(ours.trials):
-        shown = np.array(
-            [_shown(study_plant(0, substeps=50), "observer", f, joint) for f in frequencies]
-        )
-        deviation = np.linalg.norm(shown[:, 0] - shown[:, 1]) / np.linalg.norm(shown[:, 1])
-        assert 0.03 < deviation < 0.1
-        assert trial.realisation == pytest.approx(deviation, rel=0.1)
-        lower, upper = trial.realisation_ci
-        assert lower <= trial.realisation <= upper
-    assert all(np.isnan(one.realisation) for one in without_target.trials)
-
-
 @pytest.mark.parametrize("internal_model", ["tde", "observer"])
 @pytest.mark.parametrize("joint", [0, 1])
 @pytest.mark.parametrize("friction", [0, 3])
@@ -130,16 +108,6 @@ def test_locked_joint_holds_still_beside_the_perturbed_one(
     assert moved[1 - joint] < 1e-3 * moved[joint]
     # It is not for want of load: the arm pulls at the locked joint through its coupling.
     assert np.std(torque[1 - joint]) > 0.1
-
-
-@pytest.mark.parametrize("friction", [0, 2])
-def test_after_the_perturbation_all_joints_return_to_the_posture(friction: int) -> None:
-    plant = study_plant(friction, substeps=50)
-    tau_delta = np.zeros(4000)
-    tau_delta[:300] = 6.0
-    position, _, _ = _run(plant, _law(plant), tau_delta, 0)
-    assert np.max(np.abs(position[0, :600])) > 0.05
-    assert np.max(np.abs(position[:, 3500:])) < 5e-4
 
 
 @pytest.mark.slow

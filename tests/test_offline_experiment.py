@@ -11,16 +11,15 @@ from numpy.typing import NDArray
 
 from armimp_bringup.offline import run_offline
 from armimp_bringup.parameters import Rig
-from armimp_common.errors import ConfigurationError, DataError
+from armimp_common.errors import DataError
 from armimp_common.topics import PERIOD_NS
 from armimp_control import presets as control_presets
-from armimp_control.perturbation import perturbation
-from armimp_control.safety_limiter import Action, Limit
+from armimp_control.safety_limiter import Action
 from armimp_control.sequence import SequenceParameters
 from armimp_estimation.record import TrialRecord
 from armimp_sim import presets as sim_presets
 from armimp_sim.plant import IntegrationError
-from armimp_sim.voluntary import VoluntaryParameters, VoluntaryTorque
+from armimp_sim.voluntary import VoluntaryParameters
 from support.compiled import brief_rig
 from support.safety import torque_only
 
@@ -94,28 +93,6 @@ def test_experiments_side_by_side_give_the_bits_that_each_gives_alone() -> None:
         assert all(_same(one, many) for one, many in zip(alone, trials, strict=True))
 
 
-def test_voluntary_torque_does_not_change_the_perturbation() -> None:
-    rig = brief_rig()
-    relaxed = replace(rig, voluntary=VoluntaryParameters(rms=0.0))
-    (active_trials,), (relaxed_trials,) = run_offline([rig]), run_offline([relaxed])
-    for one, two in zip(active_trials, relaxed_trials, strict=True):
-        assert np.array_equal(one.perturbation, two.perturbation)
-        assert not np.array_equal(one.torque, two.torque)
-
-
-def test_perturbation_and_voluntary_torque_of_one_seed_have_nothing_in_common() -> None:
-    rig = brief_rig()
-    voluntary = VoluntaryTorque(
-        VoluntaryParameters(rms=1.0, cutoff=15.0), joints=2, period=1e-3, seed=rig.seed
-    ).take(100_000)
-    for trial in (1, 2):
-        tau_delta = perturbation(
-            rig.perturbation, joint=0, trial=trial, ticks=100_000, seed=rig.seed
-        )
-        # 100 s at 15 Hz are about 3000 independent values.
-        assert np.max(np.abs(np.corrcoef(tau_delta, voluntary.T)[0, 1:])) < 0.08
-
-
 @pytest.mark.parametrize(
     ("limits", "reason"),
     [
@@ -130,18 +107,6 @@ def test_when_the_limiter_stops_an_experiment_expect_no_result_but_the_reason(
     rig = replace(brief_rig(), safety=brief_rig().safety.model_copy(update=limits))
     with pytest.raises(DataError, match=reason):
         run_offline([brief_rig(), rig])
-
-
-@pytest.mark.parametrize("action", list(Action))
-@pytest.mark.parametrize("limit", list(Limit))
-def test_limits_that_are_not_reached_change_no_bit(limit: Limit, action: Action) -> None:
-    change: dict[str, Any] = {f"{limit.value}_action": action}
-    rig = brief_rig(level=1)
-    (usual,), (other,) = (
-        run_offline([replace(rig, safety=safety)])
-        for safety in (torque_only(80.0), control_presets.safety(2, 9.0).model_copy(update=change))
-    )
-    assert all(_same(one, two) for one, two in zip(usual, other, strict=True))
 
 
 def test_integration_that_breaks_down_is_reported() -> None:
@@ -160,19 +125,3 @@ def test_experiments_of_unequal_sequence_are_refused() -> None:
     longer = replace(brief_rig(), sequence=SequenceParameters(duration=1.0))
     with pytest.raises(DataError, match="same trial sequence"):
         run_offline([brief_rig(), longer])
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"controller": brief_rig(joints=3).controller}, "have 2, 3 and 2 joints"),
-        ({"perturbation": control_presets.perturbation(1, 3)}, "have 2, 2 and 3 joints"),
-        (
-            {"controller": replace(brief_rig().controller, period=2e-3)},
-            r"periods of 0\.001 and 0\.002 s",
-        ),
-    ],
-)
-def test_rig_of_parts_that_do_not_fit_is_refused(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigurationError, match=message):
-        replace(brief_rig(), **changes)

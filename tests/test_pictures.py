@@ -28,17 +28,3 @@ def test_every_picture_of_the_pages_has_a_recipe() -> None:
         for name in re.findall(r"!\[[^\]]*\]\([^)]*images/([^)]+\.png)\)", page.read_text("utf-8"))
     }
     assert shown == {one for recipe in make_pictures.RECIPES.values() for one in recipe.pictures}
-
-
-def test_a_change_of_code_changes_the_digest_and_one_of_words_does_not(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(make_pictures, "ROOT", tmp_path)
-    recipe = make_pictures.Recipe(pictures=("one.png",), sources=("draw.py",), study=("one",))
-    source = tmp_path / "draw.py"
-    digests = []
-    words = '"""New."""\nimport this\n\n# Wide.\ndef draw(width: int) -> None: plot(width, 3)\n'
-    for text in ("def draw(width): plot(width, 3)\n", words, "def draw(width): plot(width, 4)\n"):
-        source.write_text(text)
-        digests.append(recipe.digest())
-    assert digests[0] == digests[1] != digests[2]

@@ -11,18 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armimp_bringup.cli import main
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import SimulatedExperiment, run_offline, simulate
 from armimp_bringup.parameters import NodeParameters, node_parameters
-from armimp_common.errors import ConfigurationError, DataError
 from armimp_common.status import Phase, TrialStatus
 from armimp_common.topics import PERIOD_NS
 from armimp_control.trial_sequencer import TrialSequencer
 from armimp_estimation.estimators.lpm import LpmConfig
 from armimp_estimation.identify import EstimatorResult, identify
 from armimp_estimation.mbk import MBK
-from armimp_estimation.metadata import CALIBRATION_KEYS, Metadata
+from armimp_estimation.metadata import Metadata
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from armimp_sim.simulator import SimulatedRig
@@ -123,32 +121,6 @@ def test_what_nobody_told_of_the_torque_readings_is_found_or_in_the_errors(name:
     assert fit.delay.delay > 0.0005
 
 
-def test_a_lag_that_would_make_the_loop_unstable_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match=r"unstable when sampled.*lag by 3 ms"):
-        node_parameters(chosen(lag=0.003), None)
-
-
-@pytest.mark.slow
-def test_without_tare_an_offset_holds_the_joint_away_from_its_posture_and_with_it_it_does_not() -> (
-    None
-):
-    """By c/(K_rd + K_h), joint by joint; without friction, which would hold it as well."""
-    options: dict[str, Any] = {"duration": 10.0, "friction": 0, "resolution": 1}
-    tared, not_tared = (
-        node_parameters(chosen({"offset": [2.0, -1.5]}, tare=tare, **options), None)
-        for tare in (True, False)
-    )
-    arm = tared.simulator.human_arm()
-    expected = [-offset / (10.0 + arm.stiffness[k, k]) for k, offset in enumerate((2.0, -1.5))]
-    away = []
-    for case in (tared, not_tared):
-        (trials,) = run_offline([case.rig()])
-        away.append([one.position[k].mean() - arm.posture[k] for k, one in enumerate(trials)])
-    # The same perturbation moves both, and has a mean of its own.
-    assert np.subtract(away[1], away[0]) == pytest.approx(expected, rel=0.02)
-    assert away[0] == pytest.approx([0.0, 0.0], abs=0.02)
-
-
 @pytest.mark.slow
 def test_node_and_study_take_the_same_tare_and_give_the_same_bits() -> None:
     sensors = {"offset": OFFSET, "drift": [0.4, 0.2], "noise": 0.005}
@@ -183,13 +155,6 @@ def test_node_and_study_take_the_same_tare_and_give_the_same_bits() -> None:
     assert tares[1][0] - tares[0][0] == pytest.approx(0.4 * 1.75, abs=0.03)
 
 
-@pytest.mark.slow
-def test_a_tare_beyond_its_limit_ends_the_study_as_it_ends_the_experiment() -> None:
-    case = node_parameters(chosen({"offset": [7.0, 0.0]}, duration=10.0), None)
-    with pytest.raises(DataError, match=r"the torque of shoulder reads 7 N·m at rest, tare\.limit"):
-        run_offline([case.rig()])
-
-
 def test_the_estimator_knows_what_is_simulated_unless_it_is_told_otherwise() -> None:
     sensors = {"sensors": {"torque": {"delay": 0.0015, "cutoff": 150.0, "order": 2}}}
     # Slow enough for a loop that is told of readings as late as that.
@@ -218,23 +183,6 @@ def test_the_estimator_knows_what_is_simulated_unless_it_is_told_otherwise() -> 
     assert known(impedance_estimator=blind) == prompt
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["estimate", "nowhere", "--torque-delay", "0.5"], "parameter 'torque_delay' = 0.5"),
-        (["estimate", "nowhere", "--torque-delay", "nan"], "parameter 'torque_delay' = nan"),
-        (["run", "--torque-delay", "-0.001"], "torque_delay"),
-    ],
-)
-def test_a_delay_that_no_rig_has_ends_in_one_line(
-    arguments: list[str], words: str, capfd: pytest.CaptureFixture[str]
-) -> None:
-    assert main(arguments) == 2
-    said = capfd.readouterr().err
-    assert words in said
-    assert said.count("\n") == 1
-
-
 def test_of_the_realistic_rig_the_nodes_are_told_what_its_builder_knows() -> None:
     config = ExperimentConfig(rig="realistic", internal_model="observer")
     case = node_parameters(config, None)
@@ -257,25 +205,3 @@ def test_the_realistic_rig_can_be_simulated_and_controlled_with_any_number_of_jo
     case = node_parameters(ExperimentConfig.model_validate(values), None)
     assert case.simulator.plant_config().soft
     case.controller.check()
-
-
-@pytest.mark.parametrize("planted", [{"gain": [1.1, 1.0]}, {"cross_talk": 0.03}])
-def test_whoever_plants_a_wrong_calibration_does_not_declare_the_transducers_exact(
-    planted: dict[str, Any],
-) -> None:
-    declared, wrong = (
-        node_parameters(chosen(sensors), None).estimator.bag_metadata() for sensors in ({}, planted)
-    )
-    assert set(declared) - set(wrong) == set(CALIBRATION_KEYS)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["multisine", "optimal"])
-def test_a_persons_own_torque_beside_a_periodic_perturbation_looks_like_no_bent_arm(
-    kind: str,
-) -> None:
-    values = {"rig": "realistic", "perturbation_kind": kind, "duration": 60.0}
-    config = ExperimentConfig.model_validate({**values, "arm_sim": {"substeps": 20}})
-    for experiment in simulate([config.model_copy(update={"seed": seed}) for seed in (1, 2, 3)]):
-        result = experiment.identify(["lpm_full"])
-        assert result.valid, result.problems

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from armimp_bringup.cli import main
 from armimp_estimation.report import write_report
 from armimp_estimation.result import load_result
 from support.browser import Browser
@@ -64,11 +63,6 @@ def test_report_is_drawn_without_complaint_and_without_the_network(
     assert len(figures) == 10
     for figure in figures:
         assert paths(page, figure) >= 4, figure
-
-
-def test_verdict_is_read_first(page: Browser) -> None:
-    assert page.value("document.querySelector('main h2').textContent") == "Valid"
-    assert "arm impedance, valid" in page.value("document.title")
 
 
 def test_switches_hide_and_show_lines_in_all_plots(page: Browser) -> None:
@@ -188,22 +182,3 @@ def test_hostile_names_do_nothing(browser: Browser, tmp_path: Path) -> None:
     assert browser.value("typeof window.hacked") == "undefined"
     assert browser.value("document.querySelectorAll('main img, main a').length") == 0
     assert HOSTILE in browser.value("document.querySelector('h1').textContent")
-
-
-@pytest.mark.slow
-def test_the_command_writes_a_report_of_an_invalid_result_too(
-    browser: Browser, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    recording = synthetic_recording(ticks=5000)  # of the first joint only
-    make_result(tmp_path / "one", messages=recording.messages, metadata={})
-    bag = str(tmp_path / "one" / "bags" / "session")
-    assert main(["estimate", bag, "--out", str(tmp_path / "out")]) == 1
-    capfd.readouterr()
-    browser.open(tmp_path / "out" / "report.html")
-
-    assert browser.said() == []
-    verdict = browser.value("document.querySelector('#verdict').innerText")
-    assert verdict.startswith("Not valid: 1 problem")
-    assert "no trial perturbs joint 2 (elbow)" in verdict
-    assert "Record what is missing" in verdict
-    assert paths(browser, "trace-1") >= 5

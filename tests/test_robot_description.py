@@ -7,7 +7,6 @@ import pytest
 from numpy.typing import NDArray
 from robot_description import robot_description
 
-from armimp_common.errors import ConfigurationError
 from armimp_sim import presets
 
 Vector = NDArray[np.float64]
@@ -56,25 +55,3 @@ def test_the_inertia_of_the_description_is_that_of_the_plant(joints: int) -> Non
     found = mass_matrix(robot_description(joints), presets.JOINT_NAMES[joints], theta)
 
     np.testing.assert_allclose(found, presets.robot(joints).mass_matrix(theta), rtol=1e-6)
-
-
-@pytest.mark.parametrize("joints", sorted(presets.JOINT_NAMES))
-def test_every_link_can_be_that_of_a_rigid_body_and_hangs_on_the_base(joints: int) -> None:
-    root = ET.fromstring(robot_description(joints))
-
-    names = [link.attrib["name"] for link in root.iter("link")]
-    assert len(names) == len(set(names))
-    parents = {
-        joint.find("child").attrib["link"]: joint.find("parent").attrib["link"]  # type: ignore[union-attr]
-        for joint in root.iter("joint")
-    }
-    assert set(names) == {"base_link", *parents}
-    assert set(parents.values()) <= set(names)
-    for inertial in root.iter("inertial"):
-        assert numbers(inertial.find("mass"), "value")[0] > 0.0
-        assert numbers(inertial.find("inertia"), "izz")[0] > 0.0
-
-
-def test_without_a_preset_there_is_no_description() -> None:
-    with pytest.raises(ConfigurationError, match="8 joints"):
-        robot_description(8)

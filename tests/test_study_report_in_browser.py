@@ -71,19 +71,3 @@ def test_curves_are_chosen_by_estimator_perturbation_and_levels(page: Browser) -
     per_panel = [name for name in (_name(3, 0, 3), _name(3, 3, 3)) for _ in range(3)]
     assert _visible(page) == [*per_panel, "truth", "truth"]
     assert page.said() == []
-
-
-@pytest.mark.parametrize("width", [360, 1280])
-def test_study_report_fits_any_screen(browser: Browser, study: Path, width: int) -> None:
-    browser.open(study / "report.html", width=width)
-    assert browser.value("document.documentElement.scrollWidth") <= width
-
-
-def test_every_link_of_the_report_leads_somewhere(page: Browser, study: Path) -> None:
-    links = page.value("[...document.querySelectorAll('a')].map((a) => a.getAttribute('href'))")
-    for link in links:
-        if link.startswith("#"):
-            assert page.value(f"document.querySelector('{link}') !== null"), link
-        else:
-            assert (study / link).exists(), link
-    assert "study.json" in links

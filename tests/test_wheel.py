@@ -36,21 +36,6 @@ def recording(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.mark.slow
-def test_ten_lines_of_the_readme_identify_an_arm_from_arrays(recording: Path) -> None:
-    program = lines()
-    assert len(program.strip().splitlines()) <= 10
-    done = subprocess.run(
-        [sys.executable, "-c", program],
-        cwd=recording,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[-1] == "valid"
-
-
 def test_the_project_has_the_packages_versions_and_commands_of_the_workspace() -> None:
     project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     setups = {one: (SOURCES / one / "setup.cfg").read_text(encoding="utf-8") for one in PACKAGES}

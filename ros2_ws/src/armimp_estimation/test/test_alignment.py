@@ -145,12 +145,6 @@ def test_a_trial_that_ends_early_has_the_samples_that_were_announced_last() -> N
     assert {count.received for count in trial.statistics.streams.values()} == {25}
 
 
-def test_abort_before_the_perturbation_gives_no_window() -> None:
-    settle = statuses_of(RECORDING)[0]
-    aborted = replace(settle, phase=Phase.ABORTED, valid=False, reason="late")
-    assert windows_from_statuses([settle, aborted]) == ()
-
-
 @pytest.mark.parametrize(("ticks", "start"), [(MOST_TICKS + 1, START), (10, 10**30)])
 def test_impossible_announcements_are_refused(ticks: int, start: int) -> None:
     statuses = [
@@ -206,36 +200,6 @@ def test_record_holds_exactly_the_samples_of_the_trial() -> None:
     assert (trial.segments, trial.problems, trial.note) == ((record,), (), "")
     count = StreamCount(expected=TICKS, received=TICKS, lost=0)
     assert trial.statistics.streams == dict.fromkeys(DATA_STREAMS, count)
-
-
-def test_messages_of_one_trial_alone_give_the_same_bits_as_a_whole_recording() -> None:
-    several = synthetic_recording(perturbed=(0, 1, 0), ticks=TICKS, settle=7, rest=5)
-    statuses = statuses_of(several)
-    for number, trial in enumerate(trials_of(several.by_topic(), statuses), 1):
-        first = (number - 1) * (TICKS + 12) + 7
-        alone = {t: several.by_topic()[t][first : first + TICKS] for t in DATA_STREAMS}
-        (single,) = trials_of(alone, [one for one in statuses if one.trial == number])
-        assert_part(single.intact()[0], trial.intact()[0], 0, TICKS)
-        assert_part(trial.intact()[0], several.records[number - 1], 0, TICKS)
-        assert single.statistics == trial.statistics
-
-
-@given(jitter=st.lists(st.integers(-200_000, 200_000), min_size=TICKS, max_size=TICKS))
-@settings(max_examples=30, deadline=None)
-def test_jitter_below_half_a_period_is_no_gap(jitter: list[int]) -> None:
-    stamps = [START + k * PERIOD_NS + shift for k, shift in enumerate(jitter)]
-    raws = [effort(stamp, (1.0, 0.0)) for stamp in stamps]
-    states = [JointStateEncoder(NAMES, "position").encode(stamp, (0, 0)) for stamp in stamps]
-    topics = {JOINT_STATES: states, TORQUE_SENSORS: raws, PERTURBATION: raws}
-    (trial,) = trials_of(topics, [])
-    assert [part.samples for part in trial.intact()] == [TICKS]
-
-
-def test_joints_go_by_their_names() -> None:
-    (trial,) = trials_of(RECORDING.by_topic(), statuses_of(RECORDING), NAMES[::-1])
-    record = trial.intact()[0]
-    assert record.perturbed_joint == 1
-    np.testing.assert_array_equal(record.torque, RECORDING.records[0].torque[::-1])
 
 
 def test_samples_taken_late_are_counted_but_no_gap() -> None:
@@ -405,14 +369,6 @@ def test_jitter_of_a_tenth_of_a_period_in_each_stream_loses_no_sample() -> None:
     assert np.array_equal(found, np.arange(stamps.size))
 
 
-def test_other_rate_is_named_and_does_not_refuse() -> None:
-    topics = RECORDING.by_topic()
-    for topic in STAMPED:
-        topics[topic] = topics[topic][::2]
-    (rate,) = [one for one in assemble(topics).problems if one.code is ProblemCode.RATE_UNPLANNED]
-    assert (rate.values["rate"], rate.values["planned"]) == (500.0, 1000.0)
-
-
 def test_perturbation_of_zero_is_refused() -> None:
     topics = RECORDING.by_topic()
     topics[PERTURBATION] = [
@@ -552,13 +508,6 @@ def test_what_follows_clipped_commands_is_left_out_without_being_asked(
     assert not trial.judged(allow_gaps=False, most_excluded=excluded / TICKS)
 
 
-def test_a_trial_of_clipped_commands_alone_has_nothing_to_estimate_from() -> None:
-    *others, last = statuses_of(RECORDING)
-    clipped = replace(last, clipped=TICKS, clipped_intervals=f"0-{TICKS}")
-    trial = assemble(RECORDING.by_topic(), [*others, clipped])
-    assert_refused(trial, ProblemCode.NOTHING_RECORDED, healed=False)
-
-
 def test_clipped_at_an_unknown_time_is_a_problem() -> None:
     *others, last = statuses_of(RECORDING)
     trial = assemble(RECORDING.by_topic(), [*others, replace(last, clipped=3)])
@@ -634,16 +583,6 @@ def test_trials_before_the_recording_began_are_passed_over() -> None:
         del topics[topic][: TICKS + 15]
     (trial,) = trials_of(topics, statuses_of(several))
     assert_part(trial.intact()[0], several.records[1], 0, TICKS)
-
-
-def test_trial_whose_beginning_was_not_recorded_is_refused() -> None:
-    topics = RECORDING.by_topic()
-    for topic in DATA_STREAMS:
-        del topics[topic][: FIRST + 15]
-    trial = assemble(topics)
-    assert [trial.statistics.streams[topic].lost for topic in STAMPED] == [15] * 3
-    assert ProblemCode.SAMPLES_MISSING in codes(trial)
-    assert_part(trial.segments[0], RECORDING.records[0], 15, TICKS)
 
 
 @pytest.mark.parametrize(

@@ -5,23 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from mcap.records import Channel, Message
-from mcap.stream_reader import StreamReader
-from mcap.writer import CompressionType
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from armimp_common.errors import BagError, DataError
 from armimp_estimation.bags import read_bag
 from armimp_estimation.record import TrialRecord
 from support.bag_files import (
-    iterate_messages,
     records_of,
     typed,
     write_bag,
     write_foreign,
-    write_mcap,
 )
 from support.fault_figures import Figures
 from support.synthetic_bags import synthetic_recording
@@ -70,30 +63,6 @@ def samples_or_refusal(bag: Path) -> int:
 
 
 class TestTruncation:
-    def test_same_messages_as_the_stream_reader_of_mcap(self, own: Path, tmp_path: Path) -> None:
-        whole = storage_file(own).read_bytes()
-        file = tmp_path / "bag.mcap"
-        for size in range(5000, len(whole), 777):
-            file.write_bytes(whole[:size])
-            channels: dict[int, str] = {}
-            expected = []
-            with file.open("rb") as stream:
-                records = StreamReader(stream).records
-                while True:
-                    try:
-                        record = next(records)
-                    except Exception:  # noqa: BLE001  (it has no error class for a cut)
-                        break
-                    if isinstance(record, Channel):
-                        channels[record.id] = record.topic.removeprefix("/")
-                    elif isinstance(record, Message):
-                        expected.append((channels[record.channel_id], record.log_time, record.data))
-            try:
-                read = list(iterate_messages(file))
-            except BagError:
-                read = []
-            assert read == expected
-
     @pytest.mark.parametrize(
         ("storage", "mode"),
         [
@@ -116,22 +85,6 @@ class TestTruncation:
             samples_or_refusal(bag)
         file.write_bytes(whole)
         assert samples_or_refusal(bag) == TICKS
-
-    @pytest.mark.parametrize("compression", CompressionType)
-    def test_unchunked_and_foreign_chunks_are_read_up_to_the_cut(
-        self, tmp_path: Path, compression: CompressionType
-    ) -> None:
-        chunking = compression is not CompressionType.NONE
-        file = write_mcap(
-            tmp_path / "bag.mcap", MESSAGES, compression=compression, chunking=chunking
-        )
-        whole = file.read_bytes()
-        samples: list[int] = []
-        for size in range(0, len(whole), max(len(whole) // 50, 1)):
-            file.write_bytes(whole[:size])
-            samples.append(samples_or_refusal(file))
-        assert samples == sorted(samples)
-        assert len(set(samples)) > 20
 
 
 @pytest.fixture(scope="module")
@@ -204,40 +157,3 @@ class TestEveryByte:
         for size in range(0, len(whole), 7):
             file.write_bytes(whole[:size] + bytes(len(whole) - size))
             assert samples_or_refusal(file) in (0, 50, 60)
-
-
-class TestChangedBytes:
-    @settings(max_examples=80, deadline=None)
-    @given(data=st.data())
-    def test_foreign_bag_gives_no_other_error(
-        self, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
-    ) -> None:
-        base = tmp_path_factory.getbasetemp()
-        storage = data.draw(st.sampled_from([StoragePlugin.MCAP, StoragePlugin.SQLITE3]))
-        bag = base / f"foreign_{storage.name}"
-        if not bag.exists():
-            write_foreign(bag, typed(MESSAGES), storage=storage)
-        whole = bytearray(storage_file(bag).read_bytes())
-        start = data.draw(st.integers(0, len(whole) - 1))
-        part = data.draw(st.binary(min_size=1, max_size=40))
-        whole[start : start + len(part)] = part
-        file = base / "changed"
-        file.write_bytes(whole)
-        # Without checksums numbers can change unseen, but nothing else may happen.
-        for record in read_or_refused(file):
-            assert record.samples <= TICKS + 50
-
-    @settings(max_examples=80, deadline=None)
-    @given(data=st.data())
-    def test_metadata_is_used_or_refused(
-        self, own: Path, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
-    ) -> None:
-        bag = tmp_path_factory.getbasetemp() / "changed_metadata"
-        if not bag.exists():
-            shutil.copytree(own, bag)
-        whole = bytearray((own / "metadata.yaml").read_bytes())
-        where = data.draw(st.integers(0, len(whole) - 1))
-        part = data.draw(st.binary(min_size=1, max_size=3) | st.sampled_from([b"\n", b"[", b"- "]))
-        whole[where : where + len(part)] = part
-        (bag / "metadata.yaml").write_bytes(whole)
-        assert samples_or_refusal(bag) in (0, TICKS)

@@ -1,7 +1,6 @@
 """Bags that their recorder left unfinished are finished by whoever finds them; others stay."""
 
 import json
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -52,23 +51,6 @@ def test_finished_bag_is_that_of_a_recorder_that_lived(tmp_path: Path) -> None:
     assert content_of(path) == content_of(finished(tmp_path / "b" / "bag"))
     assert finish_bag(path) == ""
     assert content_of(path) == content_of(finished(tmp_path / "c" / "bag"))
-
-
-def test_killed_just_before_the_metadata_file_was_replaced(tmp_path: Path) -> None:
-    provisional = unfinished(tmp_path / "a" / "bag") / FILE_NAME
-    path = finished(tmp_path / "b" / "bag")
-    whole = content_of(path)
-    shutil.copy(provisional, path / FILE_NAME)
-    assert finish_bag(path)
-    assert content_of(path) == whole
-
-
-def test_bag_without_a_message_becomes_a_valid_one(tmp_path: Path) -> None:
-    writer = BagWriter(tmp_path / "bag", metadata=METADATA)
-    writer._file.close()
-    assert finish_bag(tmp_path / "bag").endswith("finished now, with 0 messages")
-    with AnyReader([tmp_path / "bag"]) as reader:
-        assert reader.message_count == 0
 
 
 def test_bag_that_is_being_recorded_is_left_alone(tmp_path: Path) -> None:

@@ -6,8 +6,6 @@ from types import SimpleNamespace
 
 import pytest
 import yaml
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
@@ -27,7 +25,7 @@ from armimp_estimation.bags import (
     require_free_space,
 )
 from armimp_estimation.bags.metadata_yaml import qos_profiles
-from armimp_estimation.bags.writer import FLUSH_INTERVAL_NS, FLUSH_MESSAGES
+from armimp_estimation.bags.writer import FLUSH_INTERVAL_NS
 from support.bag_files import iterate_messages, write_bag
 from support.synthetic_bags import Message, synthetic_recording
 
@@ -142,12 +140,6 @@ class TestFormat:
         with (path / "bag_0.mcap").open("rb") as file:
             chunks = list(StreamReader(file, emit_chunks=True).records)
         assert all(r.uncompressed_crc for r in chunks if isinstance(r, Chunk))
-
-    def test_equal_messages_give_equal_files(self, tmp_path: Path) -> None:
-        messages = synthetic_recording(ticks=50).messages
-        files = [write(tmp_path / run / "bag", messages) for run in ("a", "b")]
-        for name in ("bag_0.mcap", "metadata.yaml"):
-            assert (files[0] / name).read_bytes() == (files[1] / name).read_bytes()
 
 
 class TestRefusals:
@@ -282,32 +274,6 @@ class TestBlocks:
 
 
 class TestKilledWriter:
-    @settings(max_examples=25, deadline=None)
-    @given(
-        st.lists(st.tuples(st.integers(0, 10**9), st.integers(0, 3000)), min_size=1, max_size=600),
-        st.booleans(),
-    )
-    def test_what_is_not_yet_in_the_file_is_bounded(
-        self, tmp_path_factory: pytest.TempPathFactory, entries: list[tuple[int, int]], rise: bool
-    ) -> None:
-        path = tmp_path_factory.mktemp("bags") / "bag"
-        times = [time for time, _ in entries]
-        if rise:
-            times.sort()
-        writer = BagWriter(path, metadata={})
-        for number, time in enumerate(times, 1):
-            writer.write(CLOCK, b"\0\1\0\0" + bytes(entries[number - 1][1]), time)
-        try:
-            read = [time for _, time, _ in iterate_messages(path)]
-        except BagError:
-            read = []
-        lost = times[len(read) :]
-        assert sorted(times[: len(read)]) == read
-        assert len(lost) < FLUSH_MESSAGES
-        if rise and lost:
-            assert lost[-1] - lost[0] < FLUSH_INTERVAL_NS
-        writer.close()
-
     def test_provisional_metadata_lists_every_topic_for_players(self, tmp_path: Path) -> None:
         writer = BagWriter(tmp_path / "bag", metadata=METADATA)
         document = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())

@@ -97,24 +97,6 @@ def test_drift_costs_the_estimates_nothing_and_would_cost_them_the_stiffness(
     assert spoilt[1] > 3.0 * freed[1]
 
 
-def test_a_column_while_the_trial_runs_is_free_of_drift_as_well() -> None:
-    one = record(0)
-    plain = LPM.column(one).values
-    assert LPM.column(drifting(one, 20.0 * SLOPE)).values == pytest.approx(plain, rel=0.01)
-
-
-def test_records_that_are_too_short_to_tell_are_left_alone() -> None:
-    one = record(0)
-    short = replace(
-        one,
-        perturbation=one.perturbation[:, :40],
-        position=one.position[:, :40],
-        torque=one.torque[:, :40],
-    )
-    assert drift_of(short) is None
-    assert drift_of(replace(one, perturbation=np.zeros_like(one.perturbation))) is None
-
-
 def test_the_resonance_of_the_arm_in_a_short_record_is_not_taken_for_drift() -> None:
     # Nothing but the arm: there is no noise in which its curves could hide.
     for seconds in (8, 10, 20, 50):

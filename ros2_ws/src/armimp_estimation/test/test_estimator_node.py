@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -22,10 +22,10 @@ from std_msgs.msg import Float64MultiArray
 from armimp_common import qos, topics
 from armimp_common.cdr import decode_trial_status, encode_trial_status
 from armimp_common.executor import Spinner
-from armimp_common.pubsub import subscribe_counts, subscribe_raw, wait_until_matched
+from armimp_common.pubsub import subscribe_raw, wait_until_matched
 from armimp_common.schema import Value
 from armimp_common.status import Level, Phase
-from armimp_common.topics import COMMANDS, DATA_STREAMS, RESULT, TRIAL
+from armimp_common.topics import COMMANDS, RESULT, TRIAL
 from armimp_estimation.bags import read_bag
 from armimp_estimation.node import RESULT_NAME, ImpedanceEstimatorNode
 from armimp_estimation.parameters import EstimatorParameters
@@ -103,10 +103,6 @@ class Script:
 
     def has_heard(self, wanted: int) -> bool:
         return self.echoes >= wanted
-
-    @property
-    def columns(self) -> list[DiagnosticStatus]:
-        return [result for result in self.results if result.name != RESULT_NAME]
 
     @property
     def conclusions(self) -> list[DiagnosticStatus]:
@@ -216,27 +212,6 @@ class TestFaults:
         assert (missing.code, missing.values["stream"]) == (ProblemCode.SAMPLES_MISSING, topic)
         assert len(desk.bags) == 2
 
-    @pytest.mark.parametrize("order", [DATA_STREAMS, DATA_STREAMS[::-1]])
-    def test_samples_are_acknowledged_whichever_stream_comes_last(
-        self, desk: Desk, order: Sequence[str]
-    ) -> None:
-        """As after a halt of the process, when all of one stream comes before the others."""
-        told: list[int] = []
-        subscribe_counts(desk.script.node, topics.RECEIVED, told.append)
-        desk.bring_up()
-        desk.eventually(lambda: told == [0], "the first count")
-        ticks = 5 * topics.RECEIVED_EVERY - 1
-
-        for topic in order:
-            stream = [message for message in MADE_UP if message[0] == topic]
-            desk.play(stream[:ticks])
-        desk.eventually(lambda: told[-1] == ticks + 1 - topics.RECEIVED_EVERY, "the count")
-        for topic in order:
-            desk.play([m for m in MADE_UP if m[0] == topic][ticks : ticks + 1])
-        desk.eventually(lambda: told[-1] == ticks + 1, "the last count")
-
-        assert told == sorted(set(told))
-
     def test_a_status_that_makes_no_sense_is_refused_and_a_problem(self, desk: Desk) -> None:
         desk.bring_up()
         desk.play(MADE_UP[: 4 * (SETTLE + 40)])
@@ -296,20 +271,6 @@ class TestFaults:
         assert problem.code is ProblemCode.RECORDING_FAILED
         assert str(bag) in problem.sentence
         assert list(bag.iterdir()) == []
-
-    def test_when_a_result_exists_expect_it_kept(
-        self, desk: Desk, capfd: pytest.CaptureFixture[str]
-    ) -> None:
-        existing = desk.directory / "out" / "summary.json"
-        existing.parent.mkdir()
-        existing.write_text("precious")
-        desk.bring_up({"record": False})
-
-        desk.play(MADE_UP)
-        desk.conclude()
-
-        assert existing.read_text() == "precious"
-        assert "result not stored" in capfd.readouterr().err
 
 
 class TestParameters:
@@ -407,20 +368,6 @@ class TestLife:
         assert len(recorded) >= SETTLE + TICKS
         assert recorded == sent[: len(recorded)]
 
-    def test_when_nobody_publishes_expect_activation_to_fail_with_the_topics_named(
-        self, desk: Desk, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr("armimp_common.pubsub._PATIENCE", 0.05)
-        desk.make()
-        estimator = desk.estimator
-        estimator.trigger_configure()
-
-        assert estimator.trigger_activate() is FAILURE
-
-        assert estimator.transition_error.startswith("nobody at the other end of /")
-        for topic in (*DATA_STREAMS, TRIAL):
-            assert f"/{topic}" in estimator.transition_error
-
     def test_node_in_a_namespace_keeps_to_it(self, desk: Desk) -> None:
         left = Node("script", context=desk.context, namespace="/left")
         desk.spinner.add_node(left)
@@ -479,21 +426,3 @@ class TestController:
 
         desk.conclude()
         assert ProblemCode.NODE_FAILED not in {one.code for one in desk.summary.problems}
-
-    def test_its_statuses_of_the_last_experiment_count_no_more_after_a_new_configuration(
-        self, desk: Desk
-    ) -> None:
-        self.begin(desk, Phase.PERTURB, Phase.DONE)
-        estimator = desk.estimator
-        assert estimator.trigger_deactivate() is SUCCESS
-        assert estimator.trigger_cleanup() is SUCCESS
-        desk.conclude()
-
-        estimator.set_parameters([Parameter("directory", value="")])
-        desk.activate()
-        a_moment(desk.spinner, 0.5)
-
-        assert estimator._done_at == math.inf
-        assert estimator._recording.status is None
-        desk.announce(Phase.SETTLE)
-        desk.eventually(lambda: estimator._recording.status is not None, "the new trial")

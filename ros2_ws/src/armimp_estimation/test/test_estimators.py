@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.direct import Direct
-from armimp_estimation.estimators.estimate import Estimator, confidence_radius
+from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.estimators.local_polynomial import LocalPolynomialConfig
 from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
-from armimp_estimation.estimators.registry import IdentifyConfig, estimator_names, make_estimator
+from armimp_estimation.estimators.registry import IdentifyConfig, make_estimator
 from armimp_estimation.estimators.welch import WelchFull, WelchSiso
 from armimp_estimation.fit import fit_mbk
 from armimp_estimation.mbk import MBK
@@ -232,19 +232,6 @@ def test_when_the_perturbed_joint_does_not_move_expect_its_number_in_the_error()
         DIRECT.estimate(data)
     with pytest.raises(DataError, match="joint 2 does not move"):
         LPM.column(record)
-
-
-def test_confidence_radius_tends_to_that_of_a_known_variance() -> None:
-    known = np.sqrt(-np.log(0.05) * 4.0)
-    radius = confidence_radius(np.array([4.0]), 1e7, 0.95)
-    np.testing.assert_allclose(radius, known, rtol=1e-5)
-    assert confidence_radius(np.array([4.0]), 11.0)[0] > 1.05 * known
-
-
-def test_registry_makes_each_estimator_by_its_name() -> None:
-    names = estimator_names()
-    assert {"welch_siso", "welch_full"} <= set(names)
-    assert [make_estimator(name, IdentifyConfig()).name for name in names] == list(names)
 
 
 def test_registry_gives_the_local_polynomials_the_band_and_their_options() -> None:

@@ -9,13 +9,10 @@ from armimp_common.errors import DataError
 from armimp_estimation.estimators.welch import WelchSiso, invert, multiply
 from armimp_estimation.frf import frf_matrix, order_trials
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import TrialData
 from support.synthetic_trials import (
     LOOP,
-    TWO_JOINT_ARM,
     WELCH,
-    synthetic_trial,
     synthetic_trials,
 )
 
@@ -45,32 +42,6 @@ def test_responses_of_a_static_system_are_its_gains() -> None:
     assert np.abs(frf.variance).max() < 1e-14
 
 
-@pytest.mark.slow
-def test_variance_of_responses_is_that_of_repeated_experiments() -> None:
-    loop = dataclasses.replace(LOOP, torque_noise=0.5, position_noise=0.1)
-    s = 2j * np.pi * WELCH.frequencies(125.0)
-    arm = TWO_JOINT_ARM
-    motion = 1.0 / ((0.2 + arm.M[0, 0]) * s**2 + (4.0 + arm.B[0, 0]) * s + 30.0 + arm.K[0, 0])
-    push = motion * (arm.M[1, 0] * s**2 + arm.B[1, 0] * s + arm.K[1, 0])
-    columns = [
-        frf_matrix([TrialData.of(synthetic_trial(arm, 0, loop, seed), welch=WELCH)])
-        for seed in range(300)
-    ]
-    squares = np.mean([np.abs(c.R[0, 0] - motion) ** 2 for c in columns], axis=0)
-    ratio = np.mean([c.variance[0, 0] for c in columns], axis=0) / squares
-    assert 0.98 < ratio.mean() < 1.08
-    squares = np.mean([np.abs(c.T[1, 0] - push) ** 2 for c in columns], axis=0)
-    ratio = np.mean([c.variance[3, 0] for c in columns], axis=0) / squares
-    assert 0.98 < ratio.mean() < 1.08
-
-
-def test_when_trials_differ_in_length_expect_the_averages_of_the_shortest() -> None:
-    short = synthetic_trial(TWO_JOINT_ARM, 1, dataclasses.replace(LOOP, samples=3000), 1)
-    data = [synthetic_trials()[0], TrialData.of(short, welch=WELCH)]
-    estimate = WelchSiso().estimate(data)
-    assert estimate.averages == data[1].spectra.effective_averages < 6.0
-
-
 def test_when_a_joint_has_two_trials_expect_data_error() -> None:
     data = synthetic_trials()
     with pytest.raises(DataError, match=r"2 trials perturb joint 1 \(joint_1\).*: trials 1, 1"):
@@ -92,13 +63,6 @@ def test_when_trials_do_not_belong_together_expect_data_error(
     record = dataclasses.replace(second.record, **change)  # type: ignore[arg-type]
     with pytest.raises(DataError, match=message):
         order_trials([first, dataclasses.replace(second, record=record)])
-
-
-def test_when_spectra_are_at_different_frequencies_expect_data_error() -> None:
-    first, second = synthetic_trials()
-    other = TrialData.of(second.record, welch=WelchConfig(segment=512, overlap=256))
-    with pytest.raises(DataError, match="trials 1 and 2 have spectra at different frequencies"):
-        order_trials([first, other])
 
 
 def test_when_there_is_one_segment_only_expect_data_error() -> None:

@@ -119,22 +119,3 @@ def test_when_positions_are_too_large_to_be_squared_expect_data_error(
     absurd = [dataclasses.replace(one, position=1e300 * one.position) for one in smooth]
     with pytest.raises(DataError, match="too large"):
         update_jump(absurd)
-
-
-def test_when_nothing_moves_expect_none(smooth: list[TrialRecord]) -> None:
-    still = np.zeros((2, SAMPLES))
-    dead = [
-        dataclasses.replace(record, position=still, torque=still, command=still)
-        for record in smooth
-    ]
-    assert update_jump(dead) is None
-
-
-def test_steps_are_differences_of_commands_and_begin_with_zero(smooth: list[TrialRecord]) -> None:
-    record = dataclasses.replace(
-        smooth[0],
-        command=np.cumsum(np.ones((2, SAMPLES)), axis=1) ** 2,
-    )
-    np.testing.assert_array_equal(command_steps(record, 4), [[0.0, 3.0, 5.0, 7.0]] * 2)
-    with pytest.raises(ValueError, match="trial 1 has no commands"):
-        command_steps(dataclasses.replace(record, command=None), 4)

@@ -4,11 +4,8 @@ import numpy as np
 import pytest
 
 from armimp_common.errors import ConfigurationError
-from armimp_estimation import scores
 from armimp_estimation.estimators.registry import IdentifyConfig
-from armimp_estimation.estimators.welch import WelchSiso
 from armimp_estimation.fit import Calibration
-from armimp_estimation.frf import frf_matrix
 from armimp_estimation.identify import identify
 from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import ProblemCode
@@ -133,24 +130,6 @@ def test_when_locking_fails_expect_it_in_the_verdict_though_derived_coherence_is
     assert "element (1, 2) may be biased" in said
 
 
-def test_when_a_stiff_joint_still_biases_its_neighbour_expect_the_bias_bound_to_tell() -> None:
-    loop = dataclasses.replace(LOOP, lock_stiffness=3000.0)
-    result = identify(trials(loop), ["welch_siso"], TWO_JOINT_ARM, CONFIG)
-    assert max(min(trial.lock_ratio) for trial in result.trials) < 0.02
-    assert any("motion of joint_1 while joint_2 was" in str(p) for p in result.problems)
-    vaf = result.estimators["welch_siso"].vaf
-    assert vaf is not None
-    assert vaf[0, 1] < 60.0
-
-
-def test_when_torque_sensors_are_drowned_in_noise_expect_incoherence_in_the_verdict() -> None:
-    result = identify(
-        trials(dataclasses.replace(LOOP, torque_noise=1e3)), ["welch_full"], None, CONFIG
-    )
-    said = "\n".join(map(str, result.problems))
-    assert "torque of joint_2 does not follow the perturbation of joint_2" in said
-
-
 def test_truth_has_no_part_in_the_verdict() -> None:
     wrong = MBK(M=9.0 * TWO_JOINT_ARM.M, B=TWO_JOINT_ARM.B, K=TWO_JOINT_ARM.K)
     result = identify(trials(), ["welch_siso"], wrong, CONFIG)
@@ -166,15 +145,6 @@ def test_when_estimators_are_not_distinct_known_names_expect_configuration_error
 ) -> None:
     with pytest.raises(ConfigurationError, match="estimator"):
         identify(trials(), estimators, None, CONFIG)
-
-
-def test_an_estimator_of_ones_own_gives_what_one_with_a_name_gives() -> None:
-    named = identify(trials(), ["welch_siso"], TWO_JOINT_ARM, CONFIG)
-    own = identify(trials(), [WelchSiso(name="own"), "welch_full"], TWO_JOINT_ARM, CONFIG)
-    assert list(own.estimators) == ["own", "welch_full"]
-    np.testing.assert_array_equal(
-        own.estimators["own"].fit.mbk.B, named.estimators["welch_siso"].fit.mbk.B
-    )
 
 
 def test_when_the_truth_is_of_another_arm_expect_configuration_error() -> None:
@@ -203,13 +173,3 @@ def test_a_single_bad_score_is_told_of_the_right_element() -> None:
     ]
     (problem,) = judge_coherence(names, np.ones(2), torque, 0.25)
     assert (problem.values["stream"], problem.values["name"]) == ("torque", "b")
-
-
-def test_each_trial_has_the_scores_of_its_own_record() -> None:
-    data = trials(dataclasses.replace(LOOP, lock_stiffness=3000.0))
-    result = identify(data[::-1], ["welch_siso"], None, CONFIG)
-    bounds = scores.bias_bound(frf_matrix(data))
-    locks = scores.lock_ratio(data, frf_matrix(data))
-    for k, trial in enumerate(result.trials):
-        np.testing.assert_array_equal(trial.lock_ratio, locks[:, k])
-        np.testing.assert_array_equal(trial.bias_bound, bounds[:, k])

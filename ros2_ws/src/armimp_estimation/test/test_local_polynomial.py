@@ -126,25 +126,6 @@ def test_variances_of_responses_and_of_their_sums_over_bins_are_those_of_noise()
     np.testing.assert_allclose(np.mean(ratios, axis=0), 1.0, atol=0.15)
 
 
-def test_combined_variance_knows_that_errors_of_outputs_are_correlated() -> None:
-    source = white(1)
-    rng = np.random.default_rng(6)
-    common, own = rng.standard_normal((2, SAMPLES))
-    found = estimate(source, common, 2.0 * common + 0.01 * own)
-    size = found.f.size
-    difference = np.stack((np.full(size, -2.0 + 0j), np.ones(size, np.complex128)))
-    alone = np.stack((np.zeros(size, np.complex128), np.ones(size, np.complex128)))
-    ratio = np.mean(found.combined_variance(difference)) / np.mean(found.combined_variance(alone))
-    np.testing.assert_allclose(ratio, 0.01**2 / 4.0, rtol=0.1)
-
-
-def test_at_the_edges_of_the_spectrum_windows_are_shifted_not_cut() -> None:
-    source = white(1)
-    found = local_response(source, np.stack((3.0 * source,)), RATE, (0.0, 100.0), CONFIG)
-    assert (found.first[0], found.first[-1]) == (1, SAMPLES // 2 - 25)
-    np.testing.assert_allclose(found.response, 3.0, rtol=1e-9)
-
-
 def test_at_bins_that_are_asked_for_the_response_is_that_of_the_band() -> None:
     source, output = white(5), white(6) + 2.0 * white(5)
     found = estimate(source, output)
@@ -156,20 +137,6 @@ def test_at_bins_that_are_asked_for_the_response_is_that_of_the_band() -> None:
     # Windows that are further apart than they are wide have nothing in common.
     far = local_response(source, np.stack((output,)), RATE, BAND, CONFIG, found.f[60:600:30])
     np.testing.assert_allclose(far.bin_correlation()[1:], 0.0)
-
-
-def test_between_two_bins_polynomials_are_evaluated_in_between() -> None:
-    source, output, _ = polynomials(2)
-    found = estimate(source, output)
-    between = 0.5 * (found.f[200:210] + found.f[201:211])
-    asked = local_response(source, np.stack((output,)), RATE, BAND, CONFIG, between)
-    # A polynomial of degree 2 follows from its values at three places.
-    three = [
-        np.polyfit(found.f[k - 1 : k + 2], found.response[0, k - 1 : k + 2], 2)
-        for k in range(200, 210)
-    ]
-    expected = [np.polyval(p, f) for p, f in zip(three, between, strict=True)]
-    np.testing.assert_allclose(asked.response[0], expected, rtol=1e-7)
 
 
 def test_when_the_input_is_still_expect_the_band_in_the_error() -> None:

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from armimp_estimation.estimators.lpm import LpmConfig, LpmFull, unresolved
-from armimp_estimation.fit import FitConfig, MBKFit, fit_mbk
+from armimp_estimation.fit import MBKFit, fit_mbk
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.signal_quality import lost_motion, rounding_lead
 from armimp_estimation.spectra import WelchConfig
@@ -67,16 +67,6 @@ def test_a_delay_of_all_torques_is_corrected() -> None:
     assert (np.abs(stacked(fit) - truth) < 3.5 * errors).all()
     raw = dataclasses.replace(LPM.estimate(delayed), delay_uncertainty=None)
     assert (stacked(fit_mbk(raw))[1] > 1.2 * arm.B).all()
-
-
-def test_when_everything_is_late_commands_are_of_no_concern() -> None:
-    config = LpmConfig(reading=TorqueReading(timing=TorqueTiming.INTERVAL_MEAN))
-    data = synthetic_trials()
-    commanded = with_records(data, command=np.random.default_rng(1).standard_normal((2, 6144)))
-    one = LpmFull(config=config).estimate(data)
-    assert one.Z.tobytes() == LpmFull(config=config).estimate(commanded).Z.tobytes()
-    # If commands do not explain the torques, nothing is corrected.
-    assert LpmFull().estimate(commanded).Z.tobytes() == LPM.estimate(data).Z.tobytes()
 
 
 def test_motion_that_an_encoder_misses_is_that_of_a_spring_or_a_damper() -> None:
@@ -179,28 +169,3 @@ def test_column_of_one_trial_is_that_of_the_whole_estimate_where_joints_are_lock
             apart = np.arange(len(errors)) != k
             np.testing.assert_allclose(column.errors[row][apart], errors[apart], rtol=0.1)
             assert (column.errors[row] < 1.02 * errors).all()
-
-
-def test_fit_takes_the_floor_of_weights_that_the_estimate_carries() -> None:
-    estimate = LPM.estimate(synthetic_trials(dataclasses.replace(LOOP, torque_noise=0.3)))
-    assert estimate.weight_floor == 0.005
-    own = stacked(fit_mbk(estimate))
-    same = dataclasses.replace(estimate, weight_floor=None)
-    np.testing.assert_array_equal(own, stacked(fit_mbk(same, FitConfig(weight_floor=0.005))))
-    assert (own != stacked(fit_mbk(same))).all()
-
-
-def test_few_wide_bins_of_a_short_trial_hardly_bias_the_stiffness() -> None:
-    arm = TWO_JOINT_ARM
-    data = [
-        with_records(
-            [trial],
-            **{
-                name: getattr(trial.record, name)[:, :400]
-                for name in ("perturbation", "position", "torque")
-            },
-        )[0]
-        for trial in synthetic_trials()
-    ]
-    found = fit_mbk(LPM.estimate(data)).mbk.K
-    assert np.max(np.abs(found / arm.K - 1.0)) < 0.001

@@ -315,77 +315,6 @@ def test_when_stopped_in_a_trial_expect_its_bag_closed_and_readable(tmp_path: Pa
     assert_equal(records_of(read_bag(bag))[0], MADE_UP.records[0], 40)
 
 
-def test_when_stopped_while_settling_expect_no_trial_and_no_open_bag(tmp_path: Path) -> None:
-    desk = Desk(tmp_path)
-    desk.feed(MADE_UP.messages[: 4 * (SETTLE - 2)])
-    assert desk.recorder.samples == 0
-
-    desk.recorder.stop()
-
-    assert (desk.finished, desk.problems, desk.recorder.status) == ([], [], None)
-    (bag,) = desk.bags
-    with pytest.raises(BagError, match=bag.name):
-        read_bag(bag)
-
-
-def test_when_aborted_expect_the_reason_in_the_trial_and_in_the_bag(tmp_path: Path) -> None:
-    desk = Desk(tmp_path)
-    desk.feed(MADE_UP.messages[: 2 + 4 * (SETTLE + 40)])
-    perturb = decode_trial_status(MADE_UP.by_topic()[TRIAL][1])
-
-    desk.recorder.add_status(
-        replace(perturb, phase=Phase.ABORTED, valid=False, reason="a fault", tick=50)
-    )
-
-    (trial,) = desk.finished
-    (problem,) = trial.problems
-    assert (problem.code, problem.values) == (ProblemCode.TRIAL_ABORTED, {"reason": "a fault"})
-    (read,) = read_bag(desk.bags[0]).trials
-    assert read.problems == trial.problems
-    assert_equal(read.segments[0], MADE_UP.records[0], 40)
-
-
-@pytest.mark.parametrize("missing", [(JOINT_STATES,), STREAMS])
-def test_when_nothing_of_a_stream_came_expect_trials_that_say_so(
-    tmp_path: Path, missing: tuple[str, ...]
-) -> None:
-    desk = Desk(tmp_path)
-    desk.feed(message for message in MADE_UP.messages if message[0] not in missing)
-    desk.recorder.stop()
-    assert desk.problems == []
-    for trial in desk.finished:
-        assert trial.statistics.excluded == TICKS
-        assert {topic for topic, one in trial.statistics.streams.items() if one.lost} >= {*missing}
-        assert ProblemCode.SAMPLES_MISSING in [one.code for one in trial.problems]
-    assert [bag.name for bag in desk.bags] == list(BAG_NAMES)
-
-
-def test_progress_is_told_while_a_trial_is_recorded() -> None:
-    desk = Desk(None)
-    recorder = desk.recorder
-    assert (recorder.samples, recorder.rate, recorder.status) == (0, 0.0, None)
-    assert recorder.coherence() is None
-
-    desk.feed(MADE_UP.messages[: 2 + 4 * (SETTLE + 40) + 1])
-
-    assert recorder.samples == 40
-    assert recorder.rate > 0.0
-    assert recorder.coherence() is None  # too few samples for a spectrum
-
-
-def test_coherence_begins_anew_with_each_trial() -> None:
-    desk = Desk(None, names=ARM_NAMES)
-    told: list[tuple[float, float] | None] = []
-    for i in range(0, len(ARM_RECORDING.messages), 8000):
-        desk.feed(ARM_RECORDING.messages[i : i + 8000])
-        told.append(desk.recorder.coherence())
-    assert told[0] is None
-    assert told[5] is None
-    for coherence in (*told[2:4], *told[7:9]):
-        assert coherence is not None
-        assert min(coherence) > 0.9
-
-
 def test_when_a_trial_ends_depends_on_its_first_samples_and_the_trials_before() -> None:
     considered = 6000 - NOTICE_TICKS
     desk = Desk(None, ARM_NAMES, target_error=0.5, least_duration=6.0)
@@ -401,26 +330,6 @@ def test_when_a_trial_ends_depends_on_its_first_samples_and_the_trials_before() 
         column = LpmFull().column(cut(whole, considered, commands=True), past)
         assert (decision.largest, decision.element) == largest_error(column)
         past.append(replace(whole, command=whole.perturbation))
-
-
-def test_column_is_made_anew_at_most_once_a_second_but_as_soon_as_there_is_one(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    now = 100.0
-    monkeypatch.setattr("armimp_estimation.recorder.time.monotonic", lambda: now)
-    desk = Desk(None, ARM_NAMES)
-    messages = iter(ARM_RECORDING.messages)
-    assert desk.recorder.column() is None
-    desk.feed(next(messages) for _ in range(1000))
-    assert desk.recorder.column() is None
-    desk.feed(next(messages) for _ in range(19_000))
-    first = desk.recorder.column()
-    assert first is not None
-    desk.feed(next(messages) for _ in range(4000))
-    now += 0.9
-    assert desk.recorder.column() is first
-    now += 0.2
-    assert desk.recorder.column() not in (None, first)
 
 
 # --- running figures --------------------------------------------------------------------------
@@ -493,20 +402,6 @@ def test_figures_depend_on_the_samples_alone_however_they_arrived(
     assert_same(trial.column(), LpmFull().column(cut(record, SAMPLES)))
 
 
-def test_joint_order_comes_from_the_names() -> None:
-    assert Run(1).come(messages_of(1, ARM_NAMES[::-1])).coherence() == final(1)
-
-
-def test_nothing_is_told_before_two_segments_are_complete_on_all_streams() -> None:
-    run = Run(0)
-    two_segments = WELCH.segment + WELCH.step
-    for upto in (0, WELCH.segment, two_segments - 1):
-        assert run.come(TRIALS[0], upto).coherence() is None
-    run.come({topic: TRIALS[0][topic] for topic in STREAMS[:2]})
-    assert run.trial.coherence() is None
-    assert min(run.come(TRIALS[0], two_segments).coherence() or (0.0,)) > 0.9
-
-
 @pytest.mark.parametrize(
     "bad",
     [
@@ -547,13 +442,6 @@ def test_when_a_sample_is_missing_expect_no_column_but_the_coherence(
     trial = Run(0).come(messages)
     assert trial.coherence() is not None
     assert trial.column() is None
-
-
-def test_when_samples_are_too_few_expect_no_column() -> None:
-    run = Run(0)
-    for upto in (0, 10):
-        assert run.come(TRIALS[0], upto).column() is None
-    assert run.come(TRIALS[0], SAMPLES // 2).column(SAMPLES) is None
 
 
 def test_the_last_trial_accounts_for_motion_of_locked_joints_and_the_first_says_so() -> None:

@@ -129,10 +129,6 @@ def test_every_plot_and_table_is_described_for_those_who_do_not_see_it(page: Pag
     assert ("html", {"lang": "en"}) in page.elements
 
 
-def test_identifiers_are_unique(page: Page) -> None:
-    assert len(set(page.ids())) == len(page.ids())
-
-
 def test_ledger_counts_every_stream(page: Page) -> None:
     assert "joint angles joint_states 10000 10000 0 0 0" in page.words
     assert "torque commands effort_controller/commands 10000 10000 0 – –" in page.words

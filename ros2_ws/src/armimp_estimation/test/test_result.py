@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from armimp_common.cdr import decode_trial_status, encode_trial_status
 from armimp_common.errors import DataError
@@ -23,7 +21,6 @@ from armimp_estimation.bags import read_bag
 from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.metadata import RECORD_KEY, Metadata, Timing, latest_metadata
-from armimp_estimation.node import result_message
 from armimp_estimation.problems import Problem, ProblemCode, Severity, Verdict, problem
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.recorder import TrialRecorder
@@ -32,13 +29,11 @@ from armimp_estimation.result import Result, conclude
 from armimp_estimation.spectra import WelchConfig, bin_correlation, effective_averages
 from armimp_estimation.summary import (
     ImpedanceCurve,
-    ModelParameterSummary,
     read_frf,
     read_summary,
     write_frf,
     write_summary,
 )
-from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData, segments_for
 from support.streams import record
 from support.synthetic_bags import Message, recorded_arm
@@ -168,14 +163,6 @@ def test_live_trials_and_those_read_from_bags_give_equal_results_to_the_bit(
     assert bits(one) == bits(other) != []
 
 
-def test_a_trial_without_any_sample_is_named_and_its_result_has_a_reason() -> None:
-    nothing = Problem(code=ProblemCode.NOTHING_RECORDED, trial=2)
-    empty = replace(LIVE[1], segments=(), problems=(nothing,))
-    result = result_of([LIVE[0], empty])
-    assert result.summary.faults == [nothing]
-    assert str(nothing) in result_message(result).message
-
-
 @pytest.mark.parametrize("trials", [LIVE[:1], LIVE[1:], [], [LIVE[0], LIVE[0]]])
 def test_when_there_is_not_one_trial_for_each_joint_expect_a_result_without_estimates(
     trials: list[Trial],
@@ -215,65 +202,30 @@ def test_notes_and_problems_of_an_estimator_that_decides_nothing_leave_the_resul
     assert not again.verdict.impedance
 
 
-def test_without_a_truth_there_is_no_vaf() -> None:
-    metadata = {key: value for key, value in METADATA.items() if key != "seed"}
-    assert Metadata.of({}).truth is None
-    metadata["truth"] = "null"
-    summary = result_of(metadata=metadata).summary
-    assert summary.valid
-    assert summary.truth is None
-    assert [one.vaf for one in summary.estimators.values()] == [None, None]
-    assert summary.seed == RECORDING.records[0].seed
-
-
 HALF = '{"a": "\\ud800"}'
 """Half a surrogate pair."""
-
-
-def matrices(element: str) -> str:
-    """A truth with such an element in M."""
-    one = "[[1, 0], [0, 1]]"
-    return f'{{"M": [[{element}, 0], [0, 1]], "B": {one}, "K": {one}}}'
+ONE = "[[1, 0], [0, 1]]"
 
 
 @pytest.mark.parametrize(
     ("key", "text", "reason"),
     [
         ("config", "x", "config is not JSON: 'x'"),
-        *(
-            ("config", text, "config: Input should be a valid dictionary, got")
-            for text in ("[]", "5", "null")
-        ),
-        *(("config", text, "config is not JSON") for text in ('{"a": ' + "9" * 5000 + "}", HALF)),
-        *(("seed", text, "seed is not JSON") for text in ("x", "9" * 5000, "[" * 100_000)),
-        *(("truth", text, "truth is not JSON") for text in ("x", "{")),
-        *(
-            ("truth", text, "truth: not three matrices")
-            for text in (
-                *("{}", "5", "[1]", '{"M": [[1]], "B": 2, "K": 3}'),
-                '{"M": [[1, 2], [3]], "B": 1, "K": 2}',
-                matrices("9" * 400),
-            )
-        ),
-        ("truth", '{"M": "a", "B": 1, "K": 2}', "truth: .*'a'"),
-        ("truth", matrices("NaN"), "truth: .*M is not finite"),
-        ("truth", matrices("1e300"), "truth: an element of 1e.300"),
+        ("config", HALF, "config is not JSON"),
+        ("config", "null", "config: Input should be a valid dictionary, got"),
+        ("seed", "9" * 5000, "seed is not JSON"),
+        ("seed", "[" * 100_000, "seed is not JSON"),
+        ("truth", '{"M": [[1, 2], [3]], "B": 1, "K": 2}', "truth: not three matrices"),
+        ("truth", f'{{"M": [[NaN, 0], [0, 1]], "B": {ONE}, "K": {ONE}}}', ".*M is not finite"),
+        ("truth", f'{{"M": {ONE}, "B": [[1e300, 0], [0, 1]], "K": {ONE}}}', ".*element of 1e.300"),
         ("truth", '{"M": [[1]], "B": [[1]], "K": [[1]]}', "truth is of 1 joints, the data of 2"),
-        ("torque_delay", '"late"', "torque_delay: Input should be a valid number, got 'late'"),
         ("torque_delay", "true", "torque_delay: Input should be a valid number, got True"),
         ("torque_delay", "-2", "delay: Input should be greater than or equal to -1, got -2"),
-        ("torque_cutoff", "NaN", "cutoff: Input should be .*, got nan"),
-        ("torque_order", "9", "order: Input should be less than or equal to 4, got 9"),
         ("torque_order", "1.5", "torque_order: Input should be a valid integer, got 1.5"),
-        (
-            "torque_uncertainty",
-            "-1",
-            "torque_uncertainty: Input should be greater than .*got -1",
-        ),
-        *(
-            ("torque_timing", text, "torque_timing: Input should be 'unknown', 'before_update'")
-            for text in ('"later"', "7", "null", "[1]")
-        ),
+        ("torque_uncertainty", "-1", "torque_uncertainty: Input should be greater .*got -1"),
+        ("torque_timing", '"later"', "torque_timing: Input should be 'unknown', 'before_update'"),
+        (RECORD_KEY, "3", "timing: Input should be"),
+        (RECORD_KEY, '{"ticks": 3}', "timing.*late: Field required"),
     ],
 )
 def test_metadata_that_make_no_sense_are_refused_in_one_line(
@@ -282,12 +234,6 @@ def test_metadata_that_make_no_sense_are_refused_in_one_line(
     with pytest.raises(DataError, match=f"^metadata: {reason}") as caught:
         Metadata.of({key: text}, 2)
     assert "\n" not in str(caught.value)
-
-
-def test_nothing_is_known_of_torques_unless_the_metadata_say_so() -> None:
-    assert Metadata.of({}).reading == TorqueReading()
-    mean = Metadata.of({"torque_timing": '"interval_mean"'}).reading
-    assert mean == TorqueReading(timing=TorqueTiming.INTERVAL_MEAN)
 
 
 # --- gaps -------------------------------------------------------------------------------------
@@ -311,15 +257,6 @@ def test_trials_that_lost_samples_are_refused_or_estimated_from_their_intact_par
         assert np.min(estimator.vaf) > 99.0
     # Of records without gaps the result is the same.
     assert bits(result_of(allow_gaps=True)) == bits(complete())
-
-
-@pytest.mark.parametrize(("cause", "valid"), [(Cause.LIMIT, False), (Cause.SAMPLES_LOST, True)])
-def test_what_gaps_do_not_explain_is_refused_even_if_gaps_are_allowed(
-    cause: Cause, valid: bool
-) -> None:
-    result = result_of(recorded(GAP, cause=cause), allow_gaps=True)
-    assert result.summary.valid is valid
-    assert bool(result.curves) is valid
 
 
 def test_parts_that_are_too_short_are_refused() -> None:
@@ -434,21 +371,6 @@ def test_each_limit_that_is_exceeded_is_a_problem(
     assert summary.timing.model_dump_json() == told.model_dump_json()
 
 
-@pytest.mark.parametrize(
-    ("text", "complaint"),
-    [
-        ("{", " is not JSON"),
-        ("3", ": Input should be"),
-        (json.dumps({"ticks": 3}), "late: Field required"),
-        (timing().model_dump_json().replace('"late":3', '"late":3000'), "late must lie between 0"),
-    ],
-)
-def test_timing_that_makes_no_sense_is_refused_in_one_line(text: str, complaint: str) -> None:
-    with pytest.raises(DataError, match=f"metadata: timing.*{complaint}") as caught:
-        Metadata.of({RECORD_KEY: text})
-    assert "\n" not in str(caught.value)
-
-
 def test_of_several_bags_the_one_that_knows_most_of_the_run_tells_its_timing() -> None:
     empty = timing(TimingFigures(ticks=10, late=0, missed=0))
     assert json.loads(empty.model_dump_json())["latency_p99"] is None
@@ -519,19 +441,6 @@ def test_summary_has_the_keys_of_schema_1_and_comes_back_bit_by_bit(tmp_path: Pa
     assert back.model_dump_json() == summary.model_dump_json()
     assert back.truth is not None
     np.testing.assert_array_equal(back.truth.B, TWO_JOINT_ARM.B)
-
-
-@given(st.lists(st.floats(), min_size=1, max_size=5))
-def test_any_finite_number_comes_back_and_others_as_nan(values: list[float]) -> None:
-    text = ModelParameterSummary(values=values, errors=[], unit="").model_dump_json()
-    assert "NaN" not in text
-    assert "Infinity" not in text
-    back = ModelParameterSummary.model_validate_json(text)
-    for value, read in zip(values, back.values, strict=True):
-        if math.isfinite(value):
-            assert (read, math.copysign(1.0, read)) == (value, math.copysign(1.0, value))
-        else:
-            assert math.isnan(read)
 
 
 def test_files_hold_the_result_and_are_never_overwritten(tmp_path: Path) -> None:

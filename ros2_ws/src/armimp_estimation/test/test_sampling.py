@@ -28,11 +28,6 @@ def test_a_customary_rate_is_found_and_taken(rate: float) -> None:
     assert codes(stamps(rate)) == []
 
 
-def test_a_clock_that_is_off_by_a_hundredth_of_a_per_cent_gives_the_rate_of_the_contract() -> None:
-    assert sampling_period({"joint_states": stamps(1000.1)}) == 1_000_000.0
-    assert codes(stamps(1000.1)) == []
-
-
 @pytest.mark.parametrize("rate", [980.0, 1020.0, 900.0])
 def test_when_a_rate_is_not_customary_expect_a_problem_with_it(rate: float) -> None:
     assert not is_customary(rate)

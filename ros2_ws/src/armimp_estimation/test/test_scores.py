@@ -68,12 +68,6 @@ def test_vaf_is_100_for_the_truth_and_falls_with_the_square_of_a_relative_error(
     np.testing.assert_allclose(vaf, [[100.0, 99.0], [99.0, -300.0]], rtol=1e-12)
 
 
-def test_vaf_of_an_element_that_is_truly_zero_is_nan() -> None:
-    truth = MBK(M=np.diag([1.0, 1.0]), B=np.zeros((2, 2)), K=np.zeros((2, 2)))
-    vaf = scores.vaf(estimate_of(TWO_JOINT_ARM.impedance(F)), truth)
-    np.testing.assert_array_equal(np.isnan(vaf), [[False, True], [True, False]])
-
-
 def _realised(deviation: float, covariance: ComplexArray | None = None) -> ImpedanceEstimate:
     """Responses of a robot that shows its target, all of it too large by a share."""
     Z = TWO_JOINT_ARM.impedance(F)
@@ -160,10 +154,6 @@ def test_coherence_of_unrelated_signals_exceeds_the_significance_level_as_often_
     assert 0.035 < np.mean(above) < 0.065
 
 
-def test_with_one_average_no_coherence_is_significant() -> None:
-    assert scores.coherence_significance(1.0) == 1.0
-
-
 def test_lock_ratio_is_the_motion_that_the_perturbation_causes_and_not_that_of_a_dither() -> None:
     loop = SyntheticConfig(rate=125.0, samples=6144, torque_noise=0.01)
     ratios = []
@@ -207,23 +197,3 @@ def test_bias_bound_is_the_share_of_torque_that_locked_joints_make() -> None:
         [10.0 / 5.0 * 0.3 / 6.0, 6.0 / 2.0 * 0.1 / 10.0],
     ]
     np.testing.assert_allclose(scores.bias_bound(frf), expected)
-
-
-def test_mean_coherences_are_arranged_by_torque_and_perturbed_joint() -> None:
-    loop = SyntheticConfig(rate=125.0, samples=6144, torque_noise=1.0, position_noise=0.01)
-    trials = [
-        TrialData.of(synthetic_trial(TWO_JOINT_ARM, k, loop, 1), welch=WELCH) for k in range(2)
-    ]
-    found = scores.Coherences.of(trials, estimate_of(TWO_JOINT_ARM.impedance(F)))
-    torque, motion = scores.band_mean(found.torque), scores.band_mean(found.motion)
-    derived = scores.band_mean(found.derived)
-    true = TWO_JOINT_ARM.impedance(F)
-    for k, trial in enumerate(trials):
-        angle = trial.position_channel(k)
-        assert motion[k] == np.mean(scores.coherence(trial.spectra, 0, angle))
-        for i in range(2):
-            channel = trial.torque_channel(i)
-            assert torque[i, k] == np.mean(scores.coherence(trial.spectra, 0, channel))
-            expected = scores.derived_coherence(trial, i, F, true[i, k])
-            assert derived[i, k] == np.mean(expected)
-    assert len(set(torque.ravel())) == 4

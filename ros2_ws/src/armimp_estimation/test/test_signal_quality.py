@@ -9,9 +9,7 @@ from scipy.signal import butter, sosfilt
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.signal_quality import (
-    DROPPED,
     clipping,
-    counts_of,
     dropouts,
     judge_signals,
     lost_motion,
@@ -123,15 +121,6 @@ def test_a_slow_or_coarse_signal_doesn_t_drop_out(every: int, step: float) -> No
     assert dropouts(signal, motion(3, 1e-3)) == (0, 0.0)
 
 
-def test_torque_that_jumps_with_the_perturbation_and_rests_with_the_joint_doesn_t_drop_out() -> (
-    None
-):
-    angle = np.repeat(np.random.default_rng(1).normal(size=50), 1000)
-    angle = sosfilt(butter(1, 10.0, fs=RATE, output="sos"), angle)
-    torque = np.round(angle + np.gradient(np.repeat(np.sign(angle[::1000]), 1000)), 1)
-    assert dropouts(torque, angle)[1] < DROPPED
-
-
 @pytest.mark.parametrize(("inertia", "told"), [(0.0, 1), (0.1, 0)])
 def test_a_torque_that_is_only_the_command_of_a_drive_is_told_from_one_on_the_arm(
     inertia: float, told: int
@@ -142,11 +131,6 @@ def test_a_torque_that_is_only_the_command_of_a_drive_is_told_from_one_on_the_ar
     found = judge_signals(replace(record, command=command, torque=torque))
     codes = [one.code for one in found]
     assert codes.count(ProblemCode.TORQUE_IS_COMMAND) == told
-
-
-def test_counts_are_steps_of_the_resolution() -> None:
-    assert counts_of(np.array([0.0, 0.1, 0.3, 0.2])) == pytest.approx(3.0)
-    assert counts_of(np.ones(5)) == 0.0
 
 
 def trials_of(locked: np.ndarray) -> list[TrialRecord]:

@@ -63,10 +63,6 @@ def test_matrix_equals_that_of_scipy_up_to_the_nyquist_bin(segment: int, overlap
     assert_equals_scipy(signals(3, 500), config, RATE)
 
 
-def test_default_matrix_of_a_50_s_record_equals_that_of_scipy() -> None:
-    assert_equals_scipy(signals(5, 50_000), WelchConfig(), 1000.0)
-
-
 def test_default_band_is_from_the_first_bin_to_15_hz() -> None:
     f = WelchConfig().frequencies(1000.0)
     np.testing.assert_allclose(f, 1000.0 / 8192.0 * np.arange(1, 123), rtol=1e-15)
@@ -99,17 +95,6 @@ def test_blocks_of_any_size_give_bit_identical_matrices(
     assert accumulator.result().matrix.tobytes() == spectra_of(x, config).matrix.tobytes()
 
 
-def test_a_result_on_the_way_does_not_disturb_the_final_one() -> None:
-    x = signals(2, 300)
-    accumulator = SpectralAccumulator(2, RATE, SMALL)
-    accumulator.push(x[:, :170])
-    early = accumulator.result()
-    accumulator.push(x[:, 170:])
-    assert early.segments == 7
-    assert early.matrix.tobytes() == spectra_of(x[:, :170]).matrix.tobytes()
-    assert accumulator.result().matrix.tobytes() == spectra_of(x).matrix.tobytes()
-
-
 def test_when_the_record_is_shorter_than_a_segment_expect_both_lengths_in_the_error() -> None:
     accumulator = SpectralAccumulator(1, 1000.0)
     accumulator.push(np.zeros((1, 8191)))
@@ -129,12 +114,6 @@ def test_when_a_sample_is_not_finite_expect_an_error_and_nothing_appended() -> N
     assert accumulator.result().matrix.tobytes() == spectra_of(x).matrix.tobytes()
 
 
-def test_when_the_number_of_channels_is_wrong_expect_data_error() -> None:
-    accumulator = SpectralAccumulator(2, RATE, SMALL)
-    with pytest.raises(DataError, match=r"shape \(3, 10\), expected \(2, m\)"):
-        accumulator.push(np.zeros((3, 10)))
-
-
 def test_when_no_bin_is_in_the_band_expect_configuration_error() -> None:
     config = WelchConfig(segment=64, overlap=0, f_low=3.2, f_high=3.8)
     with pytest.raises(ConfigurationError, match=r"no frequency between 3.2 and 3.8 Hz"):
@@ -151,17 +130,6 @@ def test_21_overlapped_segments_are_worth_about_11_averages() -> None:
     by_hand = 21 / (1 + 2 * sum((1 - j / 21) * r for j, r in enumerate(rho, start=1)))
     assert effective_averages(config, 21) == pytest.approx(by_hand, rel=1e-12)
     assert effective_averages(config, 21) == pytest.approx(11.18, abs=0.01)
-
-
-def test_segments_without_overlap_are_all_independent() -> None:
-    config = WelchConfig(segment=64, overlap=0)
-    assert effective_averages(config, 7) == pytest.approx(7.0)
-    assert effective_averages(config, 0) == 0.0
-
-
-def test_bin_correlation_of_one_segment_is_that_of_the_hann_window() -> None:
-    expected = [1.0, 4.0 / 9.0, 1.0 / 36.0, 0.0]
-    np.testing.assert_allclose(bin_correlation(WelchConfig(), 1), expected, atol=1e-12)
 
 
 def test_averages_scatter_and_correlate_as_white_noise_shows() -> None:

@@ -102,22 +102,6 @@ def test_samples_that_come_late_do_not_change_what_is_considered() -> None:
     assert decision.samples == LEAST
 
 
-def test_the_bound_itself_is_not_below_the_bound() -> None:
-    assert [one.enough for one in decisions(rule(), LEAST, 0.02)] == [False, False]
-    assert [one.enough for one in decisions(rule(), LEAST, 0.0199)] == [False, True]
-
-
-def test_when_nothing_is_known_expect_not_enough() -> None:
-    one = rule()
-    one.decide(0, lambda _: None)
-
-    decision = one.decide(LEAST, lambda _: None)
-
-    assert decision is not None
-    assert not decision.enough
-    assert np.isnan(decision.largest)
-
-
 @pytest.mark.parametrize("planned", [1000, 20_000])
 def test_a_trial_no_longer_than_the_least_is_announced_and_left_alone(planned: int) -> None:
     (only,) = decisions(rule(planned), planned, 0.0)

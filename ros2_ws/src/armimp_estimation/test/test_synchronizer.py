@@ -2,7 +2,6 @@
 
 import pytest
 
-from armimp_common.cdr import JointStateEncoder
 from armimp_common.topics import COMMANDS, DATA_STREAMS, JOINT_STATES, PERTURBATION
 from armimp_estimation.alignment.synchronizer import FETCHED
 from support.streams import fed_synchronizer
@@ -51,21 +50,6 @@ def test_samples_are_taken_whole_and_the_rest_later() -> None:
     assert post.synchronizer.samples == 4
 
 
-def test_what_is_incomplete_can_be_taken_and_is_made_up_for() -> None:
-    post = filled(others=3, joint_states=5)
-
-    taken = post.synchronizer.take(incomplete=True)
-    for topic in DATA_STREAMS:
-        for number in range(len(taken[topic]), 6):
-            post.deliver[topic](str(number).encode())
-    rest = post.synchronizer.take()
-
-    assert numbers(taken[JOINT_STATES]) == [0, 1, 2, 3, 4]
-    assert numbers(taken[COMMANDS]) == [0, 1, 2]
-    assert numbers(rest[JOINT_STATES]) == [5]
-    assert numbers(rest[COMMANDS]) == [3, 4, 5]
-
-
 def test_nothing_waits_for_a_stream_that_fell_silent() -> None:
     post = filled(others=200, joint_states=30)
 
@@ -92,26 +76,6 @@ def test_nothing_waits_for_perturbations_that_stay_away() -> None:
     post = filled(others=10_000, **{PERTURBATION: 0})
 
     assert len(post.synchronizer.take()[JOINT_STATES]) == 8000
-
-
-def test_newest_stamp_is_that_of_the_last_perturbation_that_waits() -> None:
-    synchronizer = Post().synchronizer
-    encode = JointStateEncoder(("a",), "effort").encode
-    assert synchronizer.newest_ns is None
-    for stamp_ns in (5, 7):
-        synchronizer.receive(encode(stamp_ns, [0.0]))
-    assert synchronizer.newest_ns == 7
-    synchronizer.receive(b"no message")
-    assert synchronizer.newest_ns is None
-
-
-def test_samples_are_told_by_tens() -> None:
-    post = Post()
-    for _ in range(25):
-        post.deliver_all(b"in turn")
-
-    assert post.told == [10, 20]
-    assert post.times_behind == 0
 
 
 @pytest.mark.parametrize("last", FETCHED)
@@ -168,15 +132,3 @@ def test_once_opened_it_begins_anew(topic: str) -> None:
 
     assert post.synchronizer.take(incomplete=True) == {topic: [] for topic in DATA_STREAMS}
     assert post.synchronizer.samples == 0
-
-
-def test_what_came_while_it_was_closed_is_not_taken_once_it_is_open() -> None:
-    post = Post()
-    post.synchronizer.close()
-    for _ in range(9):
-        post.deliver_all(b"too early")
-
-    post.synchronizer.open()
-    post.deliver_all(b"1")
-
-    assert post.synchronizer.take() == {topic: [b"1"] for topic in DATA_STREAMS}

@@ -76,28 +76,6 @@ def test_the_skew_is_what_is_folded_back_at_low_frequency(reading: TorqueReading
     assert reading.skew(RATE) == pytest.approx(edge[0].real, abs=1e-7)
 
 
-def test_the_skew_of_other_readings() -> None:
-    assert TorqueReading().skew(RATE) == 0.5
-    assert TorqueReading(delay=0.003).skew(RATE) == pytest.approx(0.5)
-    assert TorqueReading(delay=0.0005).skew(RATE) == pytest.approx(0.0)
-    assert TorqueReading(timing=TorqueTiming.INTERVAL_MEAN, delay=0.002).skew(RATE) == 0.5
-    assert TorqueReading(timing=TorqueTiming.SIMULTANEOUS).skew(RATE) == 0.0
-
-
-def test_the_response_is_that_of_filter_and_delay() -> None:
-    reading = TorqueReading(cutoff=100.0, delay=0.002, actuator_lag=0.01)
-    expected = np.exp(-2j * np.pi * F * 0.002) / (1.0 + 1j * F / 100.0)
-    np.testing.assert_allclose(reading.response(F), expected, rtol=1e-12)
-
-
-def test_a_drive_as_slow_as_the_filter_makes_no_trouble() -> None:
-    """Partial fractions know no double poles."""
-    double = TorqueReading(cutoff=1.0 / (2.0 * np.pi * 0.001), actuator_lag=0.001)
-    edge, bend = double.folded(F, RATE)
-    np.testing.assert_allclose(edge, images(double, 1), atol=1e-5)
-    np.testing.assert_allclose(bend, images(double, 2), atol=1e-5)
-
-
 @late
 def test_without_the_poles_of_the_filter_a_step_is_there_after_as_many_readings(
     reading: TorqueReading,
