@@ -69,13 +69,6 @@ def test_both_show_every_data_stream_of_every_joint() -> None:
         assert len({path for path in foxglove_paths() if path.startswith(f"/{topic}.")}) == 2
 
 
-def test_every_panel_of_foxglove_has_its_place() -> None:
-    def panels(node: Any) -> list[str]:
-        return [node] if isinstance(node, str) else panels(node["first"]) + panels(node["second"])
-
-    assert sorted(panels(foxglove()["layout"])) == sorted(foxglove()["configById"])
-
-
 def test_recorded_bags_hold_the_topics_that_are_shown_under_these_names(
     composed: FinishedRun,
 ) -> None:

@@ -11,7 +11,6 @@ from typing import Literal
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from pydantic import JsonValue
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import simulate
@@ -92,27 +91,6 @@ def _shown(
         + law.target_stiffness[joint]
     )
     return complex(net / theta), complex(target)
-
-
-@pytest.mark.slow
-def test_score_of_the_realisation_is_what_sines_show_of_the_robot() -> None:
-    pd: dict[str, JsonValue] = {"law": {"kind": "pd"}}
-    configs = [
-        ExperimentConfig(friction=0, resolution=0, duration=6.0, imbic_controller=law)
-        for law in ({}, pd)
-    ]
-    ours, without_target = (one.identify(["lpm_full"]) for one in simulate(configs))
-    frequencies = (1.0, 3.0, 5.0, 7.0, 9.0, 11.0, 13.0, 15.0)
-    for joint, trial in enumerate(ours.trials):
-        shown = np.array(
-            [_shown(study_plant(0, substeps=50), "observer", f, joint) for f in frequencies]
-        )
-        deviation = np.linalg.norm(shown[:, 0] - shown[:, 1]) / np.linalg.norm(shown[:, 1])
-        assert 0.03 < deviation < 0.1
-        assert trial.realisation == pytest.approx(deviation, rel=0.1)
-        lower, upper = trial.realisation_ci
-        assert lower <= trial.realisation <= upper
-    assert all(np.isnan(one.realisation) for one in without_target.trials)
 
 
 @pytest.mark.parametrize("internal_model", ["tde", "observer"])

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armimp_bringup.cli import main
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import SimulatedExperiment, run_offline, simulate
 from armimp_bringup.parameters import NodeParameters, node_parameters
@@ -182,23 +181,6 @@ def test_the_estimator_knows_what_is_simulated_unless_it_is_told_otherwise() -> 
     assert known(torque_delay=0.0) == everything.model_copy(update={"delay": 0.0})
     blind = {"torque": {"delay": 0.0, "cutoff": 0.0, "actuator_lag": 0.0}}
     assert known(impedance_estimator=blind) == prompt
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["estimate", "nowhere", "--torque-delay", "0.5"], "parameter 'torque_delay' = 0.5"),
-        (["estimate", "nowhere", "--torque-delay", "nan"], "parameter 'torque_delay' = nan"),
-        (["run", "--torque-delay", "-0.001"], "torque_delay"),
-    ],
-)
-def test_a_delay_that_no_rig_has_ends_in_one_line(
-    arguments: list[str], words: str, capfd: pytest.CaptureFixture[str]
-) -> None:
-    assert main(arguments) == 2
-    said = capfd.readouterr().err
-    assert words in said
-    assert said.count("\n") == 1
 
 
 def test_of_the_realistic_rig_the_nodes_are_told_what_its_builder_knows() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from armimp_bringup import graph as domain
 from armimp_bringup.graph import DomainClaim
-from armimp_common.errors import ConfigurationError, GraphError
+from armimp_common.errors import GraphError
 
 
 def test_when_two_claim_domains_expect_different_ones() -> None:
@@ -53,9 +53,3 @@ def test_when_one_user_holds_every_domain_expect_no_other_kept_out(
 def _taken(claim: DomainClaim, domain_id: int) -> bool:
     claim.domain_id = domain_id
     return False
-
-
-@pytest.mark.parametrize("domain_id", [-1, 101])
-def test_when_domain_is_out_of_range_expect_configuration_error(domain_id: int) -> None:
-    with pytest.raises(ConfigurationError, match=str(domain_id)):
-        DomainClaim(domain_id)

@@ -8,16 +8,9 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from rclpy.node import Node
 
-from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.graph import LOOPBACK, OPEN, DomainClaim, GraphContext
-from armimp_bringup.nodes import ComposedNodes
-from armimp_bringup.parameters import node_parameters
 from armimp_common.errors import GraphError
-from armimp_common.executor import Spinner
-from armimp_common.process import endpoints
-from armimp_common.schema import to_params_yaml
 
 VARIABLES = (
     "ROS_AUTOMATIC_DISCOVERY_RANGE",
@@ -182,22 +175,3 @@ def test_when_security_is_enforced_without_a_keystore_expect_one_line_and_no_gra
 
     assert "\n" not in str(error.value)
     assert dict(os.environ) == before
-
-
-def test_when_a_graph_is_closed_expect_no_socket_of_it_left(tmp_path: Path) -> None:
-    parameters = tmp_path / "parameters.yaml"
-    values = node_parameters(ExperimentConfig(), tmp_path).by_node()
-    parameters.write_text(to_params_yaml(values), encoding="utf-8")
-    before = endpoints()
-
-    with GraphContext() as graph:
-        watcher = Node("watcher", context=graph.context)
-        with Spinner([watcher], context=graph.context) as spinner:
-            nodes = ComposedNodes(graph.context, spinner, parameters)
-            during = endpoints()
-            nodes.close()
-            spinner.remove_node(watcher)
-            watcher.destroy_node()
-
-    assert during > before
-    assert endpoints() == before

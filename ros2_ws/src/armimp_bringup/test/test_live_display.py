@@ -2,7 +2,6 @@
 
 import io
 from dataclasses import replace
-from typing import Any
 
 import pytest
 from rich.console import Console
@@ -38,20 +37,6 @@ def test_column_is_told_with_two_digits_of_each_standard_error() -> None:
         "K12 3.108 ± 0.033   K22 6.9 ± 1.5 N·m/rad",
         "standard errors up to 1.1 %",
     ]
-
-
-def test_without_a_column_there_is_nothing_to_tell() -> None:
-    unknown: dict[str, Any] = dict.fromkeys(("M", "M_se", "B", "B_se", "K", "K_se"), ())
-    assert describe_column(replace(SNAPSHOT, **unknown, largest_error=None)) == []
-
-
-@pytest.mark.parametrize("error", [0.0, float("nan"), float("inf"), 1e-30, 15.0, 1e30])
-@pytest.mark.parametrize("preliminary", [True, False])
-def test_any_error_can_be_shown(error: float, preliminary: bool) -> None:
-    column: dict[str, Any] = dict.fromkeys("MBK", (1.0,))
-    column |= {f"{letter}_se": (error,) for letter in "MBK"}
-    shown = replace(SNAPSHOT, **column, largest_error=error, preliminary=preliminary)
-    assert len(describe_column(shown)) == 4
 
 
 def test_without_the_columns_of_other_joints_no_standard_error_is_stated() -> None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
-import time
 from pathlib import Path
 from typing import Any
 
@@ -70,32 +68,6 @@ def test_wall_times_and_origin_become_part_of_the_summary_and_change_nothing_els
     assert after.origin is not None
     assert after.model_copy(update={"wall": None, "origin": None}) == before
     assert "until the first sample" in capsys.readouterr().out
-
-
-def test_what_is_at_hand_is_drawn_without_being_read_again(
-    directory: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    drawn: list[Result] = []
-    monkeypatch.setattr(presentation, "_draw", lambda _, result: drawn.append(result))
-    result = load_result(directory)
-    shutil.rmtree(directory / "bags")
-    present(result, directory, as_json=True)
-    assert drawn[0].trials == result.trials != ()
-
-
-def test_rests_between_trials_are_part_of_them_and_the_last_rest_is_not(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    now = 100.0
-    monkeypatch.setattr(time, "monotonic", lambda: now)
-    stopwatch = Stopwatch()
-    phases = (Phase.SETTLE, Phase.PERTURB, Phase.REST)
-    for phase in (*phases, *phases, Phase.DONE):
-        stopwatch.note(phase)
-        now += 1.0
-    wall = stopwatch.stop()
-    assert wall.trials == pytest.approx(4.0)
-    assert wall.after == pytest.approx(2.0)
 
 
 def test_trials_last_from_the_first_sample_to_the_last_one_that_is_perturbed() -> None:

@@ -20,11 +20,6 @@ def test_in_real_time_both_nodes_are_told_and_each_gets_a_process() -> None:
         assert (node.mode, node.realtime.priority, node.realtime.cpu) == ("realtime", 20, -1)
 
 
-def test_one_process_for_all_can_be_had_in_real_time_too() -> None:
-    assert load_config(None, {"mode": "realtime", "processes": "composed"}).processes == "composed"
-    assert ExperimentConfig().processes == "composed"
-
-
 @pytest.mark.parametrize(
     ("known", "gamma"),
     [({}, 100.0), ({"command_delay": 1}, 60.0), ({"arm_frequency": [6.5, 10.7]}, 100.0)],

@@ -15,7 +15,7 @@ from rich.console import Console
 from armimp_bringup.cli import main
 from armimp_bringup.study import read_study
 from armimp_bringup.study.scores import StudyVerdict
-from armimp_bringup.terminal import Display, describe, display, duration
+from armimp_bringup.terminal import Display, describe, display
 from support.graph import PATIENCE
 
 SHORT = ("--duration", "4", "--no-figures", "--only", "friction=0,resolution=0,perturbation=3")
@@ -116,20 +116,6 @@ def test_wrong_usage_exits_with_2_and_one_line_and_leaves_nothing_behind(
     assert line.startswith("armimp: ")
     assert complaint in line
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize(
-    ("seconds", "words"),
-    [
-        (0.0, "1 s"),
-        (59.4, "59 s"),
-        (60.0, "1 min 0 s"),
-        (3599.0, "59 min 59 s"),
-        (7500, "2 h 5 min"),
-    ],
-)
-def test_durations_are_told_as_people_say_them(seconds: float, words: str) -> None:
-    assert duration(seconds) == words
 
 
 def test_time_left_follows_from_what_was_done_since_the_start() -> None:

@@ -6,9 +6,9 @@ import json
 import pickle
 import sys
 import threading
-from collections.abc import Generator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +29,6 @@ from armimp_bringup.study.engine import (
 from armimp_bringup.study.study import run_study
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_sim.dynamics import WIDTH
-from armimp_sim.plant import IntegrationError
 from support.graph import PATIENCE
 
 BASE = ExperimentConfig(duration=4.0, estimators=("welch_siso", "lpm_full"))
@@ -90,19 +89,6 @@ def test_other_software_and_unknown_estimators_are_refused() -> None:
         _run(CONDITIONS[:1], BASE.model_copy(update={"estimators": ("guess",)}))
 
 
-def test_simulation_that_breaks_down_is_told_with_its_conditions(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def broken(configs: Sequence[object]) -> None:
-        raise IntegrationError("plant: the state is not finite any more")
-
-    monkeypatch.setattr(engine, "simulate", broken)
-    with pytest.raises(DataError, match=f"{CONDITIONS[0]} to {CONDITIONS[-1]}: plant: the state"):
-        _run(CONDITIONS)
-    with pytest.raises(DataError, match=f"^{CONDITIONS[0]}: plant: the state"):
-        _run(CONDITIONS[:1])
-
-
 @given(st.integers(0, 500), st.integers(1, 9))
 def test_batches_keep_order_and_workers_busy(total: int, workers: int) -> None:
     conditions = [Condition(friction=0, resolution=0, perturbation=1, seed=s) for s in range(total)]
@@ -154,22 +140,6 @@ def test_error_in_a_batch_is_raised_and_the_others_are_not_begun() -> None:
     _await_threads()
     # One more may have begun before the error was heard of.
     assert begun in ([0, 1], [0, 1, 2])
-
-
-def test_nothing_more_is_begun_once_nobody_wants_the_results() -> None:
-    begun, over = [], threading.Event()
-
-    def work(batch: Batch) -> list[ConditionResult]:
-        begun.append(_seed(batch))
-        assert _seed(batch) == 0 or over.wait(PATIENCE)
-        return []
-
-    running = Threads(1, work).run(_batches(50))
-    next(running)
-    cast("Generator[object, None, None]", running).close()
-    over.set()
-    _await_threads()
-    assert begun in ([0], [0, 1])
 
 
 def test_wrong_backends_are_told_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-import json
 import re
 import struct
 from collections.abc import Sequence
@@ -24,7 +23,6 @@ from armimp_bringup.study.scores import (
     Table,
     judge,
     results_table,
-    statistics,
 )
 from armimp_bringup.study.study import run_study
 from armimp_common.errors import ConfigurationError
@@ -83,17 +81,6 @@ def test_study_leaves_all_its_files_and_no_others(study: Path) -> None:
     }
 
 
-def test_study_file_is_a_list_of_results_with_their_levels(study: Path) -> None:
-    content = json.loads((study / "study.json").read_text())
-    assert [
-        (one["friction"], one["resolution"], one["perturbation"], one["seed"]) for one in content
-    ] == [(c.friction, c.resolution, c.perturbation, c.seed) for c in CONDITIONS]
-    for one, condition in zip(content, CONDITIONS, strict=True):
-        assert one == json.loads((study / "conditions" / f"{condition.name}.json").read_text())
-        assert one["schema"] == 1
-        assert set(one["estimators"]) == set(BASE.estimators)
-
-
 def test_number_of_workers_makes_no_difference(
     made: tuple[Path, StudyVerdict], tmp_path: Path
 ) -> None:
@@ -134,15 +121,6 @@ def test_report_is_written_without_figures_and_says_how_far_each_missed_target_i
     assert f"{len(missed)} of 10 targets missed" in words
     for one in missed:
         assert str(one) in words
-
-
-def test_statistics_by_level_count_every_condition_once(table: Table) -> None:
-    values = FIT_SCORES[0].subjects(table[:, 1])["Z", "11"]
-    levels, mean, low, high = statistics(table[:, 1], "friction", values)
-    assert levels == [0, 3]
-    of_3 = values[table["friction"][:, 1, 0, 0] == 3]
-    assert mean[1] == pytest.approx(np.mean(of_3))
-    assert (low[1], high[1]) == (of_3.min(), of_3.max())
 
 
 # --- figures -----------------------------------------------------------------------------------

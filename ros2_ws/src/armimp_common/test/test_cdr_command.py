@@ -32,17 +32,6 @@ def test_encoded_bytes_are_those_of_rclpy_with_zero_padding(n: int) -> None:
     assert data == bytes(serialised)
 
 
-@pytest.mark.parametrize("n", range(1, 8))
-@pytest.mark.parametrize("labels", [(), ("a",), ("ab", "abcd"), ("", "abc", "x")])
-def test_when_rclpy_serialised_with_any_layout_expect_the_numbers(
-    n: int, labels: tuple[str, ...]
-) -> None:
-    decoder = CommandDecoder(n)
-    for shift in range(3):
-        values = [0.5 * k + shift for k in range(n)]
-        assert decoder.decode(serialize_message(labelled(values, *labels))) == tuple(values)
-
-
 def test_the_number_comes_with_the_values_whatever_the_layout() -> None:
     decoder = CommandDecoder(2)
     big = struct.pack(">4sIII4x2d", b"\0\0\0\0", 0, 9, 2, 1.5, -2.5)

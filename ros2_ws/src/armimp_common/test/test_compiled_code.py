@@ -12,7 +12,7 @@ import numba
 import pytest
 
 from armimp_common import compiled as compiling
-from armimp_common.compiled import compiled, compiled_entry, source_digest
+from armimp_common.compiled import compiled, compiled_entry
 
 CALLEE = """
 from armimp_common.compiled import compiled
@@ -103,20 +103,6 @@ def _plain_inverse(x: float) -> float:
 def test_division_by_zero_gives_infinity_as_in_numpy() -> None:
     assert _plain_inverse(0.0) == float("inf")
     assert _limited_inverse(0.0) == 2.5
-
-
-def test_digest_depends_on_imported_constants(monkeypatch: pytest.MonkeyPatch) -> None:
-    before, plain = source_digest(_limited_inverse), source_digest(_plain_inverse)
-    monkeypatch.setitem(globals(), "LIMIT", 3.5)
-    assert source_digest(_limited_inverse) != before
-    assert source_digest(_plain_inverse) == plain
-
-
-def test_cache_folder_of_other_users_of_numba_is_left_alone() -> None:
-    config = cast(Any, numba.config)
-    before = config.CACHE_DIR
-    compiled_entry(lambda x: x)
-    assert before == config.CACHE_DIR
 
 
 def test_without_any_folder_to_write_to_functions_are_compiled_all_the_same(

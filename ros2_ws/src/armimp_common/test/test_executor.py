@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -74,17 +73,6 @@ def test_spin_ends_when_told_to(node: Node) -> None:
     assert not late()
 
 
-def test_spin_ends_when_the_context_is_shut_down(node: Node, context: Context) -> None:
-    late = deadline()
-    timer = threading.Timer(0.1, context.try_shutdown)
-    timer.start()
-
-    spin(node, late, period=0.05)
-    timer.join()
-
-    assert not late()
-
-
 @pytest.mark.parametrize(
     "arrange", [break_in_timer, break_in_subscription, break_in_service], ids=lambda f: f.__name__
 )
@@ -112,15 +100,6 @@ def test_spin_until_returns_as_soon_as_the_future_is_done(node: Node) -> None:
         node.create_timer(0.02, lambda: None if fresh.done() else fresh.set_result(1))
         assert spinner.spin_until(fresh, PATIENCE)
         assert time.monotonic() - start < PATIENCE
-
-
-def test_idle_spinning_costs_next_to_nothing(node: Node) -> None:
-    # rclpy's own events executor takes a whole core when spun without a timeout.
-    with Spinner([node]) as spinner:
-        before = time.thread_time()
-        spinner.spin(deadline(1.0))
-
-    assert time.thread_time() - before < 0.3
 
 
 def test_when_rclpy_has_no_events_executor_expect_the_single_threaded_one(
@@ -167,19 +146,6 @@ class Counting(Node):
 
 
 @pytest.mark.usefixtures("domain_id")
-def test_run_node_ends_with_success_when_the_node_has_finished() -> None:
-    nodes: list[Counting] = []
-
-    def factory(*, context: Context) -> Counting:
-        nodes.append(Counting(context=context))
-        return nodes[0]
-
-    assert run_node(factory, ["counting"], until=lambda node: node.ticks >= 3) == 0
-    assert nodes[0].ticks >= 3
-    assert not nodes[0].context.ok()
-
-
-@pytest.mark.usefixtures("domain_id")
 @pytest.mark.parametrize(("error", "status"), [(ConfigurationError, 2), (GraphError, 1)])
 def test_when_the_node_cannot_be_made_expect_one_line_and_its_status(
     error: type[ArmimpError], status: int, capfd: pytest.CaptureFixture[str]
@@ -189,22 +155,6 @@ def test_when_the_node_cannot_be_made_expect_one_line_and_its_status(
 
     assert run_node(factory, ["/some/where/program"]) == status
     assert capfd.readouterr().err == "program: bad value 3 True\n"
-
-
-@pytest.mark.usefixtures("domain_id")
-def test_when_a_callback_raises_an_armimp_error_expect_its_status(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
-    def fail() -> None:
-        raise GraphError("peer is gone")
-
-    def factory(*, context: Context) -> Node:
-        node = Node("failing", context=context)
-        node.create_timer(0.01, fail)
-        return node
-
-    assert run_node(factory, ["program"]) == 1
-    assert capfd.readouterr().err.endswith("program: peer is gone\n")
 
 
 @pytest.mark.usefixtures("domain_id")

@@ -9,16 +9,12 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from rclpy.context import Context
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
-from std_msgs.msg import String
 
-from armimp_common import qos, topics
+from armimp_common import qos
 from armimp_common.executor import Spinner
 from armimp_common.heartbeat import Heartbeat, HeartbeatMonitor, Presence
-from armimp_common.pubsub import wait_until_matched
-from support.graph import CLOCK_STEPS, PATIENCE, a_moment, eventually, set_clock
+from support.graph import eventually
 
 OTHER = """
 import ctypes, sys
@@ -115,27 +111,6 @@ def test_a_process_that_is_looked_up_in_vain_is_dead_though_its_lease_has_not_ru
     assert Presence.ALIVE.after(1, 1, lives) is after
 
 
-@pytest.mark.parametrize("clock_step", [None, *CLOCK_STEPS])
-def test_when_a_process_is_killed_expect_its_death_to_be_heard_before_its_lease_runs_out(
-    node: Node,
-    watch: HeartbeatMonitor,
-    spinner: Spinner,
-    changes: list[Presence],
-    clock_step: float | None,
-) -> None:
-    assert watch.sentence == "other has never been heard of"
-    with other_process() as process:
-        eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
-        if clock_step is not None:
-            set_clock(node, clock_step)
-        process.kill()
-        eventually(spinner, lambda: len(changes) == 2, "silence")
-
-    assert changes[1] is Presence.GONE
-    assert watch.sentence == "other is dead"
-    assert watch.ghost
-
-
 def test_when_a_process_is_stopped_for_a_moment_expect_it_stalled_and_alive_again(
     watch: HeartbeatMonitor, spinner: Spinner, changes: list[Presence]
 ) -> None:
@@ -147,31 +122,6 @@ def test_when_a_process_is_stopped_for_a_moment_expect_it_stalled_and_alive_agai
         eventually(spinner, lambda: changes[-1] is Presence.ALIVE, "a sign of life")
 
     assert watch.presence is Presence.ALIVE
-
-
-def test_when_a_process_ends_in_order_expect_that_it_left(
-    watch: HeartbeatMonitor, spinner: Spinner, changes: list[Presence]
-) -> None:
-    with other_process() as process:
-        eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
-        process.send_signal(signal.SIGINT)
-        eventually(spinner, lambda: len(changes) == 2, "the end")
-
-    assert changes[1] is Presence.LEFT
-    assert watch.sentence == "other has left"
-
-
-@pytest.mark.slow
-@pytest.mark.alone
-def test_when_a_process_is_busy_without_end_expect_it_to_stay_alive(
-    node: Node, spinner: Spinner, changes: list[Presence]
-) -> None:
-    watch = HeartbeatMonitor(node, "other", lambda watch: changes.append(watch.presence))
-    with other_process("busy"):
-        eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
-        before = list(changes)
-        a_moment(spinner, 2.0)
-        assert changes == before
 
 
 def test_when_the_lease_of_a_node_of_the_same_process_runs_out_expect_it_to_stay_alive(
@@ -186,15 +136,3 @@ def test_when_the_lease_of_a_node_of_the_same_process_runs_out_expect_it_to_stay
 
     node.destroy_publisher(sign.publisher)
     eventually(spinner, lambda: watch.presence is Presence.LEFT, "the end")
-
-
-def test_ordinary_subscriptions_hear_a_sign_of_life_too(context: Context, node: Node) -> None:
-    # Like `ros2 topic info` or a recorder of all topics, which ask for no lease.
-    sign = Heartbeat(node, "other")
-    plain = node.create_subscription(
-        String, topics.alive("other"), lambda _: None, QoSProfile(depth=1)
-    )
-
-    assert not wait_until_matched(
-        node, publishers=[sign.publisher], subscriptions=[plain], timeout_s=PATIENCE
-    )

@@ -1,7 +1,5 @@
 """Lifecycle manager: nodes of this process and of others, refusals, failures, silence."""
 
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 
@@ -80,21 +78,6 @@ def test_a_transition_that_there_is_not_is_refused_and_the_node_lives(
     assert manager.state("managed") == "inactive"
 
 
-@pytest.mark.parametrize("before", [(), ("configure",), ("configure", "activate")])
-def test_shutdown_works_from_every_state(
-    manager: LifecycleManager, before: tuple[str, ...]
-) -> None:
-    for transition in before:
-        manager.change("managed", transition)  # type: ignore[arg-type]
-
-    manager.change("managed", "shutdown")
-
-    assert manager.state("managed") == "finalized"
-    assert manager.available("managed") == ()
-    with pytest.raises(GraphError, match=r"managed cannot shutdown: it is finalized, which allows"):
-        manager.change("managed", "shutdown")
-
-
 def test_when_state_lacks_the_transition_expect_graph_error_and_node_alive(
     manager: LifecycleManager,
 ) -> None:
@@ -125,52 +108,6 @@ def test_when_transition_fails_expect_graph_error_and_the_reason_kept(
     managed.fault = None
     manager.change("managed", "configure")
     assert managed.transition_error == ""
-
-
-def test_when_node_is_absent_expect_graph_error_in_time(
-    node: Node, spinner: Spinner, manager: LifecycleManager
-) -> None:
-    manager.wait_for_nodes()
-    manager = LifecycleManager(
-        node, ["managed", "absent"], spin_until=spinner.spin_until, timeout=0.3
-    )
-
-    with pytest.raises(GraphError, match=r"^node did not appear: absent$"):
-        manager.wait_for_nodes()
-    with pytest.raises(GraphError, match=r"node absent is not there to configure"):
-        manager.change("absent", "configure")
-    with pytest.raises(GraphError, match=r"node stranger is not managed; managed: managed, absent"):
-        manager.change("stranger", "configure")
-
-
-def test_node_of_another_process_is_managed_and_its_death_noticed(node: Node) -> None:
-    script = """
-from rclpy.lifecycle import LifecycleNode
-from armimp_common.executor import run_node
-
-raise SystemExit(run_node(lambda *, context: LifecycleNode("remote", context=context)))
-"""
-    process = subprocess.Popen([sys.executable, "-c", script])
-    try:
-        with Spinner([node]) as spinner:
-            manager = LifecycleManager(
-                node, ["remote"], spin_until=spinner.spin_until, timeout=PATIENCE
-            )
-            manager.wait_for_nodes()
-            manager.change("remote", "configure")
-            manager.change("remote", "activate")
-            assert manager.state("remote") == "active"
-
-            process.kill()
-            process.wait()
-            impatient = LifecycleManager(
-                node, ["remote"], spin_until=spinner.spin_until, timeout=0.5
-            )
-            with pytest.raises(GraphError, match="remote"):
-                impatient.change("remote", "deactivate")
-    finally:
-        process.kill()
-        process.wait()
 
 
 def test_when_waiting_is_vain_expect_its_reason_at_once(node: Node, managed: Managed) -> None:

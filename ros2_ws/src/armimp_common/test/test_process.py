@@ -12,7 +12,6 @@ import pytest
 
 from armimp_common.process import (
     Life,
-    ParentWatchdog,
     endpoints,
     follow_parent,
     identity,
@@ -67,15 +66,6 @@ def test_age_is_the_time_since_the_process_was_started() -> None:
     assert second - first >= 0.5
 
 
-LISTENER = """
-import socket, sys
-made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-made.bind(("127.0.0.1", 0))
-print(made.getsockname()[1], flush=True)
-sys.stdin.read()
-"""
-
-
 @pytest.mark.parametrize("kind", [socket.SOCK_DGRAM, socket.SOCK_STREAM])
 @pytest.mark.parametrize(
     ("family", "address", "outside"),
@@ -101,22 +91,6 @@ def test_own_socket_is_found_as_long_as_it_is_open(
         assert expected in endpoints()
         assert (expected in reachable_from_outside()) is outside
     assert expected not in endpoints()
-
-
-def test_sockets_of_another_process_are_its_own() -> None:
-    with subprocess.Popen(
-        [sys.executable, "-c", LISTENER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as other:
-        assert other.stdout is not None
-        port = int(other.stdout.readline())
-        assert [one.port for one in endpoints(other.pid)] == [port]
-        assert port not in [one.port for one in endpoints()]
-        other.communicate()
-
-
-def test_when_there_is_no_such_process_expect_an_error() -> None:
-    with pytest.raises(OSError, match="999999999"):
-        endpoints(999999999)
 
 
 CHILD = """
@@ -164,22 +138,6 @@ def test_when_the_parent_is_killed_expect_the_child_to_end_in_order(
 
     # The child inherited the output, which ends only with it.
     assert parent.stdout.read() == "ended in order\n"
-
-
-def test_when_the_parent_lets_go_expect_the_child_to_end_in_order() -> None:
-    watchdog = ParentWatchdog()
-    with subprocess.Popen(
-        [sys.executable, "-c", CHILD],
-        stdout=subprocess.PIPE,
-        text=True,
-        pass_fds=[watchdog.child_end],
-        env=watchdog.environment(),
-    ) as child:
-        assert child.stdout is not None
-        assert child.stdout.readline() == "ready\n"
-        watchdog.close()
-        assert child.stdout.read() == "ended in order\n"
-    assert child.returncode == 0
 
 
 @pytest.mark.parametrize("value", [None, "", "rubbish", "9999"])

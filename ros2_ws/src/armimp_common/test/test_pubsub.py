@@ -1,11 +1,10 @@
 """Channels over real DDS: what is sent arrives, malformed bytes are reported, peers are found."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
 from rclpy.context import Context
-from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
@@ -33,13 +32,6 @@ NAMES = ["shoulder", "elbow"]
 PROFILE = QoSProfile(depth=10)
 
 
-@pytest.fixture
-def lifecycle_node(context: Context) -> Iterator[LifecycleNode]:
-    node = LifecycleNode("managed", context=context)
-    yield node
-    node.destroy_node()
-
-
 def test_joint_states_arrive_in_the_order_asked_for(node: Node, spinner: Spinner) -> None:
     received: list[tuple[int, tuple[float, ...]]] = []
     publisher = JointStatePublisher(node, "topic", NAMES, "effort")
@@ -55,14 +47,6 @@ def test_joint_states_arrive_in_the_order_asked_for(node: Node, spinner: Spinner
     eventually(spinner, lambda: len(received) == 100, "what was sent")
 
     assert received == [(k, (2.0, 1.0 + k)) for k in range(100)]
-
-
-def test_when_the_publisher_was_destroyed_expect_an_error_and_no_crash(node: Node) -> None:
-    publisher = CommandPublisher(node, "topic", 2)
-    node.destroy_publisher(publisher.publisher)
-
-    with pytest.raises(RuntimeError):
-        publisher.publish([1.0, 2.0])
 
 
 def test_a_count_that_cannot_be_read_is_dropped(node: Node, spinner: Spinner) -> None:
@@ -130,42 +114,6 @@ def test_when_bytes_are_malformed_without_handler_expect_the_error_raised(
 
     with pytest.raises(MalformedMessageError, match="lacks joint 'shoulder'"):
         eventually(spinner, lambda: False, "what was sent")
-
-
-def test_plain_channels_of_a_lifecycle_node_work_in_every_state(
-    node: Node, lifecycle_node: LifecycleNode, spinner: Spinner
-) -> None:
-    # The watchdog and the fault reports of a node must not depend on its lifecycle state.
-    received: list[tuple[float, ...]] = []
-    echoed: list[tuple[float, ...]] = []
-    answer = CommandPublisher(lifecycle_node, "answer", 1)
-    question = CommandPublisher(node, "question", 1)
-
-    def on_question(values: tuple[float, ...]) -> None:
-        received.append(values)
-        answer.publish(values)
-
-    ask = subscribe_commands(lifecycle_node, "question", 1, on_question)
-    hear = subscribe_commands(node, "answer", 1, echoed.append)
-    assert not wait_until_matched(
-        node, publishers=[answer, question], subscriptions=[ask, hear], timeout_s=PATIENCE
-    )
-    spinner.add_node(lifecycle_node)
-
-    changes: list[Callable[[], object]] = [
-        lambda: None,
-        lifecycle_node.trigger_configure,
-        lifecycle_node.trigger_activate,
-        lifecycle_node.trigger_deactivate,
-        lifecycle_node.trigger_cleanup,
-    ]
-    for k, change in enumerate(changes):
-        change()
-        question.publish([float(k)])
-        eventually(spinner, lambda: len(echoed) == k + 1, "what was sent")  # noqa: B023
-
-    assert echoed == received == [(float(k),) for k in range(5)]
-    spinner.remove_node(lifecycle_node)
 
 
 def test_when_peers_are_missing_expect_their_topics_named(node: Node) -> None:

@@ -4,8 +4,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 from armimp_common.versions import git_revision, versions
 
 
@@ -46,11 +44,3 @@ def test_git_revision_tells_commit_and_changes(tmp_path: Path) -> None:
     assert git_revision(tmp_path) == commit
     (tmp_path / "file").write_text("two")
     assert git_revision(tmp_path) == f"{commit}+dirty"
-
-
-def test_when_there_is_no_git_expect_unknown(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("PATH", str(tmp_path))
-
-    assert git_revision() == "unknown"

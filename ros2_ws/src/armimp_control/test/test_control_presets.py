@@ -19,12 +19,6 @@ def test_peaks_are_those_of_table_three(level: int, peak: tuple[float, ...]) -> 
     assert (config.cutoff, config.order) == (15.0, 8)
 
 
-@pytest.mark.parametrize("level", [-1, 0, 4])
-def test_level_out_of_range_is_refused_with_the_offending_value(level: int) -> None:
-    with pytest.raises(ConfigurationError, match=f"perturbation level .* got {level}$"):
-        presets.perturbation(level, 2)
-
-
 @pytest.mark.parametrize("joints", [0, 8])
 def test_number_of_joints_without_a_preset_is_refused(joints: int) -> None:
     with pytest.raises(ConfigurationError, match=f"no preset of perturbation for {joints} joints"):

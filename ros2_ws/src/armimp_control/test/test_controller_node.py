@@ -37,7 +37,6 @@ from support.graph import (
     ScriptedDriver,
     a_moment,
     eventually,
-    overrides,
     set_clock,
 )
 
@@ -48,7 +47,6 @@ PARAMETERS = controller_parameters(
     SETTLE, PERTURB, REST, safety=SafetyParameters(slowest_tick=10.0)
 )
 IMPATIENT: dict[str, Value] = {"safety.slowest_tick": 0.06, "safety.watchdog_ticks": 5}
-LONGER_THAN_PATIENCE = 0.5
 
 
 def expected_answers(ticks: int) -> tuple[list[tuple[float, ...]], list[Sample]]:
@@ -233,26 +231,6 @@ class TestFaults:
         assert driver.commands[-1] == (0.0, 0.0)
         assert driver.statuses[-1].reason == "no sensor sample arrived any more"
 
-    def test_when_samples_stay_away_after_the_last_trial_expect_no_abort(
-        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner, clock: HandedClock
-    ) -> None:
-        controller = make(IMPATIENT)
-        bring_up(controller, driver)
-        feed_still(driver, 2 * (SETTLE + PERTURB + REST) + 1)
-        eventually(
-            spinner,
-            lambda: driver.has_said(Phase.DONE),
-            "the end of the experiment",
-        )
-
-        clock.now += LONGER_THAN_PATIENCE
-        a_moment(spinner)
-
-        assert not driver.has_said(Phase.ABORTED)
-        assert driver.commands[-1] == (0.0, 0.0)
-        assert controller.trigger_shutdown() is SUCCESS
-        assert not driver.has_said(Phase.ABORTED)
-
 
 Ask = Callable[[], tuple[bool, str]]
 
@@ -337,17 +315,6 @@ class TestServices:
         assert message.startswith(f"reset: {reason}")
         assert reset() == (True, "there was no fault")
 
-    def test_emergency_stop_before_activation_keeps_the_node_from_it(
-        self, make: MakeController, driver: ScriptedDriver, emergency_stop: Ask, reset: Ask
-    ) -> None:
-        controller = make()
-        assert emergency_stop()[0]
-        assert controller.trigger_configure() is SUCCESS
-        assert controller.trigger_activate() is FAILURE
-        assert driver.commands == []
-        assert reset()[0]
-        assert controller.trigger_activate() is SUCCESS, controller.transition_error
-
 
 class TestDiagnostics:
     def test_clips_and_fault_go_out_at_a_low_rate_and_at_once_on_a_fault(
@@ -408,18 +375,6 @@ class TestParameters:
         controller.trigger_deactivate()
         (result,) = controller.set_parameters([change])
         assert result.successful
-
-    def test_when_values_do_not_fit_together_expect_configure_to_fail_and_the_node_alive(
-        self, make: MakeController
-    ) -> None:
-        controller = make({"perturbation.peak": [1.0]})
-        assert controller.trigger_configure() is FAILURE
-        reason = "parameter 'perturbation.peak' has 1 values for 2"
-        assert controller.transition_error.startswith(reason)
-        peak = next(one for one in overrides(PARAMETERS) if one.name == "perturbation.peak")
-        controller.set_parameters([peak])
-        assert controller.trigger_configure() is SUCCESS
-        assert controller.transition_error == ""
 
 
 class TestLife:

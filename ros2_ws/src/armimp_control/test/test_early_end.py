@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from armimp_common.status import NOTICE_TICKS, Cause, Phase, StoppingDecision
+from armimp_common.status import NOTICE_TICKS, Phase, StoppingDecision
 from armimp_control.perturbation import perturbation
 from support.controller import SequencerBench, controller_parameters
 
@@ -13,9 +13,7 @@ SETTLE, PERTURB, REST = 50, 1000, 60
 JUDGED = 300
 END = JUDGED + NOTICE_TICKS
 PARAMETERS = controller_parameters(SETTLE, PERTURB, REST)
-ANNOUNCED = StoppingDecision(trial=1, samples=0, enough=False, due=JUDGED, bound=0.02)
 ENOUGH = StoppingDecision(trial=1, samples=JUDGED, enough=True, due=None, bound=0.02, largest=0.01)
-NOT_YET = replace(ENOUGH, enough=False, due=600, largest=0.03)
 
 
 class Bench(SequencerBench):
@@ -97,30 +95,3 @@ def test_when_a_decision_does_not_fit_expect_it_ignored(
 
     assert [one.ticks for one in bench.said(Phase.PERTURB, 1)] == [PERTURB]
     assert bench.said(Phase.REST, 1)[0].ticks == PERTURB
-
-
-class TestWaiting:
-    def test_the_sample_on_which_a_decision_decides_waits_for_it(self, bench: Bench) -> None:
-        bench.run_into_perturbation(1)
-        bench.experiment.decide(ANNOUNCED)
-        for place in range(1, END):
-            assert not bench.experiment.awaits_decision, place
-            bench.run(1)
-        assert bench.experiment.awaits_decision
-
-        bench.experiment.decide(NOT_YET)
-        assert not bench.experiment.awaits_decision
-        bench.run(600 + NOTICE_TICKS - END)
-        assert bench.experiment.awaits_decision
-        bench.experiment.decide(replace(NOT_YET, samples=600, due=None))
-        bench.run(PERTURB)
-        assert not bench.experiment.awaits_decision
-
-    @pytest.mark.parametrize("waiting", [False, True])
-    def test_nothing_waits_once_the_experiment_is_over(self, bench: Bench, waiting: bool) -> None:
-        bench.run_into_perturbation(1)
-        bench.experiment.decide(ANNOUNCED)
-        bench.run(END - 1 if waiting else 10)
-        bench.experiment.abort(Cause.OTHER, "enough of that")
-        bench.run(PERTURB)
-        assert not bench.experiment.awaits_decision

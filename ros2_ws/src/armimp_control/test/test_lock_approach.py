@@ -29,14 +29,6 @@ def _config() -> ImbicConfig:
     )
 
 
-def _held_still(config: ImbicConfig, theta: Array, ticks: int) -> Controller:
-    """After the first joint has yielded for some ticks, at rest."""
-    controller = Controller(config, safety=torque_only(1e9))
-    for _ in range(ticks):
-        controller.tick(theta, np.zeros(2), np.zeros(2))
-    return controller
-
-
 def _locked(config: ImbicConfig, distance: float, ticks: int) -> tuple[Array, Array]:
     """Distance from the posture and command (ticks,) of pure inertia that is locked at tick 0."""
     controller = Controller(config, safety=torque_only(1e9))
@@ -51,22 +43,6 @@ def _locked(config: ImbicConfig, distance: float, ticks: int) -> tuple[Array, Ar
         theta = theta + PERIOD * velocity + 0.5 * PERIOD**2 * acceleration
         velocity = velocity + PERIOD * acceleration
     return path, command
-
-
-@pytest.mark.parametrize("distance", [0.1, -0.3])
-def test_when_a_displaced_joint_gets_locked_expect_no_jump_of_its_command(distance: float) -> None:
-    config, theta = _config(), POSTURE + np.array([distance, 0.0])
-    ticks = 5
-    controller = _held_still(config, theta, ticks)
-    before = controller.command[0]
-    controller.perturb_joint(1)
-    controller.tick(theta, np.zeros(2), np.zeros(2))
-    # At rest and at its target only Γ·v_id is left, which the soft target has piled up.
-    ideal_velocity = -ticks * PERIOD * config.target_stiffness[0] * distance / 0.2
-    change = MODEL * config.gamma * ideal_velocity
-    assert controller.command[0] - before == pytest.approx(change, rel=1e-9)
-    # A target that jumps would ask for M̄ ω² times the distance.
-    assert abs(change) < 0.01 * MODEL * FREQUENCY**2 * abs(distance)
 
 
 def test_target_decays_with_its_time_constant() -> None:
@@ -102,19 +78,3 @@ def test_joint_follows_the_decay_to_its_posture_within_the_torque_of_the_closed_
     assert path[late] == pytest.approx(behind[late], rel=0.2)
     assert np.abs(path[-1]) < 1e-6 * distance
     assert np.min(path) > -1e-3 * distance
-
-
-def test_when_a_joint_is_locked_again_expect_the_approach_to_start_from_its_new_place() -> None:
-    config = _config()
-    near, far = POSTURE + np.array([0.02, 0.0]), POSTURE + np.array([0.2, 0.0])
-    controller = _held_still(config, near, 1)
-    controller.perturb_joint(1)
-    for _ in range(20):
-        controller.tick(near, np.zeros(2), np.zeros(2))
-    controller.perturb_joint(0)
-    for _ in range(5):  # velocity and acceleration of the jump have passed
-        controller.tick(far, np.zeros(2), np.zeros(2))
-    speed, before = float(controller.memory[2, 0]), controller.command[0]
-    controller.perturb_joint(1)
-    controller.tick(far, np.zeros(2), np.zeros(2))
-    assert controller.command[0] - before == pytest.approx(MODEL * config.gamma * speed, rel=1e-9)

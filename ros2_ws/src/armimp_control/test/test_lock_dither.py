@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.special import j0
 
 from armimp_control.laws import APPROACH, DITHER, DITHER_ANGLE
 from armimp_control.laws.imbic import ImbicConfig
@@ -121,39 +120,3 @@ def test_joint_moves_by_what_was_asked_but_for_the_lag_of_the_estimation(model: 
         assert lag < target
         ideal = AMPLITUDE * between / target
         assert ideal / (1.0 + lag / target) <= amplitude <= ideal / (1.0 - lag / target)
-
-
-@pytest.mark.parametrize("counts", [0.2, 0.35, 0.7])
-@pytest.mark.parametrize("place", [0.1, 0.25, 0.4])
-def test_joint_between_two_counts_is_read_right_but_for_the_bessel_functions(
-    counts: float, place: float
-) -> None:
-    """Without dither a joint at 0.1, 0.25 or 0.4 counts would always be read as 0."""
-    motion = _motion(_config(), 8000)
-    count = AMPLITUDE / counts
-    # Both sines have whole numbers of periods in four seconds.
-    readings = np.round(motion[4000:] / count + place)
-    order = np.arange(1, 30)
-    left = np.prod([j0(2.0 * np.pi * order * a / count) for a in _amplitudes(motion)], axis=0)
-    error = np.sum((-1.0) ** order / (np.pi * order) * left * np.sin(2.0 * np.pi * order * place))
-    # 4000 readings have some hundred steps between them, each known to within a tick.
-    assert np.mean(readings) == pytest.approx(place + error, abs=0.015)
-
-
-@pytest.mark.parametrize("moved", [0.15, 0.4, 1.0])
-def test_rounding_of_a_joint_that_moves_slowly_hardly_reaches_the_band(moved: float) -> None:
-    """In counts, rms up to 10 Hz; with tones 10.5 Hz apart it is 1.5 times that up to 0.4."""
-    rng = np.random.default_rng(1)
-    ticks, counts = 1 << 16, 0.35
-    f = np.fft.rfftfreq(ticks, PERIOD)
-    below = (f > 0.2) & (f < 8.0)
-    shape = below / (1.0 + (f / 3.0) ** 2)
-    noise = rng.standard_normal((2, f.size))
-    slow = np.fft.irfft(shape * (noise[0] + 1j * noise[1]), ticks)
-    dither = sum(np.sin(2.0 * np.pi * hertz * PERIOD * np.arange(ticks)) for hertz in TONES)
-    joint = moved * slow / np.std(slow) + counts * dither
-    error = np.fft.rfft(np.round(joint) - joint)[(f > 0.2) & (f <= 10.0)]
-    assert (
-        np.sqrt(2.0 * np.sum(np.abs(error) ** 2)) / ticks
-        < {0.15: 0.045, 0.4: 0.06, 1.0: 0.075}[moved]
-    )

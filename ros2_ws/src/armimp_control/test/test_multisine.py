@@ -52,11 +52,6 @@ def test_crest_factor_is_below_1_8_at_the_rms_of_the_noise(ticks: int) -> None:
             assert rms == pytest.approx(MULTISINE.peak[joint] / CREST_OF_NOISE, rel=0.01)
 
 
-def test_noise_of_the_same_level_has_that_rms_on_average() -> None:
-    noises = [perturbation(NOISE, joint=0, trial=1, ticks=50_000, seed=s) for s in range(40)]
-    assert np.sqrt(np.mean(np.square(noises))) == pytest.approx(9.0 / CREST_OF_NOISE, rel=0.02)
-
-
 def test_lines_are_odd_of_equal_amplitude_and_one_of_four_is_left_out() -> None:
     period = _signal()[:PERIOD]
     lines = _lines(period)

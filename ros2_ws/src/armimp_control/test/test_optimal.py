@@ -85,41 +85,6 @@ def test_limits_of_torque_angle_and_crest_factor_are_held(ticks: int, period: in
             assert min(torque, angle) > 0.75
 
 
-def test_lines_are_those_of_the_multisine_so_that_distortion_shows() -> None:
-    lines = [
-        _spectrum(_signal(_parameters(kind), joint=0, ticks=50_000)[:PERIOD])[0]
-        for kind in ("optimal", "multisine")
-    ]
-    assert np.array_equal(lines[0], lines[1])
-
-
-def test_without_a_limit_it_moves_the_joint_as_much_as_a_multisine_of_its_level() -> None:
-    angles = [
-        PRIORS[1].rms_angle(*_spectrum(_signal(_parameters(kind), joint=1, ticks=50_000)[:PERIOD]))
-        for kind in ("optimal", "multisine")
-    ]
-    assert angles[0] <= 1.0001 * angles[1]
-
-
-@pytest.mark.parametrize("wrong", [(1, 1, 1), (1, 0, 0), (0, 0, 1)], ids=["all", "M", "K"])
-def test_an_arm_half_or_twice_of_what_is_expected_costs_a_fifth_of_accuracy(
-    wrong: tuple[int, int, int],
-) -> None:
-    """Compared with what is told of each arm if it is known."""
-    parameters = _parameters("optimal", *ANGLES)
-    expected = _signal(parameters, joint=0, ticks=50_000)[:PERIOD]
-    for factor in (0.5, 2.0):
-        M, B, K = (value * factor**part for value, part in zip(PRIORS[0].arm, wrong, strict=True))
-        arm = JointPrior(arm=(M, B, K), target=PRIORS[0].target)
-        known = perturbation(parameters, joint=0, trial=1, ticks=50_000, seed=1, prior=arm)
-        # At the same angle of the arm that there is.
-        told = [
-            _worst_variance(one, arm) * arm.rms_angle(*_spectrum(one)) ** 2
-            for one in (expected, known[:PERIOD])
-        ]
-        assert told[0] < 1.5 * told[1]
-
-
 @pytest.mark.parametrize("kind", ["noise", "multisine"])
 def test_other_kinds_are_made_smaller_where_they_move_a_joint_too_far(
     kind: PerturbationKind,

@@ -8,7 +8,6 @@ import pytest
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import build, flatten
 from armimp_control import presets
-from armimp_control.laws.pd import PdConfig
 from armimp_control.parameters import ControllerParameters
 from armimp_control.safety_limiter import SafetyParameters
 from armimp_control.sequence import PERIOD
@@ -66,28 +65,11 @@ def test_a_value_that_makes_no_sense_is_refused_and_named(name: str, values: lis
             build(ControllerParameters, {**PRESET, name: value}).check()
 
 
-def test_the_preset_is_accepted() -> None:
-    build(ControllerParameters, PRESET).check()
-
-
 def test_the_slowest_rate_limit_brings_the_torque_down_just_in_time() -> None:
     slow = SafetyParameters(torque_limit=80.0, rate_limit=1600.0, ramp_time=0.05)
     assert slow.rules(np.zeros(2), PERIOD).shape[1] == 2
     with pytest.raises(ConfigurationError, match=r"rate_limit 1599\.0 .* 80\.0 .* within 0\.05 s"):
         slow.model_copy(update={"rate_limit": 1599.0}).rules(np.zeros(2), PERIOD)
-
-
-@pytest.mark.parametrize("change", [{"inertia": np.array([0.3, 0.0])}, {"frequency": 0.0}])
-def test_gains_of_pd_need_inertia_and_frequency(change: dict[str, Any]) -> None:
-    two = np.ones(2)
-    good: dict[str, Any] = {
-        "target_posture": two,
-        "target_damping": two,
-        "target_stiffness": two,
-        "inertia": two,
-    }
-    with pytest.raises(ConfigurationError, match=f"{next(iter(change))}.* must be positive"):
-        PdConfig(**{**good, **change})
 
 
 @pytest.mark.parametrize(("law", "share"), [("tde", 0.7), ("observer", 0.35), ("paper", 0.0)])

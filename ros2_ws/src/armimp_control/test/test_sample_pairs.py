@@ -1,13 +1,11 @@
 """Pairing of readings by stamp: none is taken for another, and none waits for ever."""
 
-import math
 from collections.abc import Sequence
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from armimp_control.trial_sequencer import SamplePairs, first_bad
+from armimp_control.trial_sequencer import SamplePairs
 
 
 @given(st.permutations([(what, stamp) for what in "pt" for stamp in range(4)]))
@@ -38,12 +36,3 @@ def test_a_reading_whose_partner_was_lost_is_given_up_with_the_next_pair() -> No
     assert pairs.with_torque(1, (0.0,)) is None
     assert pairs.with_position(2, (0.0,)) is None
     assert pairs.with_torque(4, (0.0,)) == (4.0,), "it was not older"
-
-
-@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-@pytest.mark.parametrize("place", [0, 1, 2])
-def test_the_first_value_that_is_not_finite_is_found(bad: float, place: int) -> None:
-    values = [1.0, -2.0, 3.0]
-    values[place] = bad
-    assert first_bad(values) == place
-    assert first_bad([math.inf, -math.inf, bad]) == 0

@@ -22,11 +22,6 @@ def intervals(ledger: SaturationCounter) -> list[tuple[int, int]]:
     return [(int(first), int(last)) for first, last in pairs]
 
 
-def test_neighbouring_ticks_make_one_interval() -> None:
-    ledger = ledger_of({3: 1, 4: 2, 5: 1, 7: 1, 100: 2})
-    assert (ledger.clipped, ledger.text) == (7, "3-5 7-7 100-100")
-
-
 def test_when_there_are_too_many_intervals_expect_the_nearest_to_become_one() -> None:
     ticks = {10 * k: 1 for k in range(SaturationCounter.MOST_INTERVALS)}
     ticks[10 * SaturationCounter.MOST_INTERVALS - 8] = 1

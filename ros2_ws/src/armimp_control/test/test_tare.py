@@ -71,14 +71,6 @@ def test_the_tare_is_announced_with_the_perturbation_and_taken_anew_before_each_
     assert TrialStatus.from_values(bench.last.to_values()) == bench.last
 
 
-def test_no_joint_feels_torque_while_the_tare_is_taken() -> None:
-    """A person who pushes then does not make the arm give way."""
-    bench = tared(limit=100.0, noise=100.0)
-    rng = np.random.default_rng(1)
-    for _ in range(WAIT + READ):
-        assert np.max(np.abs(bench.run(1, rng.uniform(-20.0, 20.0, 2).tolist()))) == 0.0
-
-
 @pytest.mark.parametrize(
     ("values", "words"),
     [

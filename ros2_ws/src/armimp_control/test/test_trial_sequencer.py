@@ -1,11 +1,9 @@
 """The controller without ROS: phases, perturbation, faults, the account of the samples."""
 
-import math
-
 import numpy as np
 import pytest
 
-from armimp_common.status import Cause, Phase
+from armimp_common.status import Phase
 from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_control.laws.law import Controller
 from armimp_control.parameters import ControllerParameters
@@ -146,17 +144,6 @@ def test_when_samples_are_missing_expect_them_counted_and_only_that_trial_invali
     assert bench.statuses[-1].phase is Phase.DONE
 
 
-def test_first_reason_of_an_abort_stays() -> None:
-    bench = Bench()
-    bench.wobble(5)
-
-    bench.experiment.abort(Cause.STAMPS, "one thing")
-    bench.experiment.abort(Cause.TARE, "another thing")
-
-    assert not bench.experiment.command.any()
-    assert [status.reason for status in bench.statuses] == ["", "one thing"]
-
-
 def test_clipped_commands_are_counted_where_the_arm_is_perturbed() -> None:
     bench = Bench(PARAMETERS.model_copy(update={"safety": SafetyParameters(torque_limit=1e-3)}))
 
@@ -179,60 +166,3 @@ def test_clipped_commands_are_counted_where_the_arm_is_perturbed() -> None:
     assert np.array_equal(ticks, np.flatnonzero(trial.any(axis=1)))
     assert [status.clipped for status in bench.statuses[3:]] == [0, 0]
     assert rest.valid
-
-
-@pytest.mark.parametrize("phase", [Phase.SETTLE, Phase.PERTURB])
-def test_when_a_joint_is_too_far_away_expect_the_torque_to_ramp_down_and_an_abort(
-    phase: Phase,
-) -> None:
-    bench = Bench()
-    ticks = 20 if phase is Phase.SETTLE else SETTLE + 20
-    bench.wobble(ticks)
-    before = bench.commands[-1]
-
-    for _ in range(20):
-        bench.answer((POSTURE[0], POSTURE[1] - 0.51))
-
-    ramp = np.array([before, *bench.commands[ticks:]])
-    assert ramp[1] == pytest.approx(0.9 * before)
-    assert np.all(np.diff(np.abs(ramp), axis=0) <= 0.0)
-    assert not ramp[10:].any()
-    assert not np.any(bench.perturbations[ticks:])
-    assert bench.experiment.at_rest
-    status = bench.statuses[-1]
-    assert (status.phase, status.valid, status.tick) == (Phase.ABORTED, False, ticks)
-    assert status.reason == bench.experiment.fault == bench.experiment.present_fault
-    assert status.reason.startswith("joint 2 is -0.51 rad away from the posture")
-    bench.wobble(TRIAL)
-    assert bench.experiment.present_fault == ""
-    assert not np.any(bench.commands[ticks + 20 :])
-    assert [phase for phase, _, _ in bench.phases].count(Phase.ABORTED) == 1
-
-
-def test_stop_ramps_down_and_falls_on_where_no_samples_come() -> None:
-    bench = Bench()
-    bench.wobble(SETTLE + 20)
-    last = bench.commands[-1]
-
-    bench.experiment.stop(Cause.SAMPLES_STOPPED, "nobody there")
-
-    assert bench.statuses[-1].reason == "nobody there"
-    bench.experiment.continue_ramp(3)
-    assert bench.experiment.command == pytest.approx(0.7 * last)
-    assert not bench.experiment.at_rest
-    bench.answer(POSTURE)
-    assert bench.commands[-1] == pytest.approx(0.6 * last)
-    bench.experiment.continue_ramp(6)
-    assert bench.experiment.at_rest
-
-
-def test_samples_after_the_end_are_no_fault_wherever_the_arm_is() -> None:
-    bench = Bench()
-    bench.run(2 * TRIAL + 1)
-
-    bench.answer((POSTURE[0] + 3.0, POSTURE[1] + 3.0))
-    bench.answer((math.nan, 0.0))
-
-    assert bench.statuses[-1].phase is Phase.DONE
-    assert bench.experiment.fault == ""
-    assert not np.any(bench.commands[-3:])

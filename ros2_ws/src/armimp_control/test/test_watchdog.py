@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from armimp_control.safety_limiter import SafetyParameters
 from armimp_control.trial_sequencer import Watchdog
@@ -29,14 +27,6 @@ def test_after_the_patience_the_ramp_keeps_pace_with_the_clock() -> None:
     assert watchdog.ticks_due(1e6 + 1.0) == 0
 
 
-def test_patience_counts_in_slowest_ticks_and_the_ramp_in_periods() -> None:
-    watchdog = _watchdog(slowest=1.0, ramp=0.01)
-    watchdog.feed(0.0)
-    assert not watchdog.expired(4.999)
-    assert watchdog.expired(5.001)
-    assert watchdog.ticks_due(5.0101) == 10
-
-
 def test_sample_that_comes_back_ends_the_waiting() -> None:
     watchdog = _watchdog()
     watchdog.feed(0.0)
@@ -44,25 +34,6 @@ def test_sample_that_comes_back_ends_the_waiting() -> None:
     watchdog.feed(0.020)
     assert not watchdog.expired(0.0249)
     assert watchdog.ticks_due(0.0261) == 2
-
-
-@settings(deadline=None)
-@given(
-    st.integers(1, 100),
-    st.floats(0.0, 0.05),
-    st.lists(st.floats(0.0, 0.3), min_size=2, max_size=20),
-)
-def test_all_ticks_of_the_ramp_are_due_after_patience_and_ramp(
-    ticks: int, ramp: float, times: list[float]
-) -> None:
-    watchdog = _watchdog(ticks=ticks, ramp=ramp)
-    longest = SafetyParameters(ramp_time=ramp).ramp_ticks(PERIOD)
-    watchdog.feed(0.0)
-    due = [watchdog.ticks_due(now) for now in sorted(times)]
-    assert all(new >= 0 for new in due)
-    end = ticks * PERIOD + ramp + 1e-9
-    assert sum(due) + watchdog.ticks_due(max(*times, end)) == longest
-    assert watchdog.expired(ticks * PERIOD + 1e-9)
 
 
 @pytest.mark.parametrize("nonsense", [float("nan"), float("inf")])

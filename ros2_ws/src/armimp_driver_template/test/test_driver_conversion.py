@@ -47,14 +47,6 @@ def calibrations(draw: st.DrawFn) -> Calibration:
     )
 
 
-@given(calibration=calibrations(), value=st.floats(-300.0, 300.0))
-def test_what_a_sensor_shows_reads_back_to_within_half_a_count(
-    calibration: Calibration, value: float
-) -> None:
-    step = calibration.resolution / calibration.gear
-    assert abs(calibration.value(calibration.count(value)) - value) <= step * (0.5 + 1e-6)
-
-
 @given(
     calibration=calibrations(),
     path=st.lists(st.integers(-30_000, 30_000), min_size=1, max_size=30),
@@ -109,16 +101,6 @@ def test_joints_that_the_device_does_not_have_are_refused(joints: tuple[str, ...
 def test_an_impossible_calibration_is_refused(values: dict[str, Any], name: str) -> None:
     with pytest.raises(ValidationError, match=name):
         Calibration(**values)
-
-
-def test_one_value_stands_for_all_joints_and_several_for_each() -> None:
-    parameters = DriverParameters(
-        encoder=SensorParameters(resolution=(COUNT,), zero=(1, 2), sign=(1, -1), gear=(50.0,))
-    )
-    assert parameters.encoders() == (
-        Calibration(resolution=COUNT, zero=1, sign=1, gear=50.0),
-        Calibration(resolution=COUNT, zero=2, sign=-1, gear=50.0),
-    )
 
 
 @pytest.mark.parametrize(

@@ -112,22 +112,6 @@ def test_readings_and_commands_survive_any_wiring_signs_and_gears() -> None:
     assert seen[1] == pytest.approx(seen[0], abs=1e-9)
 
 
-def test_a_device_with_its_joints_in_another_order_is_wired_by_name() -> None:
-    parameters = DriverParameters(
-        mode="lockstep",
-        device_names=("motor_a", "motor_b"),
-        mock=MockParameters(names=("motor_b", "motor_a")),
-    )
-    device = mock(parameters)
-    frame = device.receive(0.1)
-    assert frame is not None
-    assert device.names == ("motor_b", "motor_a")
-    counts = Wiring(device.names, parameters.names_at_device()).to_joints(frame.encoder)
-    angles = Encoders(parameters.encoders()).angles(counts)
-    # The rig of the mock begins at the shoulder, which is what stands first in its frames.
-    assert np.degrees(angles) == pytest.approx([77.260, 62.708], abs=0.01)
-
-
 def test_the_mock_has_the_imperfections_that_it_is_told() -> None:
     offset = (0.8, -0.5)
     plain, imperfect = answers(make(), commands(50)), answers(make(offset=offset), commands(50))

@@ -146,12 +146,6 @@ def test_joint_states_are_split_in_pairs_with_the_stamps_that_came(world: World)
     assert world.torques == [(stamp, (-0.5, 0.5)) for stamp in stamps]
 
 
-def test_commands_reach_the_robot_in_the_order_of_the_joints(world: World) -> None:
-    world.push()
-    assert set(world.told) <= {ZERO, PUSH}
-    assert not world.faults
-
-
 def test_a_sample_that_is_too_early_is_left_out_of_both_streams(world: World) -> None:
     for stamp in (1.0, 2.7, 3.0, 4.0):
         world.feed(stamp)

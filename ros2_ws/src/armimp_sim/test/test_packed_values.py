@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 
 from armimp_common.compiled import compiled_entry
 from armimp_sim.dynamics import WIDTH, width_for
-from armimp_sim.simd import Tag, exp_minus, load, power_of_two, sine_cosine, store, where_less
+from armimp_sim.simd import Tag, exp_minus, load, sine_cosine, store, where_less
 
 Array = NDArray[np.float64]
 ONE: Tag = (0.0,)
 MANY: Tag = (0.0,) * 16
-ROUNDER = 6755399441055744.0
 # All kinds of numbers, in no order: signs, zeros, tiny, huge, infinite and none at all.
 SPECIAL = (0.0, -0.0, 1.0, -1.0, 5e-324, -1e-308, 1e308, -np.inf, np.inf, np.nan, 0.1, -3.7)
 
@@ -44,11 +43,6 @@ def _elementary(a: Array, width: Tag, out: Array) -> None:
     store(out, 0, exp_minus(abs(x)))
     store(out, len(width), sine)
     store(out, 2 * len(width), cosine)
-
-
-@compiled_entry
-def _powers(a: Array, width: Tag, out: Array) -> None:
-    store(out, 0, power_of_two(load(a, 0, width) + ROUNDER))
 
 
 @compiled_entry
@@ -105,13 +99,6 @@ def test_choice_is_made_lane_by_lane_and_nan_is_never_less(seed: int) -> None:
 def test_elementary_functions_round_alike_in_every_lane(numbers: list[float]) -> None:
     together, alone = _both_ways(_elementary, 3, np.array(numbers))
     assert _same_bits(together, alone)
-
-
-def test_power_of_two_of_an_integer_is_exact() -> None:
-    exponents = np.linspace(-1000.0, 1000.0, 16).round()
-    together, alone = _both_ways(_powers, 1, exponents)
-    assert _same_bits(together[0], 2.0**exponents)
-    assert _same_bits(alone[0], 2.0**exponents)
 
 
 @pytest.mark.parametrize(("source", "target"), [(0, 0), (1, 3), (7, 2)])

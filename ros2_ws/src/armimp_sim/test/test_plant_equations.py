@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from armimp_sim import dynamics
 from armimp_sim.plant import Plant
-from support.plants import coriolis_torque, load, random_chain, random_plant, slopes
+from support.plants import coriolis_torque, load, random_chain, random_plant
 
 JOINTS = range(1, 8)
 """A plant of each size is compiled for itself."""
@@ -56,17 +54,3 @@ def test_torque_on_the_arm_is_that_of_the_equations_of_motion(n: int) -> None:
         expected = load(config, state, command, voluntary)
         scale = float(np.max(np.abs(expected)))
         assert plant.torque[0] == pytest.approx(expected, abs=1e-11 * scale)
-
-
-@pytest.mark.parametrize("n", [2, 3])
-def test_velocity_gained_in_a_short_period_is_acceleration_times_period(n: int) -> None:
-    random = np.random.default_rng(40 + n)
-    config = random_plant(n)
-    plant = Plant([replace(config, period=1e-8, substeps=1)])
-    state = random.uniform(-1.0, 1.0, (3, n)) * np.array([[1.0], [2.0], [1e-3]])
-    command, voluntary = random.uniform(-20.0, 20.0, (2, n))
-    plant.set_state(state[None])
-    plant.tick(command[None], voluntary[None])
-    gained = (plant.state()[0, 1] - state[1]) / 1e-8
-    expected = slopes(config, state, command - voluntary)[1]
-    assert gained == pytest.approx(expected, rel=1e-4, abs=1e-3)

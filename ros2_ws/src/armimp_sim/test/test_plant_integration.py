@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from armimp_common.errors import ArmimpError, ConfigurationError
-from armimp_sim import presets
 from armimp_sim.model.friction import LuGre
 from armimp_sim.plant import RK4_RADIUS, IntegrationError, Plant, PlantConfig
-from support.plants import one_joint, slopes, study_plant
+from support.plants import slopes, study_plant
 
 Array = NDArray[np.float64]
 START = np.array([[1.3, 0.9], [4.0, -7.0], [0.0, 0.0]])
@@ -66,17 +65,6 @@ def test_trajectory_agrees_with_scipy(friction: int) -> None:
             assert np.max(np.abs(state[2])) > 1e-4
 
 
-def test_step_too_long_for_stuck_joints_is_refused_beforehand() -> None:
-    with pytest.raises(ConfigurationError, match=r"step 0\.001 s is too long .*= 3\.9") as caught:
-        replace(study_plant(), friction=_stiff(), substeps=1)
-    assert "\n" not in str(caught.value)
-
-
-def _stiff() -> tuple[LuGre, ...]:
-    law = presets.friction(3, 2)[0]
-    return (law, replace(law, sigma_1=400.0))
-
-
 def test_coarsest_accepted_step_is_stable_and_no_step_beyond_the_limit_is_accepted() -> None:
     law = LuGre(coulomb=2.0, static=2.5, sigma_0=2000.0, sigma_1=1000.0, sigma_2=0.0)
     config = replace(study_plant(), friction=(law, law))
@@ -96,30 +84,6 @@ def test_coarsest_accepted_step_is_stable_and_no_step_beyond_the_limit_is_accept
     assert np.max(np.abs(plant.state()[0, 1])) < 1e-3
 
 
-@pytest.mark.parametrize("radius", [0.5, 2.5, 2.59, 2.61, 2.69])
-@pytest.mark.parametrize("ratio", [0.02, 0.3, 0.54, 0.8, 1.0])
-def test_accepted_step_is_stable_for_stuck_joints_that_swing(ratio: float, radius: float) -> None:
-    """RK4 multiplies a mode by 1 + z + z²/2 + z³/6 + z⁴/24 in a step, z = h·λ."""
-    z = radius * np.exp(1j * (np.pi - np.arccos(ratio)))
-    amplified = abs(np.polyval([1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0], z))
-    inertia, step = 0.2, 1e-5
-    omega = radius / step
-    config = one_joint(inertia=inertia)
-    bristles = LuGre(
-        coulomb=1.0,
-        static=1.0,
-        sigma_0=inertia * omega**2,
-        sigma_1=2.0 * ratio * omega * inertia,
-        sigma_2=0.0,
-    )
-    if radius < RK4_RADIUS:
-        assert amplified < 1.0
-        assert replace(config, friction=(bristles,)).friction == (bristles,)
-    else:
-        with pytest.raises(ConfigurationError, match=rf"\|h·λ\| = {radius}, must be below 2\.6"):
-            replace(config, friction=(bristles,))
-
-
 def _sliding(speed: float) -> Plant:
     config = study_plant(3)
     plant = Plant([replace(config, substeps=10)])
@@ -135,14 +99,6 @@ def test_speed_beyond_the_stability_of_the_bristles_is_reported_instead_of_blowi
         plant.tick(np.zeros((1, 2)), np.zeros((1, 2)))
     assert "\n" not in str(caught.value)
     assert isinstance(caught.value, ArmimpError)
-
-
-@pytest.mark.parametrize("friction", [0, 2])
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_state_that_is_not_finite_is_reported(value: float, friction: int) -> None:
-    plant = Plant([study_plant(friction)])
-    with pytest.raises(IntegrationError, match="not finite"):
-        plant.tick(np.array([[0.0, value]]), np.zeros((1, 2)))
 
 
 def test_one_diverging_lane_is_reported_beside_a_sound_one() -> None:

@@ -59,16 +59,6 @@ def test_lane_gives_the_same_bits_alone_and_beside_others(n: int, lanes: int) ->
     assert len(np.unique(together[0][:, -1, 0, 0])) == lanes
 
 
-def test_state_put_in_comes_out_and_is_a_copy() -> None:
-    plant = Plant([_config(2, lane) for lane in range(5)])
-    state = np.random.default_rng(1).uniform(-1.0, 1.0, (5, 3, 2))
-    plant.set_state(state)
-    taken = plant.state()
-    assert np.array_equal(taken, state)
-    taken[:] = 0.0
-    assert np.array_equal(plant.state(), state)
-
-
 def test_lanes_that_disagree_in_time_or_shape_are_refused() -> None:
     one = _config(2, 1)
     for other in (

@@ -18,9 +18,7 @@ from armimp_sim.model.arm import CuffParameters, HumanArm, MuscleParameters, Ref
 from armimp_sim.model.friction import LuGre
 from armimp_sim.model.robot import ActuatorParameters, PlanarChain
 from armimp_sim.model.sensors import ReadingParameters, Sampling, SensorParameters
-from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import Plant, PlantConfig
-from armimp_sim.simulator import SimulatedRig
 from support.plants import load, study_plant
 
 Array = NDArray[np.float64]
@@ -83,24 +81,12 @@ def test_offset_drift_and_gain_change_the_reading_and_nothing_else() -> None:
     assert torques == pytest.approx(expected, abs=1e-12)
 
 
-def test_the_first_reading_is_the_offset() -> None:
-    plant = Plant([config(offset=(0.5, -1.0), delay=0.003, cutoff=100.0)])
-    assert plant.torque[0] == pytest.approx([0.5, -1.0], abs=1e-12)
-
-
 @pytest.mark.parametrize("sampling", list(Sampling))
 def test_a_delay_of_whole_periods_shows_earlier_readings(sampling: Sampling) -> None:
     _, prompt = run(config(sampling, cutoff=1e6))
     _, late = run(config(sampling, cutoff=1e6, delay=0.003))
     assert np.array_equal(late[3:], prompt[:-3])
     assert np.array_equal(late[:3], np.zeros((3, 2)))
-
-
-def test_a_delay_within_the_period_shows_the_torque_of_that_step() -> None:
-    _, ends = within()
-    _, late = run(config(delay=0.00125))  # 25 of 20 steps in a period
-    place = SUBSTEPS * np.arange(2, len(COMMANDS) + 1) - 25 - 1
-    assert late[1:] == pytest.approx(ends[place], abs=1e-11)
 
 
 def test_the_mean_of_the_interval_is_that_of_all_its_steps() -> None:
@@ -188,13 +174,6 @@ def test_a_plant_that_is_put_back_has_forgotten_its_past() -> None:
         for plant in (used, fresh):
             plant.tick(command[None], np.zeros((1, 2)))
         assert np.array_equal(used.torque, fresh.torque)
-
-
-def test_the_rig_of_the_node_has_them_too() -> None:
-    parameters = SimulatorParameters.preset()
-    sensors = SensorParameters(torque=ReadingParameters(offset=(0.5, -0.2)))
-    rig = SimulatedRig(parameters.model_copy(update={"sensors": sensors}))
-    assert rig.torque == pytest.approx([0.5, -0.2])
 
 
 def test_a_vector_that_does_not_fit_the_joints_is_refused() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from armimp_common.protection import RAMP_PERIODS
-from armimp_common.realtime import LATE_NS, Pacer
+from armimp_common.realtime import Pacer
 from armimp_common.topics import PERIOD_NS
 from armimp_sim.parameters import WATCHDOG_TICKS, SimulatorParameters
 from armimp_sim.simulator import UNHEARD_TICKS, RealtimeSimulator, SimulatedRig
@@ -176,24 +176,6 @@ class TestWatchdog:
             bench.command(7.0, 7.0)
         bench.next()
         assert bench.rig.fault == f"commands are more than {WATCHDOG_TICKS} ticks behind"
-
-
-class TestFigures:
-    def test_latency_is_from_the_sample_to_the_command_that_answers_it(self, bench: Bench) -> None:
-        for after_us in (200, 300, 999):
-            bench.command(0.0, 0.0, after_us=after_us)
-            bench.next()
-        figures = bench.paced.figures()
-        assert figures.latency_p50 == pytest.approx(300e-6, rel=0.021)
-        assert figures.latency_max == pytest.approx(999e-6)
-
-    def test_late_samples_are_counted_and_the_period_is_that_of_sending(self, bench: Bench) -> None:
-        bench.next(3)
-        bench.next(late_us=LATE_NS // 1000 + 1)
-        bench.next()
-        figures = bench.paced.figures()
-        assert (figures.ticks, figures.late) == (6, 1)
-        assert figures.period_max == pytest.approx(1e-3 + LATE_NS / 1e9 + 1e-6)
 
 
 class TestThread:

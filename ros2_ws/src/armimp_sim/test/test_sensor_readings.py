@@ -6,26 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.integrate import trapezoid
 
 from armimp_sim import presets
-from armimp_sim.model.sensors import Sampling, quantise
+from armimp_sim.model.sensors import Sampling
 from armimp_sim.plant import Plant
 from support.plants import load, study_plant
-
-
-@settings(deadline=None)
-@given(
-    st.floats(-1e6, 1e6),
-    st.floats(1e-6, 10.0) | st.sampled_from([0.005, 0.01, 0.02, 2.0 * np.pi / 51200]),
-)
-def test_reading_is_the_nearest_multiple_of_the_resolution(value: float, resolution: float) -> None:
-    reading = quantise(value, resolution)
-    counts = round(reading / resolution)
-    assert reading == counts * resolution
-    assert abs(reading - value) <= 0.5 * resolution + 4.0 * np.spacing(abs(value))
 
 
 @pytest.mark.parametrize("level", [1, 2, 3])

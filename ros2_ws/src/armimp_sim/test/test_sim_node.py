@@ -17,8 +17,8 @@ from armimp_common.topics import CLOCK, PERIOD_NS
 from armimp_sim.node import ArmSimNode
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.simulator import SimulatedRig
-from support.controller import FAILURE, SUCCESS, Sample, ScriptedController
-from support.graph import Launch, a_moment, eventually, overrides
+from support.controller import Sample, ScriptedController
+from support.graph import Launch, a_moment, eventually
 
 PARAMETERS = SimulatorParameters.preset()
 
@@ -158,30 +158,3 @@ class TestParameters:
         simulator.trigger_deactivate()
         (result,) = simulator.set_parameters([change])
         assert result.successful
-
-    def test_when_values_describe_no_rig_expect_configure_to_fail_and_the_node_alive(
-        self, make: MakeRig
-    ) -> None:
-        simulator = make({"arm.damping": [1.0]})
-        assert simulator.trigger_configure() is FAILURE
-        assert simulator.transition_error.startswith("parameter 'arm.damping'")
-        damping = next(one for one in overrides(PARAMETERS) if one.name == "arm.damping")
-        simulator.set_parameters([damping])
-        assert simulator.trigger_configure() is SUCCESS
-
-
-class TestLife:
-    def test_life_can_be_gone_through_again_and_starts_anew_after_configuring(
-        self, make: MakeRig, commander: ScriptedController, spinner: Spinner
-    ) -> None:
-        simulator = make()
-        commands = some_commands(10)
-        for _ in range(3):
-            commander.positions.clear()
-            commander.torques.clear()
-            commander.bring_up(simulator)
-            send(commander, commands)
-            assert commander.positions == expected_samples(commands)[0]
-            assert simulator.trigger_deactivate() is SUCCESS
-            assert simulator.trigger_cleanup() is SUCCESS
-        assert simulator.trigger_shutdown() is SUCCESS

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from armimp_common.errors import ConfigurationError
 from armimp_sim import presets
 from armimp_sim.model.sensors import Sampling
 
@@ -49,11 +48,3 @@ def test_friction_is_that_of_the_design(level: int, values: tuple[float, ...]) -
     for law in presets.friction(level, 2):
         assert (law.coulomb, law.static, law.sigma_0, law.sigma_1, law.sigma_2) == values
         assert law.stribeck_velocity == 0.01
-
-
-@pytest.mark.parametrize("level", [-1, 4, 17])
-def test_level_out_of_range_is_refused_with_the_offending_value(level: int) -> None:
-    with pytest.raises(ConfigurationError, match=f"^friction level .* got {level}$"):
-        presets.friction(level, 2)
-    with pytest.raises(ConfigurationError, match=f"^resolution level .* got {level}$"):
-        presets.sensors(level)

@@ -55,16 +55,6 @@ def test_emergency_stop_takes_torque_away_at_once_and_until_reset(around: Surrou
     assert around.applied == (5.0, -5.0)
 
 
-def test_when_torque_is_still_commanded_expect_reset_to_be_refused(around: Surroundings) -> None:
-    around.call("/arm_sim/emergency_stop")
-    around.command(0.0, 1e-3)
-
-    refusal = "the last command is not zero torque: stop the controller first"
-    assert around.call("/arm_sim/reset") == (False, refusal)
-    around.command(5.0, 5.0)
-    assert around.applied == (0.0, 0.0)
-
-
 @pytest.mark.parametrize(("alive", "silent"), [(0, 1), (0, 0)], ids=["silent", "left"])
 def test_when_the_controller_is_lost_expect_zero_torque_and_a_fault(
     around: Surroundings, alive: int, silent: int

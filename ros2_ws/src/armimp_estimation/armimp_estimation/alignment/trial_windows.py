@@ -246,7 +246,7 @@ def sampling_period(streams: Mapping[str, IntArray]) -> float:
         If the rate is not between :data:`LOWEST` and :data:`HIGHEST`, or stamps don't advance.
     """
     for topic, stamps in streams.items():
-        if stamps.size > 2.0 * (distinct := np.unique(stamps).size):
+        if stamps.size > 2.0 * (distinct := _steps(stamps).size + 1):
             raise DataError(
                 f"{stamps.size} messages of {topic} have {distinct} different stamps: without "
                 "stamps that say when samples were taken there is no sampling rate"
@@ -335,11 +335,17 @@ def _off_grid(stamps: IntArray) -> tuple[float, float, float] | None:
 
 
 def _period(stamps: IntArray) -> float | None:
-    steps = np.diff(np.unique(stamps))
+    steps = _steps(stamps)
     if steps.size == 0:
         return None
     relative = np.asarray(steps / float(np.median(steps)), dtype=np.float64)
     return float(np.sum(steps) / np.sum(_whole(relative)))
+
+
+def _steps(stamps: IntArray) -> IntArray:
+    """From each stamp to the next later one, ns."""
+    steps = np.diff(np.sort(stamps))
+    return np.asarray(steps[steps > 0])
 
 
 def _whole(steps: FloatArray) -> FloatArray:
