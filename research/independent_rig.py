@@ -32,6 +32,8 @@ PUSH = (2.5, 1.5, 0.3)
 """Standard deviations of the perturbations, N·m."""
 RATCHET = 120.0
 """Poles of the cogging, for each radian."""
+BRISTLE = 1e-4
+"""By which bristles between transducers and arm bend, rad."""
 NAMES = ("shoulder", "elbow", "wrist")
 
 
@@ -95,6 +97,9 @@ class Mismatch:
     takes to fall."""
     waxing: float = 0.0
     """Share by which stiffness grows over the trial."""
+    rubbing: float = 0.0
+    """Friction between the transducers and the arm, at each joint, N·m; its bristles bend by 0.1
+    mrad."""
     tremor: float = 0.0
     voluntary: float = 0.0
     synchronous: bool = False
@@ -192,6 +197,7 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0913, PLR091
     relaxed = np.zeros(n)
     bend = np.zeros(n)
     rubs = np.zeros(n)
+    grip = np.zeros(n)
     where = states - 2 * n if states > 2 * n else 0
     for k in range(ticks):
         for i in range(n):
@@ -245,6 +251,10 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0913, PLR091
                 extra += nonlinear[3] * (q - relaxed[i])
                 extra -= nonlinear[1] * q * min(q * q / 0.0025, 4.0)
                 extra += nonlinear[2] * (k / ticks - 0.5) * q
+                if nonlinear[7] > 0.0:
+                    ends = BRISTLE * np.sign(v)
+                    grip[i] = ends + (grip[i] - ends) * np.exp(-abs(v) / BRISTLE * step)
+                    extra += nonlinear[7] * grip[i] / BRISTLE
                 extra += nonlinear[5] * abs(q) + nonlinear[6] * np.exp(-15.0 * k / ticks) * q
                 force[n + i] = disturbance[i, k] + contraction[i, 1] + extra
             if s == 0:
@@ -332,6 +342,7 @@ def simulate_trial(mismatch: Mismatch, joint: int, seed: int) -> Recording:
                 1.0 - np.exp(-step / mismatch.relaxation),
                 0.5 * mismatch.one_sided * float(K[0, 0]),
                 mismatch.startled * float(K[0, 0]),
+                mismatch.rubbing,
             ]
         ),
         1.0 - np.exp(-step / 0.02),

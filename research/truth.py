@@ -420,6 +420,10 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         add(MUST, "torque hysteresis", (f"{gap:g} N·m", {"readings": rubbed}))
         unseen: dict[str, Any] = {"readings": rubbed, "voluntary": 0.3}
         add(MUST, "torque hysteresis, voluntary 0.3 N·m", (f"{gap:g} N·m", unseen))
+    for rub in (0.005, 0.02, 0.1):
+        add(MUST, "friction of the arm", (f"{rub:g} N·m", {"rubbing": rub}))
+        moved: dict[str, Any] = {"rubbing": rub, "voluntary": 0.3}
+        add(MUST, "friction of the arm, voluntary 0.3 N·m", (f"{rub:g} N·m", moved))
     for gap in (1e-4, 1e-3, 5e-3):
         loose = changed(position=_backlash(gap))
         add(MUST, "angle backlash", (f"{gap:g} rad", {"readings": loose}))
@@ -470,6 +474,11 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         for name in ("torque", "position"):
             one_late = changed(**{name: _late_row(1, late)})
             add(MUST, f"{name} of joint 2 late", (f"{late:g} ms", {"readings": one_late}))
+            add(
+                MUST,
+                f"{name} of joint 2 late, voluntary 0.3 N·m",
+                (f"{late:g} ms", {"readings": one_late, "voluntary": 0.3}),
+            )
     for rate in (500.0, 800.0, 2000.0):
         add(MUST, "interpolated", (f"{rate:g}", {"readings": _resampled(rate)}))
     for name, change in (

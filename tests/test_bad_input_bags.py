@@ -33,13 +33,6 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write(tmp_path_factory.mktemp("good") / "bag", joint_names=json.dumps(NAMES))
 
 
-@pytest.fixture(scope="module")
-def told_of_good(good: Path) -> Told:
-    told = behaved("estimate", str(good), "--json")
-    assert told.status == 0
-    return told
-
-
 def numbers(told: Told) -> object:
     return json.loads(told.out)["estimators"]
 
@@ -76,15 +69,6 @@ class TestContent:
         line = both_refuse(bag)
         assert kind in line
         assert topics.JOINT_STATES in line
-
-
-def test_trust_lifts_the_limits_and_changes_no_number(
-    good: Path, told_of_good: Told, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("armimp_estimation.bags.raw._FREE", 0)
-    monkeypatch.setattr("armimp_estimation.bags.raw._RATIO", 1)
-    assert "--trust lifts the limits" in both_refuse(good)
-    assert numbers(behaved("estimate", str(good), "--trust", "--json")) == numbers(told_of_good)
 
 
 class TestContradictions:

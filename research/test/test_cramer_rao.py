@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from armimp_common.errors import ConfigurationError, DataError
+from armimp_common.errors import DataError
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from research.cramer_rao import (
@@ -85,33 +85,6 @@ def test_motion_that_is_unknown_costs_as_much_as_it_does_in_the_whole_informatio
     np.testing.assert_allclose(found.ravel(), expected[:parameters], rtol=1e-6)
 
 
-def test_elements_lie_where_their_matrices_have_them() -> None:
-    """Less noise of one torque helps its row alone; more motion of one joint its column alone."""
-    f, theta = motion(2, 2)
-    plain = cramer_rao_bound(f, theta, np.tile(np.eye(2), (f.size, 1, 1)).astype(complex))
-    quiet = np.tile(np.diag([1.0, 0.25]), (f.size, 1, 1)).astype(complex)
-    np.testing.assert_allclose(
-        cramer_rao_bound(f, theta, quiet) / plain, [[[1.0, 1.0], [0.5, 0.5]]] * 3
-    )
-    moved = theta * np.array([1.0, 4.0])[None, :, None]
-    larger = cramer_rao_bound(f, moved, np.tile(np.eye(2), (f.size, 1, 1)).astype(complex))
-    np.testing.assert_allclose(larger / plain, [[[1.0, 0.25], [1.0, 0.25]]] * 3)
-
-
-def test_without_noise_there_is_no_limit() -> None:
-    f, theta = motion(2, 2)
-    none = SensorNoise.of_rounding(angle=0.0, torque=0.0)
-    covariance = error_covariance(TWO_JOINT_ARM, f, SAMPLES, none)
-    assert not cramer_rao_bound(f, theta, covariance).any()
-
-
-def test_rounding_has_the_variance_of_a_uniform_error() -> None:
-    values = np.random.default_rng(1).uniform(0.0, 100.0, 200_000)
-    noise = SensorNoise.of_rounding(angle=1.0, torque=0.5)
-    assert float(np.std(np.rint(values) - values)) == pytest.approx(noise.angle, rel=0.01)
-    assert noise.torque == pytest.approx(0.5 * noise.angle)
-
-
 def test_joints_that_cannot_be_told_apart_are_refused() -> None:
     f, theta = motion(2, 1)
     covariance = error_covariance(TWO_JOINT_ARM, f, SAMPLES, NOISE)
@@ -119,20 +92,6 @@ def test_joints_that_cannot_be_told_apart_are_refused() -> None:
         cramer_rao_bound(f, theta * np.array([1.0, 0.0])[None, :, None], covariance)
     with pytest.raises(DataError, match="apart"):
         cramer_rao_bound(f, np.repeat(theta[:, :1], 2, axis=1), covariance)
-
-
-def test_noise_that_is_none_is_refused() -> None:
-    for value in (-1.0, np.nan, np.inf):
-        with pytest.raises(ConfigurationError, match="torque"):
-            SensorNoise(angle=0.0, torque=value)
-
-
-def test_trials_of_different_length_are_refused() -> None:
-    config = SyntheticConfig(samples=4096)
-    trial = synthetic_trial(TWO_JOINT_ARM, 0, config, 1)
-    other = synthetic_trial(TWO_JOINT_ARM, 1, replace(config, samples=2048), 1)
-    with pytest.raises(DataError, match="one length"):
-        motion_in_band([trial, other], BAND)
 
 
 def _likeliest(records: list[TrialRecord], covariance: ComplexArray) -> FloatArray:

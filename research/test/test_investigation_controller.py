@@ -6,22 +6,17 @@ import csv
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.parameters import node_parameters
-from armimp_common.errors import ConfigurationError
 from research.controller import (
     GAMMA,
     LOCK,
     REFERENCE,
     WALK,
     ControllerPlan,
-    changed,
     investigate,
     settings,
-    worst,
 )
 from research.options import InvestigationOptions
 
@@ -35,33 +30,6 @@ PLAN = ControllerPlan(
     levels=((3, 3, 3),),
     values={WALK: (0.1, 1.0), GAMMA: (100.0, 5000.0), LOCK: (50.0,)},
 )
-
-
-def test_each_setting_changes_its_parameter_and_no_other() -> None:
-    default = node_parameters(BASE, None).controller
-    for name, value in settings(PLAN)[1:]:
-        found = (
-            node_parameters(changed(BASE, (name, value)), None).controller
-            if value < 5000.0
-            else None
-        )
-        if found is None:
-            continue
-        factor = value if name == WALK else 1.0
-        assert found.law.perturbed_walk == pytest.approx(
-            np.multiply(factor, default.law.perturbed_walk)
-        )
-        assert found.law.gamma == (value if name == GAMMA else default.law.gamma)
-        expected = value if name == LOCK else default.target.lock_frequency
-        assert found.target.lock_frequency == expected
-    assert changed(BASE, settings(PLAN)[0]).internal_model == "tde"
-    with pytest.raises(ConfigurationError, match="cannot vary 'speed', only walk, gamma, lock"):
-        changed(BASE, ("speed", 1.0))
-
-
-def test_the_worst_of_seeds_is_the_least_score_and_the_largest_of_all_else() -> None:
-    rows = [{"a_vaf": 99.0, "a_B": 1.0, "step": 3.0}, {"a_vaf": 98.0, "a_B": 2.0, "step": 1.0}]
-    assert worst(rows) == {"a_vaf": 98.0, "a_B": 2.0, "step": 3.0}
 
 
 def test_what_is_found_is_written_drawn_and_told(

@@ -10,10 +10,6 @@ import numpy as np
 import pytest
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.offline import simulate
-from armimp_common.errors import ConfigurationError
-from armimp_estimation.estimators.estimate import ImpedanceEstimate
-from armimp_estimation.mbk import MBK
 from research.decomposition import (
     DecompositionPlan,
     investigate,
@@ -21,14 +17,7 @@ from research.decomposition import (
 )
 from research.decomposition_outcomes import Cell
 from research.decomposition_statistics import (
-    OCTAVES,
     Mean,
-    octave_errors,
-)
-from research.decomposition_trials import (
-    all_at_once,
-    input_mixing,
-    scales,
 )
 from research.options import InvestigationOptions
 
@@ -97,65 +86,8 @@ def test_investigation_leaves_tables_and_figures_and_prints_json(
         assert (tmp_path / f"{name}.pdf").stat().st_size > 5_000
 
 
-@pytest.mark.parametrize("correlation", [-0.1, 1.0, float("nan")])
-def test_impossible_correlation_is_refused(correlation: float) -> None:
-    with pytest.raises(ConfigurationError, match="correlation"):
-        input_mixing((3.0, 1.8), correlation)
-
-
-def test_mixing_keeps_the_power_and_gives_the_correlation() -> None:
-    peak = np.array((9.0, 5.4, 1.0))
-    mixing = input_mixing(tuple(peak), 0.6)
-    covariance = mixing @ np.diag(peak**2) @ mixing.T
-    expected = np.outer(peak, peak) * (0.4 * np.eye(3) + 0.6)
-    np.testing.assert_allclose(covariance, expected, rtol=1e-12)
-
-
-def test_all_at_once_has_as_many_trials_each_with_signals_of_its_own() -> None:
-    config = BASE.model_copy(update={"duration": 10.0})
-    (alone,), (together,) = simulate([config]), all_at_once([config])
-    assert [record.samples for record in alone.records] == [10_000, 10_000]
-    assert [record.samples for record in together.records] == [10_000, 10_000]
-    signals = [row for record in together.records for row in record.perturbation]
-    for i, one in enumerate(signals):
-        assert np.any(one)
-        assert not any(np.array_equal(one, other) for other in signals[i + 1 :])
-    # Joint by joint only one is perturbed.
-    assert not alone.records[0].perturbation[1].any()
-
-
-def test_mean_tells_a_bias_from_chance() -> None:
-    random = np.random.default_rng(5)
-    noise = random.standard_normal((40, 3, 4))
-    assert not Mean.of(noise).significant
-    noise[:, 1, 2] += 1.0
-    found = Mean.of(noise)
-    assert found.significant
-    assert int(np.argmax(np.abs(found.z))) == 1 * 4 + 2
-    assert found.z[1, 2] == pytest.approx(found.bias[1, 2] / found.spread[1, 2] * np.sqrt(40.0))
-
-
 def test_chance_alone_is_significant_as_often_as_stated() -> None:
     random = np.random.default_rng(6)
     many = [Mean.of(random.standard_normal((12, 8))).significant for _ in range(2000)]
     # 5 % by Bonferroni; four standard errors are 2 %.
     assert 0.03 < np.mean(many) < 0.07
-
-
-def test_octave_errors_are_means_relative_to_the_truth() -> None:
-    truth = MBK(M=np.diag([0.2, 0.1]), B=np.ones((2, 2)), K=np.full((2, 2), 5.0))
-    f = np.arange(1, 123) * 1000.0 / 8192
-    true = truth.impedance(f)
-    estimate = ImpedanceEstimate(
-        name="made", f=f, Z=true + (0.1 + 0.2j) * np.abs(true), variance=np.ones(true.shape),
-        bin_correlation=np.ones((1, f.size)), averages=10.0, T=true, R=true,
-    )  # fmt: skip
-    errors = octave_errors(estimate, truth)
-    assert errors.shape == (2, 2, len(OCTAVES) - 1)
-    np.testing.assert_allclose(errors, 0.1 + 0.2j)
-
-
-def test_scales_are_geometric_means_of_the_diagonal() -> None:
-    np.testing.assert_allclose(
-        scales(np.array([[4.0, 1.0], [2.0, -9.0]])), [[4.0, 6.0], [6.0, 9.0]]
-    )

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from armimp_bringup.config import ExperimentConfig
 from research.growth import GrowthPlan, investigate, run_growth
-from research.growth_outcomes import Cell, Outcome
+from research.growth_outcomes import Cell
 from research.options import InvestigationOptions
 
 pytestmark = pytest.mark.slow
@@ -40,37 +38,6 @@ def test_local_polynomials_have_the_least_bias(cells: Cells, joints: int) -> Non
     assert best.worst_vaf > 99.9
     for name in ("welch_siso", "mimo"):
         assert (best.bias < cells[joints, 0.0, name].bias).all()
-
-
-def _outcomes(errors: Sequence[float], samples: int) -> list[Outcome]:
-    return [
-        Outcome(
-            joints=1,
-            voluntary=0.0,
-            estimator="made",
-            samples=samples,
-            errors=np.full((3, 1, 1), error),
-            relative=np.full((3, 1, 1), 2.0 * error),
-            vaf=np.array([[99.0 + error]]),
-            seconds=abs(error),
-        )
-        for error in errors
-    ]
-
-
-def test_cell_tells_bias_spread_exponent_and_the_record_that_is_needed() -> None:
-    # Spread of 0.02 about 0.03, and 0.04 in the first halves.
-    whole, half = _outcomes((0.01, 0.03, 0.05), 50_000), _outcomes((-0.01, 0.03, 0.07), 25_000)
-    cell = Cell.of(whole, half, target=0.01)
-    np.testing.assert_allclose(cell.bias, 0.03)
-    np.testing.assert_allclose(cell.spread, 0.02)
-    np.testing.assert_allclose(cell.exponent, 1.0)
-    np.testing.assert_allclose(cell.worst, 0.05)
-    np.testing.assert_allclose(cell.worst_relative, 0.1)
-    assert cell.duration == pytest.approx(50.0)
-    assert cell.needed == pytest.approx(200.0)
-    assert cell.seconds == pytest.approx(0.03)
-    assert cell.worst_vaf == pytest.approx(99.01)
 
 
 def test_investigation_leaves_tables_and_a_figure(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +13,6 @@ import pytest
 from armimp_bringup.config import ExperimentConfig
 from research.limits import LimitsPlan, investigate, run_limits
 from research.limits_statistics import Cell
-from research.limits_tables import in_words
 from research.options import InvestigationOptions
 
 pytestmark = pytest.mark.slow
@@ -24,24 +22,12 @@ PLAN = LimitsPlan(
     base=BASE, levels=((3, 3, 3),), seeds="0:24", estimators=("lpm_full", "welch_siso")
 )
 SHORT = ExperimentConfig(duration=16.4, arm_sim={"substeps": 10})
-BAND = (0.122, 15.0)
 Cells = dict[tuple[str, float], Cell]
 
 
 @pytest.fixture(scope="module")
 def cells() -> Cells:
     return {(cell.estimator, cell.voluntary): cell for cell in run_limits(PLAN, workers=2)}
-
-
-def made(errors: Sequence[float], limit: float) -> Cell:
-    runs = np.ones((len(errors), 3, 2, 2))
-    return Cell(
-        levels=(0, 1, 3),
-        voluntary=0.3,
-        estimator="made",
-        errors=np.array(errors)[:, None, None, None] * runs,
-        bounds=limit * runs,
-    )
 
 
 def test_no_estimator_has_a_spread_below_the_bound_by_more_than_chance(cells: Cells) -> None:
@@ -54,29 +40,6 @@ def test_no_estimator_has_a_spread_below_the_bound_by_more_than_chance(cells: Ce
 def test_local_polynomials_come_close_to_the_bound_with_voluntary_torque(cells: Cells) -> None:
     assert float(np.sqrt(np.mean(cells["lpm_full", 0.3].ratio ** 2))) < 1.5
     assert cells["lpm_full", 0.3].worst[1] < 2.0
-
-
-def test_cell_tells_bound_rms_spread_and_their_ratios() -> None:
-    cell = made((0.01, 0.03, 0.05), 0.01)
-    np.testing.assert_allclose(cell.rms, np.sqrt(35.0 / 3.0) * 0.01)
-    np.testing.assert_allclose(cell.ratio, np.sqrt(35.0 / 3.0))
-    np.testing.assert_allclose(cell.bias, 0.03)
-    np.testing.assert_allclose(cell.spread_ratio, 2.0)
-    assert cell.elements[:3] == ["M11", "M12", "M21"]
-
-
-def test_uncertainty_of_the_ratio_is_its_scatter_over_experiments() -> None:
-    random = np.random.default_rng(1)
-    cells = [made(list(errors), 0.5) for errors in random.standard_normal((300, 64))]
-    scatter = np.std([cell.ratio[0, 0, 0] for cell in cells])
-    stated = np.mean([cell.uncertainty[0, 0, 0] for cell in cells])
-    assert stated == pytest.approx(float(scatter), rel=0.15)
-
-
-def test_without_a_bound_there_is_no_ratio() -> None:
-    cell = made((0.01, 0.02), 0.0)
-    assert np.isnan(cell.ratio).all()
-    assert in_words([cell]) == ["made, with 0.3 N·m rms: no noise, so there is no bound."]
 
 
 def test_investigation_leaves_tables_and_a_figure(

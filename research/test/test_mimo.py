@@ -59,13 +59,6 @@ def relative_error(found: MimoEstimate) -> float:
     return float(np.sqrt(np.max(error / np.sum(np.abs(true) ** 2, axis=2))))
 
 
-def test_one_record_gives_the_whole_matrix() -> None:
-    found = estimate(loop_record(1))
-    assert found.impedance.name == "mimo"
-    assert found.impedance.Z.shape == (2, 2, 122)
-    assert relative_error(found) < 0.02
-
-
 def test_responses_of_a_static_system_are_its_gains_however_inputs_are_coupled() -> None:
     rng = np.random.default_rng(2)
     x = np.array([[1.0, 0.0], [0.8, 0.6]]) @ rng.standard_normal((2, SAMPLES))
@@ -124,25 +117,3 @@ def test_when_inputs_have_much_in_common_expect_data_error() -> None:
     found = estimate_mimo([coupled], WELCH, largest_condition=1e5)
     assert np.min(found.coupling.inflation) > 20.0
     assert relative_error(found) < 0.1
-
-
-def test_when_a_joint_is_not_perturbed_expect_its_name() -> None:
-    record = loop_record(1)
-    record = dataclasses.replace(record, perturbation=record.perturbation * [[1.0], [0.0]])
-    with pytest.raises(DataError, match="trial 1 does not perturb b: all joints"):
-        estimate(record)
-
-
-def test_when_an_input_has_no_power_at_a_frequency_expect_it_in_the_error() -> None:
-    f, matrix = spectra_of(np.random.default_rng(3).standard_normal((2, SAMPLES)))
-    matrix[1, :, 4] = matrix[:, 1, 4] = 0.0
-    with pytest.raises(DataError, match=r"no perturbation of joint 2 at 0\.6104 Hz"):
-        input_coupling(f, matrix)
-
-
-def test_when_records_do_not_belong_together_expect_data_error() -> None:
-    one = loop_record(1)
-    with pytest.raises(DataError, match="no trial"):
-        estimate()
-    with pytest.raises(DataError, match="trials 1 and 2 are of different joints or rates"):
-        estimate(one, dataclasses.replace(loop_record(2), joint_names=("x", "y")))

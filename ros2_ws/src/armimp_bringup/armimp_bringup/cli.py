@@ -57,9 +57,6 @@ _Bags = Annotated[
 _AllowGaps = Annotated[
     bool, typer.Option("--allow-gaps", help="Use the intact parts of trials that lost samples.")
 ]
-_Trust = Annotated[
-    bool, typer.Option("--trust", help="Lift the limits on what a bag may hold for its size.")
-]
 _Out = Annotated[
     Path | None, typer.Option("--out", help="New directory for the results.", show_default="none")
 ]
@@ -212,7 +209,6 @@ def estimate(
         str | None, typer.Option(help="Namespace of the topics; by default found by itself.")
     ] = None,
     allow_gaps: _AllowGaps = False,
-    trust: _Trust = False,
     out: _Out = None,
     json: _Json = False,
     estimators: list[str] | None = None,
@@ -236,7 +232,6 @@ def estimate(
             namespace=namespace,
             allow_gaps=allow_gaps,
             declared=declared,
-            trust=trust,
         )
         display.close()
         for note in result.notes:
@@ -251,7 +246,6 @@ def estimate(
 def replay(
     bags: _Bags,
     allow_gaps: _AllowGaps = False,
-    trust: _Trust = False,
     out: _Out = None,
     domain_id: _DomainId = None,
     json: _Json = False,
@@ -272,7 +266,6 @@ def replay(
                 tuple(estimators or ()),
                 out,
                 allow_gaps=allow_gaps,
-                trust=trust,
                 domain_id=domain_id,
                 on_progress=display.show,
                 interrupted=stopped,

@@ -34,7 +34,6 @@ def estimate_bags(
     namespace: str | None = None,
     allow_gaps: bool = False,
     declared: Declared | None = None,
-    trust: bool = False,
 ) -> Result:
     """Identify the impedance from bags that hold one trial for each joint between them.
 
@@ -50,8 +49,6 @@ def estimate_bags(
         Use the intact parts of trials that lost samples.
     declared : Declared, optional
         What is known in the place of what the bags say.
-    trust : bool
-        Whether to lift the limits on what a bag may hold, which grow with its size.
 
     Returns
     -------
@@ -65,7 +62,7 @@ def estimate_bags(
     DataError
         If the bags don't belong together, or a trial can't be estimated.
     """
-    contents = read_bags(bags, namespace=namespace, trust=trust)
+    contents = read_bags(bags, namespace=namespace)
     names = contents[0].joint_names
     notes = [note for content in contents for note in content.notes]
     trials = [replace(t, bag=str(one.path)) for one in contents for t in one.trials]
@@ -97,9 +94,7 @@ def _metadata_of(declared: Declared) -> dict[str, str]:
     return {key: json.dumps(value) for key, value in told.items() if value is not None}
 
 
-def read_bags(
-    bags: Sequence[Path], *, namespace: str | None = None, trust: bool = False
-) -> list[BagContent]:
+def read_bags(bags: Sequence[Path], *, namespace: str | None = None) -> list[BagContent]:
     """Read bags which belong to one experiment; those that a killed recorder left are finished.
 
     Raises
@@ -112,8 +107,8 @@ def read_bags(
     require_distinct(bags)
     contents = []
     for path in bags:
-        finished = finish_bag(path, trust=trust)
-        content = read_bag(path, namespace=namespace, trust=trust)
+        finished = finish_bag(path)
+        content = read_bag(path, namespace=namespace)
         contents.append(replace(content, notes=(finished, *content.notes)) if finished else content)
     for content in contents[1:]:
         if content.joint_names != contents[0].joint_names:

@@ -139,7 +139,6 @@ def replay_bags(
     directory: Path | None,
     *,
     allow_gaps: bool = False,
-    trust: bool = False,
     domain_id: int | None = None,
     on_progress: Callable[[Progress], None] = lambda _: None,
     interrupted: Callable[[], bool] = lambda: False,
@@ -156,8 +155,6 @@ def replay_bags(
         New directory for the results; None keeps no files.
     allow_gaps : bool
         Use the intact parts of trials that lost samples.
-    trust : bool
-        Whether to lift the limits on what a bag may hold, which grow with its size.
     domain_id, on_progress, interrupted
         As for :func:`armimp_bringup.orchestrator.run_experiment`.
 
@@ -170,7 +167,7 @@ def replay_bags(
     """
     if directory is not None:
         require_unused(directory)
-    contents = read_bags(bags, trust=trust)
+    contents = read_bags(bags)
     for content in contents:
         for trial in content.trials:
             trial.intact(allow_gaps=allow_gaps)

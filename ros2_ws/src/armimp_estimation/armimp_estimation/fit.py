@@ -568,7 +568,7 @@ class _Elements:
             common = [-Z[:, joint, None] * Z[None, joint] for joint in range(n)]
             for place, one in enumerate([*common, -1j * Z / self.omega]):
                 terms = one.reshape(self.Z.shape)
-                value, error = self.common_coefficient(terms)
+                value, error, _ = self.common_coefficient(terms)
                 # No cuff has a negative compliance; angles may have passed the high-pass, too.
                 square = _noticed(max(value, 0.0) if place < n else value, error)
                 if place < n:
@@ -586,7 +586,7 @@ class _Elements:
 
     def high_pass(self, Z: ComplexArray) -> tuple[float, float]:
         """Corner of a common high-pass of the torques of an arm Z, and its error, Hz."""
-        value, error = self.common_coefficient((1j * Z / self.omega).reshape(self.Z.shape))
+        value, error, _ = self.common_coefficient((1j * Z / self.omega).reshape(self.Z.shape))
         return value / (2.0 * np.pi), error / (2.0 * np.pi)
 
     def hidden_terms(self, values: FloatArray) -> list[tuple[int, ComplexArray]]:
@@ -627,20 +627,32 @@ class _Elements:
         functional = weights * left / total
         return _functional(functional, self.Z[row]), self.functional_error(row, functional)
 
-    def common_coefficient(self, terms: ComplexArray) -> tuple[float, float]:
-        """Coefficient that terms (elements, n_freq) have in common, and its standard error.
+    def common_coefficient(self, terms: ComplexArray) -> tuple[float, float, float]:
+        """Coefficient that terms (elements, n_freq) have in common.
 
-        The mean of those of all elements, weighted by their inverse variances, the error of which
-        covers their scatter.
+        Returns
+        -------
+        mean, error : float
+            Of those of all elements, weighted by their inverse variances. The error covers their
+            scatter.
+        apart : float
+            Standard deviation by which those of single elements differ beyond chance, as by
+            DerSimonian & Laird (*Controlled Clinical Trials* 7, 1986), from where their scatter
+            exceeds what is expected by one of its standard deviations.
         """
         found = np.array([self.coefficient_of(term, row) for row, term in enumerate(terms)])
         values, errors = found[np.isfinite(found[:, 1]) & (found[:, 1] > 0.0)].T
         if not values.size:
-            return 0.0, math.inf
+            return 0.0, math.inf, 0.0
         precision = 1.0 / errors**2
-        mean = float(np.sum(precision * values) / np.sum(precision))
-        scatter = float(np.sum(precision * (values - mean) ** 2)) / max(values.size - 1, 1)
-        return mean, math.sqrt(max(1.0, scatter) / float(np.sum(precision)))
+        total = float(np.sum(precision))
+        mean = float(np.sum(precision * values)) / total
+        freedom = max(values.size - 1, 1)
+        scatter = float(np.sum(precision * (values - mean) ** 2))
+        spare = total - float(np.sum(precision**2)) / total
+        excess = max(scatter - freedom - math.sqrt(2.0 * freedom), 0.0)
+        apart = math.sqrt(excess / spare) if spare > 0.0 else 0.0
+        return mean, math.sqrt(max(1.0, scatter / freedom) / total), apart
 
     def common_coefficients(
         self, terms: ComplexArray, expected: FloatArray
@@ -756,10 +768,10 @@ def _with_delay(
     unknown : float
         Standard error to fall back upon where the data refute that, s.
     """
-    total, told_error = 0.0, math.inf
+    total, told_error, apart = 0.0, math.inf, 0.0
     trial = problem
     for _ in range(_ITERATIONS):
-        step, told_error = _delay_of(trial)
+        step, told_error, apart = _delay_of(trial)
         # No drive, filter or clock is later than that; beyond, it isn't a delay.
         total = float(np.clip(total + step, -0.02, 0.02))
         turn = np.exp(2j * np.pi * problem.f * total)
@@ -788,7 +800,11 @@ def _with_delay(
     # Torques that jump and angles that don't differ by (ωL)²/24 of inertia amid a period.
     jumping = (assumed * turning) ** 2 / 6.0 * inertial
     terms = np.stack([assumed * turning * turned, jumping, *filtered])
-    trial = replace(problem, Z=turned - doubt, systematics=(*problem.systematics, doubt, untold))
+    # Transducers may be late each by itself, or seem so, as with hysteresis.
+    single = (min(apart, assumed) * turning * turned,) if fits and assumed > 0.0 else ()
+    trial = replace(
+        problem, Z=turned - doubt, systematics=(*problem.systematics, *single, doubt, untold)
+    )
     found, covariance = np.zeros(len(terms)), np.eye(len(terms))
     if fits and assumed > 0.0:
         hidden = problem.hidden_terms(values)
@@ -870,12 +886,12 @@ def hidden_square(
     return square, float(np.logaddexp.reduce(ratios))
 
 
-def _delay_of(problem: _Elements) -> tuple[float, float]:
-    """Delay that all elements have in common, and its standard error, s.
+def _delay_of(problem: _Elements) -> tuple[float, float, float]:
+    """Delay that all elements have in common, its standard error, and how far theirs differ, s.
 
     For each element ``Z = fit - d·jω·fit`` is solved for d by weighted least squares.
     """
-    fitted = np.stack([_of_mbk(one, problem.omega) for one in problem.fit()[0].T])
+    fitted = np.stack([_of_mbk(one, problem.omega) for one in problem.values().T])
     return problem.common_coefficient(-1j * problem.omega * fitted)
 
 

@@ -23,7 +23,7 @@ from armimp_estimation.json_model import JsonModel, Number, Vector
 from armimp_estimation.mbk import MBK
 from armimp_estimation.nonlinearity import judge_linearity
 from armimp_estimation.plausibility import judge_angles
-from armimp_estimation.problems import Problem, ProblemCode, Severity, Verdict
+from armimp_estimation.problems import Problem, ProblemCode, Severity, Verdict, problem
 from armimp_estimation.robot_balance import (
     RobotBalance,
     RobotResponses,
@@ -178,7 +178,7 @@ def identify(
         ordered = tuple(in_order(trial, order) for trial in ordered)
     frf = frf_matrix(ordered)
     averages = min(trial.spectra.effective_averages for trial in ordered)
-    level = scores.coherence_significance(averages, options.limits.significance)
+    level = scores.coherence_significance(averages, verdict.SIGNIFICANCE)
     for trial in ordered:
         scores.require_motion(trial.record)
     locks = scores.lock_ratio(ordered, frf)
@@ -205,16 +205,19 @@ def identify(
         names, first.coherence_motion, first.coherence_torque, level
     )
     if verdict.SINGLE in distinct:
-        problems += verdict.judge_locking(names, locks, bounds, options.limits)
+        problems += verdict.judge_locking(names, locks, bounds)
     for name, one in results.items():
         decides = name in _deciding(results)
         problems += verdict.judge_estimate(names, one.estimate, one.fit, reading, decides=decides)
         problems += verdict.judge_models(name, one.models)
     if options.calibration.assumed:
-        assumed = {"gain": 100.0 * options.calibration.gain}
-        assumed["cross_talk"] = 100.0 * options.calibration.cross_talk
         problems.append(
-            Problem(code=ProblemCode.CALIBRATION_ASSUMED, severity=Severity.NOTE, values=assumed)
+            problem(
+                ProblemCode.CALIBRATION_ASSUMED,
+                severity=Severity.NOTE,
+                gain=100.0 * options.calibration.gain,
+                cross_talk=100.0 * options.calibration.cross_talk,
+            )
         )
     best = next((r for r in results.values() if r.estimate.unbiased), None)
     records = [trial.record for trial in ordered]

@@ -172,14 +172,7 @@ class Metadata(BaseModel):
 
     @classmethod
     def of(cls, metadata: Mapping[str, str], joints: int | None = None) -> Metadata:
-        """Read the metadata of a bag, which may be empty.
-
-        Parameters
-        ----------
-        metadata : mapping of str to str
-            JSON by name.
-        joints : int, optional
-            Number of joints n of the data.
+        """Read the metadata of a bag, JSON by name, which may be empty, with data of n joints.
 
         Raises
         ------

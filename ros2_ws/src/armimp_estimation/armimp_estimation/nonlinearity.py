@@ -160,6 +160,8 @@ TERMS: Mapping[str, Term] = {
     "friction": Term(
         bend=lambda signals: np.tanh(signals[2] / SLOW),
         code=ProblemCode.FRICTION_LEFT,
+        likely=0.1,
+        sizes=(0.01, 0.03, 0.1),
         broad=True,
     ),
     "time": Term(
@@ -619,7 +621,8 @@ def judge_linearity(
                     doubts[k][:, k, m] = np.hypot(doubts[k][:, k, m], beside)
             if one.significant and abs(one.share) < _NEGLIGIBLE:
                 continue
-            doubts[k][:, k, k] = np.hypot(doubts[k][:, k, k], doubt * one.shift)
+            if not one.slack:
+                doubts[k][:, k, k] = np.hypot(doubts[k][:, k, k], doubt * one.shift)
             large = resolved[k] and abs(one.share) > TERMS[name].large
             code, severity = TERMS[name].code, Severity.ERROR if large else Severity.NOTE
             if not one.significant or (code, severity) in said:

@@ -18,30 +18,15 @@ from armimp_estimation.torque_timing import HIGHEST_ORDER
 class TorqueParameters(Schema):
     """Known properties of the torque readings, which are corrected."""
 
-    delay: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=0.1,
-        description="delay of the torque readings (s); 0: as the metadata say",
-    )
-    cutoff: float = Field(
-        default=0.0,
-        ge=0.0,
-        description="cut-off frequency of the anti-alias filter of the torque readings (Hz); "
-        "0: as the metadata say",
-    )
-    order: int = Field(
-        default=1,
-        ge=1,
-        le=HIGHEST_ORDER,
-        description="order of the anti-alias filter of the torque readings (Butterworth)",
-    )
-    actuator_lag: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=0.1,
-        description="time constant of the drives (s); 0: as the metadata say",
-    )
+    delay: float = Field(default=0.0, ge=0.0, le=0.1)
+    """delay of the torque readings (s); 0: as the metadata say"""
+    cutoff: float = Field(default=0.0, ge=0.0)
+    """cut-off frequency of the anti-alias filter of the torque readings (Hz); 0: as the metadata
+    say"""
+    order: int = Field(default=1, ge=1, le=HIGHEST_ORDER)
+    """order of the anti-alias filter of the torque readings (Butterworth)"""
+    actuator_lag: float = Field(default=0.0, ge=0.0, le=0.1)
+    """time constant of the drives (s); 0: as the metadata say"""
 
     def metadata(self) -> dict[str, str]:
         """Return what is known in the form that metadata of bags have."""
@@ -54,48 +39,30 @@ class TorqueParameters(Schema):
 class EstimatorParameters(Schema):
     """All parameters of the node ``impedance_estimator``."""
 
-    joints: tuple[str, ...] = Field(
-        default=("shoulder", "elbow"), description="names of the joints, in the order of results"
-    )
+    joints: tuple[str, ...] = ("shoulder", "elbow")
+    """names of the joints, in the order of results"""
     estimators: tuple[str, ...] = Field(
         default=("welch_siso", "lpm_full"),
         description=f"Estimators of the final result, of: {', '.join(estimator_names())}",
     )
-    record: bool = Field(default=True, description="write one bag for each trial")
-    directory: str = Field(
-        default="", description="where bags/, summary.json and frf.npz go; empty: nowhere"
-    )
-    metadata: str = Field(
-        default="{}",
-        description="JSON object of strings to store in the bags: configuration, truth, versions",
-    )
-    allow_gaps: bool = Field(
-        default=False,
-        description="estimate from the intact parts of trials that lost samples",
-    )
-    most_excluded: float = Field(
-        default=MOST_EXCLUDED,
-        ge=0.0,
-        le=1.0,
-        description="largest share of a trial that may be left out of a valid result",
-    )
-    progress_period: float = Field(
-        default=0.2, ge=0.05, le=10.0, description="time between progress messages (s)"
-    )
+    record: bool = True
+    """write one bag for each trial"""
+    directory: str = ""
+    """where bags/, summary.json and frf.npz go; empty: nowhere"""
+    metadata: str = "{}"
+    """JSON object of strings to store in the bags: configuration, truth, versions"""
+    allow_gaps: bool = False
+    """estimate from the intact parts of trials that lost samples"""
+    most_excluded: float = Field(default=MOST_EXCLUDED, ge=0.0, le=1.0)
+    """largest share of a trial that may be left out of a valid result"""
+    progress_period: float = Field(default=0.2, ge=0.05, le=10.0)
+    """time between progress messages (s)"""
     torque: TorqueParameters = TorqueParameters()
     realtime: TimingLimits = TimingLimits()
-    target_error: float = Field(
-        default=0.0,
-        ge=0.0,
-        lt=1.0,
-        description="relative standard error below which a trial ends early; 0: never",
-    )
-    least_duration: float = Field(
-        default=20.0,
-        gt=0.0,
-        le=9000.0,
-        description="length of a trial that ends early, at least (s)",
-    )
+    target_error: float = Field(default=0.0, ge=0.0, lt=1.0)
+    """relative standard error below which a trial ends early; 0: never"""
+    least_duration: float = Field(default=20.0, gt=0.0, le=9000.0)
+    """length of a trial that ends early, at least (s)"""
 
     def bag_metadata(self) -> dict[str, str]:
         """The metadata as a dictionary, with what is known of the torque readings.

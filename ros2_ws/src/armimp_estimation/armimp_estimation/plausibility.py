@@ -34,17 +34,7 @@ _ERRORS = 5.0
 
 
 def judge_matrices(estimator: str, names: Sequence[str], fit: MBKFit) -> list[Problem]:
-    """Find matrices that no arm has.
-
-    Parameters
-    ----------
-    estimator : str
-        Name of the estimator.
-    names : sequence of str
-        Joint names.
-    fit : MBKFit
-        Matrices and their standard errors.
-    """
+    """Find matrices, fitted to what an estimator found for these joints, that no arm has."""
     problems = []
     matrices = {
         "M": (fit.mbk.M, fit.M_se),
@@ -120,13 +110,7 @@ def least_eigenvalue(matrix: FloatArray, errors: FloatArray) -> tuple[float, flo
 
 
 def judge_angles(record: TrialRecord) -> list[Problem]:
-    """Find angles that aren't radians, or begin another turn.
-
-    Parameters
-    ----------
-    record : TrialRecord
-        One trial.
-    """
+    """Find angles of a trial that aren't radians, or begin another turn."""
     problems = []
     for name, angle in zip(record.joint_names, record.position, strict=True):
         posture, motion = float(np.abs(np.median(angle))), float(np.ptp(angle))
@@ -134,11 +118,8 @@ def judge_angles(record: TrialRecord) -> list[Problem]:
         if step > TURN:
             what, value, cause = "jump by", step, "unwrap them, if the encoder began another turn"
         elif posture > LARGEST_POSTURE:
-            what, value, cause = (
-                "are about",
-                posture,
-                "radians of an arm are less; are they degrees?",
-            )
+            cause = "radians of an arm are less; are they degrees?"
+            what, value = "are about", posture
         elif motion > LARGEST_MOTION:
             cause = "that is too far for one impedance, unless they are degrees"
             what, value = "move by", motion

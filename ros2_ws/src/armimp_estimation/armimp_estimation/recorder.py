@@ -73,7 +73,8 @@ class TrialRecorder:
     """Records each trial into its own bag and hands it over when it is complete.
 
     A bag gets everything that came from up to three seconds before the trial until its end.
-    `assemble_trials` finds the samples of the trial in it, live and when the bag is read.
+    `assemble_trials` finds the samples of the trial in it, live and when the bag is read. In any
+    method, what can't be written raises BagError; a bag stays readable.
 
     Parameters
     ----------
@@ -155,13 +156,7 @@ class TrialRecorder:
         return self.samples / (time.monotonic() - self._began) if self._began else 0.0
 
     def add_status(self, status: TrialStatus) -> None:
-        """Take a trial status; those of the next trial wait until the present one is complete.
-
-        Raises
-        ------
-        BagError
-            If the bag of a new trial can't be written.
-        """
+        """Take a trial status; those of the next trial wait until the present one is complete."""
         present = self.status
         if present is not None and status.trial != present.trial:
             self._later.append(status)
@@ -180,13 +175,7 @@ class TrialRecorder:
             self._finish_if_complete()
 
     def add(self, messages: Mapping[str, Sequence[bytes]]) -> None:
-        """Take messages of the data streams, mostly those of many whole samples at once.
-
-        Raises
-        ------
-        BagError
-            If they can't be written.
-        """
+        """Take messages of the data streams, mostly those of many whole samples at once."""
         if self._start_ns is None or self._is_past(0):
             after = messages if self._start_ns is None else self._keep_late(messages)
             for topic, raws in after.items():
@@ -202,17 +191,7 @@ class TrialRecorder:
     def add_beside(self, topic: str, message: bytes, time_ns: int | None = None) -> None:
         """Record a message that is no sample, such as diagnostics, beside the last sample.
 
-        Parameters
-        ----------
-        topic : str
-        message : bytes
-        time_ns : int, optional
-            Stamp of the last sample (ns), if that was not added yet.
-
-        Raises
-        ------
-        BagError
-            If it can't be written.
+        Its stamp (ns) is given if that was not added yet.
         """
         if self._writer is not None and self._written:
             self._writer.write(topic, message, max(*self._log_ns.values(), time_ns or 0))
@@ -282,25 +261,13 @@ class TrialRecorder:
         self.close()
 
     def close(self) -> None:
-        """Close the bag of the present trial, complete or not.
-
-        Raises
-        ------
-        BagError
-            If the bag can't be finished; it stays readable.
-        """
+        """Close the bag of the present trial, complete or not."""
         if self._writer is not None:
             writer, self._writer = self._writer, None
             writer.close()
 
     def flush(self) -> None:
-        """Hand what was recorded to the operating system, where a kill cannot reach it.
-
-        Raises
-        ------
-        BagError
-            If that fails.
-        """
+        """Hand what was recorded to the operating system, where a kill cannot reach it."""
         if self._writer is not None:
             self._writer.flush()
 
@@ -458,16 +425,8 @@ class TrialRecorder:
 class RunningTrial:
     """Estimates from the samples so far, for people who watch and for the stopping rule.
 
-    Parameters
-    ----------
-    streams : Streams
-        With those of the trial, which grow.
-    status : TrialStatus
-        Of the trial, from the beginning of its perturbation on.
-    lpm : LpmFull, optional
-        The estimator of the column.
-    others : sequence of TrialRecord
-        Trials before this one.
+    Streams grow; the status of the trial is one from the beginning of its perturbation on; the
+    column is that of ``lpm``, which takes other trials, before this one, into account.
     """
 
     def __init__(
@@ -601,19 +560,10 @@ class StoppingRule:
     def decide(
         self, samples: int, column: Callable[[int], FittedColumn | None]
     ) -> StoppingDecision | None:
-        """Decide whether the trial has lasted long enough, if it is time.
+        """Decide whether a trial with so many samples has lasted long enough, if it is time.
 
-        Parameters
-        ----------
-        samples : int
-            Samples that are there.
-        column : callable
-            Gives the column that follows from the first so many samples; None if there is none.
-
-        Returns
-        -------
-        StoppingDecision or None
-            The first one of all announces when the next is made.
+        The first decision of all announces when the next is made. A callable gives the column that
+        follows from the first so many samples, if there is one.
         """
         if not self._announced:
             self._announced = True

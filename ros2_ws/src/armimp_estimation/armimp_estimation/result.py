@@ -30,7 +30,7 @@ from armimp_estimation.summary import (
     write_summary,
 )
 from armimp_estimation.trial import TrialData, segments_for
-from armimp_estimation.verdict import Limits
+from armimp_estimation.verdict import SIGNIFICANCE
 
 MOST_EXCLUDED = 0.05
 """Largest share of the samples of a trial that may be left out of a valid result."""
@@ -66,7 +66,7 @@ class Result:
     def significance(self) -> float | None:
         """Coherence below which signals count as unrelated; None without curves."""
         averages = self.averages
-        return None if averages is None else coherence_significance(averages, Limits.significance)
+        return None if averages is None else coherence_significance(averages, SIGNIFICANCE)
 
     def write(self, directory: Path) -> None:
         """Write ``summary.json`` and, if there are curves, ``frf.npz``.
@@ -170,15 +170,7 @@ def problems_of(
     allow_gaps: bool = False,
     most_excluded: float = MOST_EXCLUDED,
 ) -> list[Problem]:
-    """What is wrong with a recording, before anything is estimated from it.
-
-    Parameters
-    ----------
-    trials, allow_gaps, most_excluded
-        As :func:`conclude` takes them.
-    known : Metadata
-        What was recorded or declared beside the samples.
-    """
+    """What is wrong with a recording, before anything is estimated; options as of `conclude`."""
     found = [] if known.timing is None else known.timing.problems
     declared = known.sampling_rate
     for trial in trials:
@@ -194,19 +186,9 @@ def problems_of(
 
 
 def load_result(directory: Path) -> Result:
-    """Read a result directory and the bags of its trials.
+    """Read ``summary.json``, ``frf.npz`` and the bags of a result.
 
-    What is missing besides the summary leaves a note, not an error.
-
-    Parameters
-    ----------
-    directory : Path
-        With ``summary.json`` and mostly ``frf.npz``. The summary says where the bags are.
-
-    Raises
-    ------
-    DataError
-        If there is no readable summary.
+    What is missing leaves a note, but for a summary, without which there is a DataError.
     """
     summary = read_summary(directory / SUMMARY_FILE)
     notes: list[str] = []
@@ -219,8 +201,7 @@ def load_result(directory: Path) -> Result:
     contents = []
     for path in _bags_of(directory, summary):
         try:
-            # They have been read before, or were recorded here.
-            contents.append(read_bag(path, trust=True))
+            contents.append(read_bag(path))
         except (ArmimpError, OSError) as error:
             notes.append(f"no time traces: {error}")
     notes += (note for content in contents for note in content.notes)

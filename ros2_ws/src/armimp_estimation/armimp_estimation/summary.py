@@ -405,13 +405,7 @@ def read_frf(path: Path) -> dict[str, ImpedanceCurve]:
 
 
 def _curve(file: Any, name: str) -> ImpedanceCurve:
-    """Read the arrays of one estimator.
-
-    Raises
-    ------
-    ValueError
-        If they have other shapes or types than they should, or a curve is not finite.
-    """
+    """Read the arrays of one estimator; ValueError for wrong shapes, types or numbers."""
     f = file[f"f_{name}" if f"f_{name}" in file.files else "f"]
     spectra = file["f_coherence"]
     for where, grid in ((name, f), ("the coherences", spectra)):

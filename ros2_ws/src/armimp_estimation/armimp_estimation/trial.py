@@ -65,18 +65,9 @@ class Drift:
 
 
 def drift_of(record: TrialRecord) -> Drift | None:
-    """Find the slopes of angles and torques.
+    """Find the slopes of angles and torques of a trial without gaps.
 
-    Parameters
-    ----------
-    record : TrialRecord
-        A trial without gaps.
-
-    Returns
-    -------
-    Drift or None
-        None if the record is too short (see :data:`HIGHEST`), or its perturbation too poor, to
-        tell.
+    None if the record is too short (see :data:`HIGHEST`), or its perturbation too poor, to tell.
     """
     places = np.arange(1, _LOCAL.window + 1)
     record = record.whole_periods

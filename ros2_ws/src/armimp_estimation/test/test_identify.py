@@ -11,7 +11,7 @@ from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import TrialData
-from armimp_estimation.verdict import Limits, judge_coherence, judge_locking, judge_order
+from armimp_estimation.verdict import judge_coherence, judge_locking, judge_order
 from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 CONFIG = IdentifyConfig(welch=WelchConfig(segment=1024, overlap=768))
@@ -157,7 +157,7 @@ def test_scores_that_are_not_numbers_fail_the_verdict() -> None:
     names = ("a", "b")
     nan = np.full((2, 2), np.nan)
     # Two locked joints, and four elements whose bias is unknown.
-    assert len(judge_locking(names, nan, nan, Limits())) == 6
+    assert len(judge_locking(names, nan, nan)) == 6
     assert len(judge_coherence(names, nan[0], nan, 0.25)) == 4
 
 
@@ -166,7 +166,7 @@ def test_a_single_bad_score_is_told_of_the_right_element() -> None:
     lock, bound, torque = (np.full((2, 2), value) for value in (0.0, 0.0, 1.0))
     lock[1, 0] = bound[1, 0] = 0.5
     torque[1, 1] = 0.1
-    locking = judge_locking(names, lock, bound, Limits())
+    locking = judge_locking(names, lock, bound)
     assert [(one.code, one.values["name"], one.values["perturbed"]) for one in locking] == [
         (ProblemCode.LOCK_RATIO, "b", "a"),
         (ProblemCode.LOCK_BIAS, "b", "a"),

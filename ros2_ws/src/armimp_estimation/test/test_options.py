@@ -1,6 +1,5 @@
 """Options that make no sense are refused with one line that names them."""
 
-import dataclasses
 from collections.abc import Callable
 
 import numpy as np
@@ -16,7 +15,6 @@ from armimp_estimation.fit import FitConfig
 from armimp_estimation.mbk import MBK
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.torque_timing import TorqueReading
-from armimp_estimation.verdict import Limits
 
 NAN, INFINITE = float("nan"), float("inf")
 EYE = np.eye(2)
@@ -50,11 +48,6 @@ def radius(level: float) -> np.ndarray:
             (FitConfig, option, {option: value})
             for option in ("smoothing", "weight_floor")
             for value in (-0.1, NAN, INFINITE)
-        ),
-        *(
-            (Limits, f"limit {one.name} must be in", {one.name: value})
-            for one in dataclasses.fields(Limits)
-            for value in (0.0, 1.0, NAN)
         ),
         (of_matrices, r"B has shape \(3, 3\), expected \(2, 2\)", {"B": np.eye(3)}),
         (of_matrices, "finite", {"B": np.full((2, 2), NAN)}),

@@ -194,11 +194,8 @@ class Trial:
     def refusals(self, *, allow_gaps: bool = False) -> list[Problem]:
         """Return the problems with which the trial must not be estimated.
 
-        Parameters
-        ----------
-        allow_gaps : bool
-            Estimate from the intact parts of a trial that was aborted or lost samples, or had some
-            that were repeated, out of order or not finite.
+        With `allow_gaps` it is estimated from its intact parts, if it was aborted or lost samples,
+        or had some that were repeated, out of order or not finite.
         """
         refused = _REFUSED if allow_gaps and self.segments else _ANY_REFUSED
         return [one for one in self.problems if one.code in refused]
@@ -206,12 +203,7 @@ class Trial:
     def judged(self, *, allow_gaps: bool, most_excluded: float) -> list[Problem]:
         """Return all problems of the trial, those that its intact parts do not have as notes.
 
-        Parameters
-        ----------
-        allow_gaps : bool
-            As of :meth:`refusals`.
-        most_excluded : float
-            Largest share of the samples that may be left out of a valid result, from 0 to 1.
+        That a larger share than `most_excluded` (0 to 1) was left out is one of them.
         """
         healed = _HEALED if allow_gaps and self.segments else frozenset()
         found = [
@@ -248,21 +240,8 @@ def assemble_trials(
 ) -> tuple[Trial, ...]:
     """Assemble every trial in a recording, or in what a node has received.
 
-    Parameters
-    ----------
-    streams : Streams
-        Everything that was received.
-    statuses : sequence of TrialStatus
-        The trial statuses in order. Without any, the trials are inferred from the perturbation,
-        as `infer_windows` says.
-    source : str
-        Where the messages come from, for the messages of errors.
-
-    Returns
-    -------
-    tuple of Trial
-        Empty if there are statuses, but none of a perturbation. Trials that were over before
-        the first sample are left out.
+    Without any statuses, trials are inferred from the perturbation, as `infer_windows` says. Those
+    that were over before the first sample are left out. Errors name the `source`.
 
     Raises
     ------
@@ -525,12 +504,8 @@ def _of_streams(
 def _count_commands(streams: Streams, leading: _Aligned) -> tuple[StreamCount, int]:
     """Count commands by their place, as every one goes with one perturbation.
 
-    Returns
-    -------
-    StreamCount
-    int
-        Those that nobody asked for: whose number is none or not above that before or, where
-        all have none, that are more than perturbations in the whole recording.
+    And those that nobody asked for: whose number is none or not above that before or, where all
+    have none, that are more than perturbations in the whole recording.
     """
     span, commands = leading.present.size, streams.commands
     before = int((leading.stream.stamps < leading._start_ns).sum())

@@ -31,30 +31,16 @@ _head_of = itemgetter(slice(_HEAD.size))
 
 
 class Stream:
-    """The numbers of one topic in order of arrival.
-
-    Parameters
-    ----------
-    stamps : ndarray, shape (N,)
-        Header stamps (ns); of commands, which have none, the numbers that they carry, 0 for none.
-    values : ndarray, shape (n, N)
-        Numbers of the joints, in SI units.
-
-    Attributes
-    ----------
-    count : int
-        Number N of messages so far.
-    malformed : int
-        Messages that were left out because they could not be decoded.
-    defect : str
-        What is wrong with the first of those.
-    """
+    """The numbers of one topic in order of arrival."""
 
     def __init__(self, stamps: IntArray, values: FloatArray) -> None:
         self._stamps, self._values = stamps, values
         self.count = stamps.size
+        """Number N of messages so far."""
         self.malformed = 0
+        """Messages that were left out because they could not be decoded."""
         self.defect = ""
+        """What is wrong with the first of those."""
 
     @classmethod
     def empty(cls, joints: int) -> Stream:
@@ -63,12 +49,12 @@ class Stream:
 
     @property
     def stamps(self) -> IntArray:
-        """Stamps, shape (N,)."""
+        """Stamps (ns), (N,); of commands, which have none, their numbers, 0 for none."""
         return self._stamps[: self.count]
 
     @property
     def values(self) -> FloatArray:
-        """Numbers of the joints, shape (n, N)."""
+        """Numbers of the joints in SI units, (n, N)."""
         return self._values[:, : self.count]
 
     def append(self, stamps: IntArray, values: FloatArray) -> None:
@@ -190,13 +176,7 @@ class Streams:
 
 
 def decode_streams(joint_names: Sequence[str], messages: Mapping[str, Sequence[bytes]]) -> Streams:
-    """Decode the serialised messages of a recording, by topic of the contract.
-
-    Raises
-    ------
-    DataError
-        If a stream has no message that can be decoded.
-    """
+    """Decode the messages of a recording by topic; DataError if a stream has no good one."""
     streams = Streams(joint_names)
     for topic in (*VALUE_FIELD, COMMANDS):
         streams.add(topic, messages.get(topic, ()))
@@ -213,14 +193,11 @@ def decode_streams(joint_names: Sequence[str], messages: Mapping[str, Sequence[b
 def stamps_in_step(messages: Mapping[str, Sequence[bytes]], after_ns: int = -1) -> list[int]:
     """Stamps (ns) of messages of the four streams that are those of ticks one after the other.
 
+    They rise from above `after_ns` on. There are none if the streams are not in step, or the
+    messages of one are not of equal length: then each has to be looked at for itself.
+
     This is plain Python on purpose: it is called once in fifty ticks, when the code of numpy has
     left the caches of the processor, and a few of its operations take longer than this loop.
-
-    Returns
-    -------
-    list of int
-        Rising from above `after_ns` on; empty if the streams are not in step, or the messages of
-        one are not of equal length: then each has to be looked at for itself.
     """
     count = len(messages.get(PERTURBATION, ()))
     if not count:

@@ -72,13 +72,7 @@ class StreamSynchronizer:
                 self.poll()
 
     def poll(self) -> bool:
-        """Fetch what has come, and announce how many samples are complete.
-
-        Returns
-        -------
-        bool
-            Whether there is more to come, so that one should poll again.
-        """
+        """Fetch what has come, announce how many samples are complete; tell if there is more."""
         if not self._open:
             return False
         self._fetch()
@@ -111,13 +105,7 @@ class StreamSynchronizer:
             return None
 
     def take(self, *, incomplete: bool = False) -> dict[str, list[bytes]]:
-        """Take out what waits, by topic.
-
-        Parameters
-        ----------
-        incomplete : bool
-            Whether to take messages, too, that others of the same sample may still follow.
-        """
+        """Take out what waits, by topic; `incomplete` samples too, if that is asked for."""
         if self._open:
             self._fetch()
         counts = self._counts()

@@ -86,10 +86,7 @@ class TrialWindow:
 class AnnouncedTrials:
     """Remembers how long trials were announced to be, to find statuses that no controller can send.
 
-    Parameters
-    ----------
-    strict : bool
-        Whether a trial may end early only if a decision was :meth:`note`-d that it is long enough.
+    If ``strict``, a trial may end early only after a decision that it is long enough.
     """
 
     def __init__(self, *, strict: bool) -> None:
@@ -117,18 +114,7 @@ class AnnouncedTrials:
 
 
 def windows_from_statuses(statuses: Sequence[TrialStatus]) -> tuple[TrialWindow, ...]:
-    """Find the trials that the controller announced.
-
-    Parameters
-    ----------
-    statuses : sequence of TrialStatus
-        In the order in which they were published.
-
-    Returns
-    -------
-    tuple of TrialWindow
-        One for every trial whose perturbation began, in their order.
-    """
+    """Find the trials whose perturbation began, from the statuses in the order of publication."""
     found: dict[tuple[int, int], list[TrialStatus]] = {}
     for status in statuses:
         if status.phase is not Phase.SETTLE and status.start_ns is not None:
@@ -182,23 +168,13 @@ def fault_of(status: TrialStatus) -> Problem | None:
 
 
 def infer_windows(
-    stamps: IntArray,
-    perturbation: FloatArray,
-    period: float = PERIOD_NS,
+    stamps: IntArray, perturbation: FloatArray, period: float = PERIOD_NS
 ) -> tuple[TrialWindow, ...]:
     """Find the trials of a recording without statuses from its perturbation alone.
 
     A trial lasts from the first to the last sample with a torque that is not zero. Another one
-    begins when another joint is perturbed, or after `PAUSE_NS` without any torque.
-
-    Parameters
-    ----------
-    stamps : ndarray, shape (N,)
-        Stamps of the perturbation messages (ns).
-    perturbation : ndarray, shape (n, N)
-        Perturbation torques, N·m.
-    period : float
-        Sampling period, ns.
+    begins when another joint is perturbed, or after `PAUSE_NS` without any torque. Given are stamps
+    (ns), (N,), torques (N·m), (n, N), and the sampling period (ns).
 
     Raises
     ------
@@ -236,22 +212,11 @@ def infer_windows(
 
 
 def tick_numbers(stamps: IntArray, period: float = PERIOD_NS) -> IntArray:
-    """Number the control periods of ascending stamps, the first one 0.
+    """Number the control periods of ascending stamps (ns), (N,), the first one 0.
 
     Stamps are rounded to a grid whose phase is the circular mean of those around. So neither does
     a clock that runs a little fast or slow add up, nor need steps between stamps be regular.
-
-    Parameters
-    ----------
-    stamps : ndarray, shape (N,)
-        Ascending, ns.
-    period : float
-        Sampling period, ns.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Not descending; equal numbers where several stamps belong to one period.
+    Several stamps that belong to one period have equal numbers.
     """
     if not stamps.size:
         return np.zeros(0, np.int64)
@@ -263,13 +228,7 @@ def tick_numbers(stamps: IntArray, period: float = PERIOD_NS) -> IntArray:
 
 
 def require_few_trials(trials: int) -> None:
-    """Refuse a recording with more trials than anyone makes without a pause.
-
-    Raises
-    ------
-    DataError
-        If there are so many.
-    """
+    """Raise DataError for a recording with more trials than anyone makes without a pause."""
     if trials > _MOST_TRIALS:
         raise DataError(f"{trials} trials are more than the {_MOST_TRIALS} of one recording")
 
@@ -278,12 +237,8 @@ def sampling_period(streams: Mapping[str, IntArray]) -> float:
     """Mean time between samples, ns; that of the contract if it is within the tolerance.
 
     Each step is rounded to whole periods by the median step, so that samples which are missing,
-    late or repeated don't count: ``L = Σ steps / Σ periods``. Of several streams it is the median.
-
-    Parameters
-    ----------
-    streams : mapping of str to ndarray of int64, shape (N,)
-        Stamps (ns) of each stream, in any order, by topic.
+    late or repeated don't count: ``L = Σ steps / Σ periods``. Of several streams, given by topic as
+    stamps (ns) in any order, it is the median.
 
     Raises
     ------
@@ -291,7 +246,7 @@ def sampling_period(streams: Mapping[str, IntArray]) -> float:
         If the rate is not between :data:`LOWEST` and :data:`HIGHEST`, or stamps don't advance.
     """
     for topic, stamps in streams.items():
-        if stamps.size > 2.0 * (distinct := np.unique(stamps).size):
+        if stamps.size > 2.0 * (distinct := _steps(stamps).size + 1):
             raise DataError(
                 f"{stamps.size} messages of {topic} have {distinct} different stamps: without "
                 "stamps that say when samples were taken there is no sampling rate"
@@ -331,13 +286,9 @@ def judge_stamps(
     period : float
         Sampling period that is used, ns.
     trial : int
-        Number of the trial, for the problems.
+        Its number, 1-based.
     planned : float or None
         Rate that the recording was made for, Hz, if that is known.
-
-    Returns
-    -------
-    list of Problem
     """
     rate = NS_PER_S / period
     found: list[tuple[ProblemCode, dict[str, Any]]] = []
@@ -384,11 +335,17 @@ def _off_grid(stamps: IntArray) -> tuple[float, float, float] | None:
 
 
 def _period(stamps: IntArray) -> float | None:
-    steps = np.diff(np.unique(stamps))
+    steps = _steps(stamps)
     if steps.size == 0:
         return None
     relative = np.asarray(steps / float(np.median(steps)), dtype=np.float64)
     return float(np.sum(steps) / np.sum(_whole(relative)))
+
+
+def _steps(stamps: IntArray) -> IntArray:
+    """From each stamp to the next later one, ns."""
+    steps = np.diff(np.sort(stamps))
+    return np.asarray(steps[steps > 0])
 
 
 def _whole(steps: FloatArray) -> FloatArray:

@@ -45,18 +45,9 @@ _DAMAGE: Final = (
 
 
 def read_mcap(file: BinaryIO, size: int, *, name: str, into: RawMessages) -> None:
-    """Read an MCAP file up to its end, or up to the last complete record before a cut.
+    """Read an MCAP file of so many bytes up to its end, or the last complete record before a cut.
 
-    Parameters
-    ----------
-    file : binary file
-        At its beginning.
-    size : int
-        Its length in bytes.
-    name : str
-        The file for error messages.
-    into : RawMessages
-        Takes topics, messages, metadata and a note of the cut.
+    Topics, messages, metadata and a note of the cut go `into` the messages; errors have its name.
 
     Raises
     ------

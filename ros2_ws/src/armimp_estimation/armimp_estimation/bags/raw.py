@@ -1,6 +1,5 @@
 """The messages of a bag as they are stored, and what it may cost to read them."""
 
-import math
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import BinaryIO, Final, TypeAlias
@@ -22,7 +21,6 @@ NODE_COST: Final = 200
 _FREE: Final = 128 << 20
 _RATIO: Final = 20
 _LARGEST: Final = 64 << 20
-_LARGEST_TRUSTED: Final = 1 << 30
 _PIECE: Final = 1 << 20
 
 
@@ -40,24 +38,13 @@ class RawMessages:
     """Messages of one or more storage files in recorded order, and what more of them may cost.
 
     The cost, in bytes of memory or as much work, may grow with the bag, so that recordings of any
-    length can be read, but not files that hold thousands of times their size.
-
-    Parameters
-    ----------
-    name : str
-        The bag, for messages of errors.
-    size : int
-        Bytes of all of its files.
-    wanted : callable
-        Tells for a topic name whether its messages are wanted.
-    trust : bool
-        Whether the limits are lifted, for files whose origin is known.
+    length can be read, but not files that hold thousands of times their size. Given are the name of
+    the bag for errors, the bytes of all of its files, and which topics are wanted, by name.
     """
 
-    def __init__(self, name: str, size: int, wanted: TopicFilter, *, trust: bool = False) -> None:
-        self._name, self.wanted, self.trust = name, wanted, trust
-        self._left = math.inf if trust else _FREE + _RATIO * size
-        self._largest = _LARGEST_TRUSTED if trust else _LARGEST
+    def __init__(self, name: str, size: int, wanted: TopicFilter) -> None:
+        self._name, self.wanted = name, wanted
+        self._left = _FREE + _RATIO * size
         # Making one takes longer than the decompression of a chunk.
         self._zstd = zstandard.ZstdDecompressor()
         self._indices: dict[tuple[str, str], int] = {}
@@ -74,20 +61,14 @@ class RawMessages:
         """Where and how the recording ends early; empty if it is complete."""
 
     def spend(self, cost: int) -> None:
-        """Charge a cost.
-
-        Raises
-        ------
-        BagError
-            If it exceeds what is left.
-        """
+        """Charge a cost; BagError if it exceeds what is left."""
         self._left -= cost
         if self._left < 0:
             raise self.refusal("holds far more than a bag of its size should")
 
     def refusal(self, reason: str) -> BagError:
         """Return the error that says why a bag goes beyond the limits."""
-        return BagError(f"{self._name}: {reason}; --trust lifts the limits")
+        return BagError(f"{self._name}: {reason}")
 
     def unzstd(self, data: bytes, most: int | None = None) -> bytes:
         """Decompress one frame of zstd, of at most so many bytes.
@@ -99,7 +80,7 @@ class RawMessages:
         zstandard.ZstdError
             If it is damaged, or holds more than `most`.
         """
-        most = int(min(self._largest, self._left)) if most is None else most
+        most = min(_LARGEST, self._left) if most is None else most
         # The library would make room for whatever the frame claims to hold.
         self._require(max(most, zstandard.frame_content_size(data)))
         content = self._zstd.decompress(data, max_output_size=most)
@@ -107,32 +88,14 @@ class RawMessages:
         return content
 
     def unlz4(self, data: bytes, most: int) -> bytes:
-        """Decompress one frame of lz4 up to so many bytes.
-
-        Raises
-        ------
-        BagError
-            If that is more than is left.
-        RuntimeError
-            If it is damaged.
-        """
+        """As :meth:`unzstd`, for lz4; a damaged frame raises RuntimeError."""
         self._require(most)
         content: bytes = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=most)
         self.spend(len(content))
         return content
 
     def copy_unzstd(self, source: BinaryIO, target: Path) -> None:
-        """Decompress a file of zstd, as far as it goes, into another one.
-
-        Raises
-        ------
-        BagError
-            If it holds more than is left.
-        zstandard.ZstdError
-            If it is damaged.
-        OSError
-            If the other one cannot be written.
-        """
+        """Decompress a file of zstd, as far as it goes, into another one; errors as above."""
         with (
             zstandard.ZstdDecompressor().stream_reader(source, closefd=False) as reader,
             target.open("xb") as file,
@@ -143,7 +106,7 @@ class RawMessages:
 
     def _require(self, size: int) -> None:
         """Refuse a piece that is too large before there is room made for it."""
-        if size > min(self._largest, self._left):
+        if size > min(_LARGEST, self._left):
             raise self.refusal(f"a piece of it claims to hold {size} bytes")
 
     def topic_index(self, name: str, message_type: str) -> int:
@@ -156,13 +119,7 @@ class RawMessages:
     def extend(
         self, topic_indices: Iterable[int], log_times: Iterable[int], payloads: Iterable[bytes]
     ) -> None:
-        """Add messages, whose content has been charged.
-
-        Raises
-        ------
-        BagError
-            If they are more than may be.
-        """
+        """Add messages, whose content has been charged; BagError if they are too many."""
         before = len(self.payloads)
         self.topic_indices += topic_indices
         self.log_times += log_times
@@ -170,13 +127,7 @@ class RawMessages:
         self.spend(MESSAGE_COST * (len(self.payloads) - before))
 
     def sort(self) -> None:
-        """Bring the messages into the order of their log times, keeping that of equal ones.
-
-        Raises
-        ------
-        OverflowError
-            If a log time does not fit 64 bits.
-        """
+        """Sort messages by log time, stably; OverflowError if one does not fit 64 bits."""
         times = np.array(self.log_times, np.int64)
         if (np.diff(times) >= 0).all():
             return

@@ -69,7 +69,7 @@ class BagContent:
                 yield self._contract_names[index], log_time_ns, payload
 
 
-def read_bag(path: Path, *, namespace: str | None = None, trust: bool = False) -> BagContent:
+def read_bag(path: Path, *, namespace: str | None = None) -> BagContent:
     """Read a bag with everything that an estimate needs.
 
     Taken are rosbag2 directories with complete, provisional or no ``metadata.yaml``, and single
@@ -83,8 +83,6 @@ def read_bag(path: Path, *, namespace: str | None = None, trust: bool = False) -
         Directory or file.
     namespace : str, optional
         Of the topics, where a bag holds those of several rigs.
-    trust : bool
-        Whether to lift the limits on what a bag may hold, which grow with its size.
 
     Raises
     ------
@@ -92,7 +90,7 @@ def read_bag(path: Path, *, namespace: str | None = None, trust: bool = False) -
         If the path is not a readable bag, or the bag lacks something; the message is one line
         that names the file. A trial that is there but spoiled raises only where it is estimated.
     """
-    raw = read_storage(path, contract_topic, trust=trust)
+    raw = read_storage(path, contract_topic)
     if not raw.payloads:
         cut = f"; the file {raw.cut}" if raw.cut else ""
         raise BagError(f"{path}: no messages of an experiment in it{cut}")
@@ -105,7 +103,7 @@ def read_bag(path: Path, *, namespace: str | None = None, trust: bool = False) -
         topic: by_index.get(found[topic], []) if topic in found else []
         for topic in (*topics.DATA_STREAMS, topics.TRIAL)
     }
-    if len(messages[topics.TRIAL]) > _MOST_STATUSES and not trust:
+    if len(messages[topics.TRIAL]) > _MOST_STATUSES:
         raise raw.refusal(f"has {len(messages[topics.TRIAL])} messages of {topics.TRIAL}")
     statuses, defect = decode_trial_statuses(messages[topics.TRIAL])
     try:
@@ -241,18 +239,8 @@ def _prefix(name: str, topic: str) -> str | None:
     return name[: len(name) - len(tail) + 1]
 
 
-def read_storage(path: Path, wanted: TopicFilter, *, trust: bool = False) -> RawMessages:
-    """Read all wanted messages of a bag into memory, in the order of their log times.
-
-    Parameters
-    ----------
-    path : Path
-        A rosbag2 directory, with or without its ``metadata.yaml``, or one MCAP or SQLite3 file.
-        Compressed chunks, files and messages are decompressed.
-    wanted : callable
-        Tells for a topic name whether its messages are wanted.
-    trust : bool
-        Whether the bag may hold any multiple of its size.
+def read_storage(path: Path, wanted: TopicFilter) -> RawMessages:
+    """Read all messages of a bag, of topics that are wanted by name, in the order of log times.
 
     Raises
     ------
@@ -270,7 +258,7 @@ def read_storage(path: Path, wanted: TopicFilter, *, trust: bool = False) -> Raw
             files = [path]
         else:
             raise BagError(f"{path}: does not exist")
-        messages = RawMessages(str(path), _size_of(files), wanted, trust=trust)
+        messages = RawMessages(str(path), _size_of(files), wanted)
         for file in files:
             _read_file(file, messages)
         _decompress_messages(messages)
@@ -313,13 +301,7 @@ def find_bags(paths: Sequence[Path]) -> list[Path]:
 
 
 def require_distinct(bags: Sequence[Path]) -> None:
-    """Refuse bags that are one and the same, by another path, link or name of their files.
-
-    Raises
-    ------
-    BagError
-        If there are such ones.
-    """
+    """Raise BagError for bags that are the same, by another path, link or name of their files."""
     found: dict[tuple[int, int], Path] = {}
     for bag in bags:
         try:

@@ -1,7 +1,6 @@
 """Reading of the SQLite3 files of rosbag2, all versions of their schema."""
 
 import sqlite3
-import sys
 import tempfile
 from contextlib import closing, suppress
 from pathlib import Path
@@ -34,16 +33,8 @@ def read_sqlite(path: Path, *, name: str, into: RawMessages) -> None:
     Only plain tables are read: views and generated columns are programs of whoever made the file. A
     file whose writer was killed may have its last messages in a write-ahead log beside it; since
     SQLite wants to write then, a copy of both is opened. A rollback journal is ignored:
-    the recorders of ROS 2 leave none, and it may name other files that SQLite deletes.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    name : str
-        The file for error messages.
-    into : RawMessages
-        Takes topics, messages, metadata and a note of the cut.
+    the recorders of ROS 2 leave none, and it may name other files that SQLite deletes. Topics,
+    messages, metadata and a note of the cut go `into` the messages; errors have the file's name.
 
     Raises
     ------
@@ -87,8 +78,7 @@ def _part_of_a_page(path: Path) -> int:
 
 def _read(path: Path, mode: str, size: int, name: str, into: RawMessages) -> None:
     uri = f"file:{quote(str(path.absolute()))}?{mode}"
-    free = sys.maxsize if into.trust else _FREE_STEPS + _STEPS_PER_BYTE * size
-    steps = iter(range(0, free, _STEPS))
+    steps = iter(range(0, _FREE_STEPS + _STEPS_PER_BYTE * size, _STEPS))
     try:
         with closing(sqlite3.connect(uri, uri=True)) as database:
             database.set_progress_handler(lambda: next(steps, None) is None, _STEPS)

@@ -99,19 +99,13 @@ class BagWriter:
 
     The file is locked as long as it is open, by which others can tell that it is being written
     from one whose writer was killed. What cannot be written leaves no trace in the file, so that
-    it always ends with a complete record, unless the process dies within a system call.
-
-    Parameters
-    ----------
-    path : Path
-        Directory of the bag, which must not exist; parent directories are made.
-    metadata : mapping of str to str
-        Stored as ``custom_data`` of ``metadata.yaml`` and as MCAP metadata record ``armimp``.
+    it always ends with a complete record, unless the process dies within a system call. Metadata
+    are ``custom_data`` of ``metadata.yaml`` and the MCAP metadata record ``armimp``.
 
     Raises
     ------
     BagError
-        If the path exists or cannot be written.
+        If the directory exists or cannot be made, or something cannot be written, in any method.
     """
 
     def __init__(self, path: Path, *, metadata: Mapping[str, str]) -> None:
@@ -180,13 +174,7 @@ class BagWriter:
                 raise BagError(f"{self._path}: log times are out of range: {times}") from None
 
     def add_metadata(self, values: Mapping[str, str]) -> None:
-        """Add to the metadata what is known only after recording.
-
-        Raises
-        ------
-        BagError
-            If it cannot be written.
-        """
+        """Add to the metadata what is known only after recording."""
         self._custom.update(values)
         with self._one_line():
             self._add_metadata(METADATA_RECORD, values)
@@ -196,11 +184,6 @@ class BagWriter:
 
         What cannot be written is kept for another attempt. Call it from a timer where messages may
         stop while the process lives on.
-
-        Raises
-        ------
-        BagError
-            If that fails.
         """
         with self._one_line():
             self._flush()
@@ -280,13 +263,7 @@ class BagWriter:
         self._metadata.append(entry)
 
     def _add_block(self, log_times: Sequence[int], channels: Mapping[int, Sequence[bytes]]) -> None:
-        """Append messages of several channels for each of some times, and flush as is due.
-
-        Raises
-        ------
-        struct.error
-            If a log time is negative or beyond 64 bits; nothing is appended then.
-        """
+        """Append messages and flush as is due; for an impossible time nothing, and struct.error."""
         head, entry, offset = MESSAGE_HEAD.pack, _ENTRY.pack, len(self._chunk)
         records: list[bytes] = []
         index: list[tuple[int, bytes]] = []
@@ -436,20 +413,7 @@ def _reason(error: OSError) -> str:
 
 
 def require_free_space(path: Path, ticks: int, joints: int) -> None:
-    """Check that there is room where a bag will be made for the largest one that it can become.
-
-    Parameters
-    ----------
-    path : Path
-        Directory of the bag.
-    ticks, joints : int
-        Control periods to record, and number of joints.
-
-    Raises
-    ------
-    BagError
-        If there is too little room, or that cannot be found out.
-    """
+    """Raise BagError without room for the largest bag of so many control periods and joints."""
     needed = _HEAD_BYTES + ticks * len(DATA_STREAMS) * (_MESSAGE_BYTES + _JOINT_BYTES * joints)
     place = path.absolute()
     while not place.exists() and place != place.parent:
@@ -474,18 +438,13 @@ def _make_directory(path: Path) -> None:
         raise BagError(f"{path}: cannot be made: {reason}") from None
 
 
-def finish_bag(path: Path, *, trust: bool = False) -> str:
+def finish_bag(path: Path) -> str:
     """Finish a bag which a killed `BagWriter` left behind; any other is left alone.
 
     Its messages are written into a new bag, which takes the place of the storage file at once and
     then that of ``metadata.yaml``. A bag that is still being recorded is known by its lock, one
     that is complete by its metadata. A bag behind a link stays as it is, since that may lead
-    anywhere. With `trust` the bag may hold any multiple of its size.
-
-    Returns
-    -------
-    str
-        What was done, or why it could not be, in one line; empty if there was nothing to do.
+    anywhere. What was done is returned, or why it could not be, in one line, empty for nothing.
     """
     if path.is_symlink() or path.parent.is_symlink() or not is_provisional(path / FILE_NAME):
         return ""
@@ -496,7 +455,7 @@ def finish_bag(path: Path, *, trust: bool = False) -> str:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if files[0].name != storage_name(path) or file.read(len(HEAD)) != HEAD:
                 return ""
-            messages = read_storage(path, lambda _: True, trust=trust)
+            messages = read_storage(path, lambda _: True)
             try:
                 if not _write_anew(path, messages):
                     return ""
@@ -510,7 +469,7 @@ def finish_bag(path: Path, *, trust: bool = False) -> str:
 def finish_bags(directory: Path) -> list[str]:
     """Finish the bags below ``bags/`` of a result; return a line for each of them."""
     bags = sorted((directory / BAGS).glob("*/" + FILE_NAME))
-    return [note for bag in bags if (note := finish_bag(bag.parent, trust=True))]
+    return [note for bag in bags if (note := finish_bag(bag.parent))]
 
 
 def _write_anew(path: Path, messages: RawMessages) -> bool:

@@ -12,12 +12,11 @@ from armimp_estimation.estimators.welch import WelchFull, WelchSiso
 from armimp_estimation.fit import Calibration, FitConfig
 from armimp_estimation.mbk import MBK
 from armimp_estimation.spectra import WelchConfig
-from armimp_estimation.verdict import Limits
 
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifyConfig:
-    """Options of the spectra, of the parametric fit, and limits of the verdict.
+    """Options of the spectra and of the parametric fit.
 
     Raises
     ------
@@ -31,8 +30,6 @@ class IdentifyConfig:
     """Options of the estimator ``lpm_full``, which takes the same band."""
     fit: FitConfig = field(default_factory=FitConfig)
     """Fit of M, B and K."""
-    limits: Limits = field(default_factory=Limits)
-    """What a valid result has to meet."""
     model: str = AUTO
     """Model of the arm to fit beside M, B and K, see :mod:`armimp_estimation.arm_models`; by
     default those that it takes where M, B and K don't fit."""

@@ -41,10 +41,9 @@ from armimp_estimation.report.plots import (
     trace_plot,
 )
 from armimp_estimation.result import Result
-from armimp_estimation.verdict import Limits
+from armimp_estimation.verdict import BIAS_BOUND, LOCK_RATIO
 
 REPORT_FILE = "report.html"
-_LIMITS = Limits()
 _BUCKETS, _FEW_BUCKETS = 1000, 250
 """Parts of thinned signals; fewer where there are many trials, so that the file stays small."""
 
@@ -89,7 +88,8 @@ def report_page(result: Result) -> str:
         summary=summary,
         names=names,
         elements=list(np.ndindex(summary.joints, summary.joints)),
-        limits=_LIMITS,
+        LOCK_RATIO=LOCK_RATIO,
+        BIAS_BOUND=BIAS_BOUND,
         title_of=lambda one: _title(result, one),
         noted=lambda count: alarming(count) if count else 0,
         STREAMS=STREAMS,
@@ -171,8 +171,8 @@ def _limits_table(result: Result) -> Table:
                 locks[place] = 100.0 * trial.lock_ratio[i]
     rows: list[list[object]] = []
     scores: tuple[tuple[str, dict[object, float], float | None, str, float], ...] = (
-        ("motion of held joints (%)", locks, 100.0 * _LIMITS.lock_ratio, ".2f", 1.0),
-        ("bias that this may cause (%)", bounds, 100.0 * _LIMITS.bias_bound, ".2f", 1.0),
+        ("motion of held joints (%)", locks, 100.0 * LOCK_RATIO, ".2f", 1.0),
+        ("bias that this may cause (%)", bounds, 100.0 * BIAS_BOUND, ".2f", 1.0),
         ("coherence with perturbation", coherences, result.significance, ".4f", -1.0),
         ("lack of fit", lacks, None if judged is None else judged.lack_limit, ".2f", 1.0),
     )
