@@ -46,15 +46,11 @@ class Pacer:
 
     Parameters
     ----------
-    period_ns : int
-        Distance of two deadlines, ns.
-    spin_ns : int
-        The last part of each wait that is spent asking the clock over and over instead of asleep.
-        It costs that share of a processor core, and saves the time that waking up takes.
-    now : callable
-        Tells the time, ns, on any monotonic clock.
-    sleep : callable
-        Sleeps for a time, s; 0 lets others run.
+    period_ns : distance of two deadlines, ns
+    spin_ns : the last part of each wait that is spent asking the clock over and over instead of
+        asleep. It costs that share of a processor core, and saves the time that waking up takes.
+    now : tells the time, ns, on any monotonic clock
+    sleep : sleeps for a time, s; 0 lets others run
     """
 
     def __init__(
@@ -182,10 +178,6 @@ class RealtimeScheduling:
 
     Python's garbage collector rests meanwhile: a collection in the wrong moment takes milliseconds.
     All threads count, those of the middleware too, since each of them carries a message on.
-
-    Parameters
-    ----------
-    parameters : SchedulingParameters
 
     Raises
     ------

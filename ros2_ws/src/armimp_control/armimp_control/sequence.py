@@ -143,7 +143,6 @@ def timetable(
 
     Parameters
     ----------
-    sequence : SequenceParameters
     joints : number of joints n, and so of trials
     tare : TareParameters, by default there is none
     """

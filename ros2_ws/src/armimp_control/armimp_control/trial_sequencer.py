@@ -27,7 +27,6 @@ class TrialSequencer:
 
     Parameters
     ----------
-    parameters : ControllerParameters
     announce : called with every new status, before the command that it concerns
 
     Attributes
@@ -340,7 +339,6 @@ class Watchdog:
 
     Parameters
     ----------
-    safety : SafetyParameters
     slowest_tick : longest wall time that may count as one period, s
     """
 

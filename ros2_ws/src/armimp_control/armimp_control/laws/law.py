@@ -185,7 +185,6 @@ class Controller:
     Parameters
     ----------
     config : ImbicConfig or PdConfig
-    safety : SafetyParameters
 
     Attributes
     ----------
