@@ -16,7 +16,7 @@ import struct
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from operator import itemgetter
-from typing import Any, Final, Literal, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,30 +34,15 @@ _HEADER_SIZE: Final = 4
 """Bytes of the encapsulation header, from whose end CDR counts its alignment."""
 _MAX_SURPLUS: Final = 15
 """Bytes tolerated after the last field: senders round sizes up by at most this much."""
-_BYTE_ORDERS: Final[dict[bytes, Literal["<", ">"]]] = {b"\0\0": ">", b"\0\1": "<"}
-
-_COUNTS: Final = {head: struct.Struct(f"{order}4xQ") for head, order in _BYTE_ORDERS.items()}
-_NUMBERS: Final = {head: struct.Struct(f"{order}4x2I") for head, order in _BYTE_ORDERS.items()}
+_STAMP: Final = struct.Struct("<iI")
+_UINT32, _UINT64 = struct.Struct("<I"), struct.Struct("<Q")
+_NUMBERS: Final = struct.Struct("<4x2I")
 """Number of dimensions and data offset of a command."""
 _FIELDS: Final[tuple[ValueField, ...]] = ("position", "effort")
 
 
-def decode_count(data: Buffer) -> int:
-    """Decode a count.
-
-    Raises
-    ------
-    MalformedMessageError
-        On truncated or foreign bytes.
-    """
-    layout = _COUNTS.get(bytes(data[:2]))
-    if layout is None or not layout.size <= len(data) <= layout.size + _MAX_SURPLUS:
-        raise MalformedMessageError(f"UInt64 is {len(data)} bytes of something else")
-    return int(layout.unpack_from(data)[0])
-
-
 class CdrReader:
-    """Parser of plain CDR (XCDR1) of either byte order, which never reads past the end.
+    """Parser of plain little-endian CDR (XCDR1), which never reads past the end.
 
     Parameters
     ----------
@@ -68,8 +53,6 @@ class CdrReader:
 
     Attributes
     ----------
-    byte_order
-        ``"<"`` or ``">"``, as ``struct`` writes it.
     constants
         Spans of everything read through `count` and `string`: what two messages must have in
         common to share a layout. Padding and surplus are not among them, as senders leave
@@ -85,13 +68,9 @@ class CdrReader:
         self._data, self._what, self._position = data, what, _HEADER_SIZE
         if len(data) < _HEADER_SIZE:
             raise self.error(f"has {len(data)} bytes, too few for a header")
-        byte_order = _BYTE_ORDERS.get(bytes(data[:2]))
-        if byte_order is None:
-            raise self.error(f"is not plain CDR: header {bytes(data[:4]).hex()}")
-        self.byte_order: Literal["<", ">"] = byte_order
+        if data[:2] != _LITTLE[:2]:
+            raise self.error(f"is not plain little-endian CDR: header {bytes(data[:4]).hex()}")
         self.constants: list[Span] = [(0, 2)]
-        self._stamp = struct.Struct(f"{byte_order}iI")
-        self._uint32 = struct.Struct(f"{byte_order}I")
 
     def error(self, reason: str) -> MalformedMessageError:
         """Return the error that says why this message is not acceptable."""
@@ -99,12 +78,16 @@ class CdrReader:
 
     def stamp_ns(self) -> int:
         """Read a ``builtin_interfaces/Time`` (ns)."""
-        sec, nanosec = self._stamp.unpack_from(self._data, self._take(8, 4))
+        sec, nanosec = _STAMP.unpack_from(self._data, self._take(8, 4))
         return int(sec) * NS_PER_S + int(nanosec)
 
     def uint32(self) -> int:
         """Read an unsigned number that may differ from message to message."""
-        return int(self._uint32.unpack_from(self._data, self._take(4, 4))[0])
+        return int(_UINT32.unpack_from(self._data, self._take(4, 4))[0])
+
+    def uint64(self) -> int:
+        """Read a long unsigned number that may differ from message to message."""
+        return int(_UINT64.unpack_from(self._data, self._take(8, 8))[0])
 
     def count(self, item_size: int) -> int:
         """Read the length of a sequence whose items take at least `item_size` bytes each."""
@@ -149,44 +132,55 @@ class CdrReader:
         return start
 
 
-class _Layout:
-    """Where stamp and numbers are in all messages whose other bytes equal those of a parsed one."""
+def decode_count(data: Buffer) -> int:
+    """Decode a count; MalformedMessageError on truncated or foreign bytes."""
+    reader = CdrReader(data, "UInt64")
+    count = reader.uint64()
+    reader.finish()
+    return count
 
-    # ``first`` is what `unpack` returns first, as ``struct`` has it: `head` and two values in 12
-    # bytes. ``order`` has the index among the doubles of each value to return.
+
+class _Layout:
+    """Where the numbers are in all messages whose constant bytes equal those of a parsed one.
+
+    The 8 bytes after the header are unpacked as two numbers, ``head``: a stamp, or the two numbers
+    of a command. ``order`` has the index among the doubles of each value to return.
+    """
 
     def __init__(
-        self, data: Buffer, parsed: CdrReader, first: str, numbers: Span, order: Sequence[int]
+        self, data: Buffer, parsed: CdrReader, head: str, numbers: Span, order: Sequence[int]
     ) -> None:
-        self.length = len(data)
-        self._order = list(order)
-        mask = bytearray(self.length)
+        self._length, self._order = len(data), list(order)
+        mask = bytearray(self._length)
         for start, end in parsed.constants:
             mask[start:end] = b"\xff" * (end - start)
         self._masks = np.frombuffer(mask, np.uint8)
         self._mask = int.from_bytes(mask, "little")
         self._constant = int.from_bytes(data, "little") & self._mask
-        self.before, self.after = bytes(data[12 : numbers[0]]), bytes(data[numbers[1] :])
-        count = (numbers[1] - numbers[0]) // 8
-        byte_order = parsed.byte_order
+        start, end = numbers
+        count = (end - start) // 8
         self._dtype = np.dtype(
             {
                 "names": ["sec", "nanosec", "values"],
-                "formats": [f"{byte_order}i4", f"{byte_order}u4", (f"{byte_order}f8", (count,))],
-                "offsets": [4, 8, numbers[0]],
-                "itemsize": self.length,
+                "formats": ["<i4", "<u4", ("<f8", (count,))],
+                "offsets": [4, 8, start],
+                "itemsize": self._length,
             }
         )
         self.unpack: Callable[[Buffer], tuple[Any, ...]] = struct.Struct(
-            f"{byte_order}{first}{len(self.before)}s{count}d{len(self.after)}s"
+            f"<4x{head}{start - 12}x{count}d{self._length - end}x"
         ).unpack
-        self.head = self.unpack(data)[0]
-        self.values = _picker([4 + index for index in self._order])
+        places = [2 + index for index in order]
+        picked = slice(places[0], places[0] + len(places))
+        if places != list(range(picked.start, picked.stop)):
+            self.values: Callable[[tuple[Any, ...]], tuple[float, ...]] = itemgetter(*places)
+        else:  # with a single index itemgetter would not return a tuple
+            self.values = itemgetter(picked)
 
     def matches(self, data: Buffer) -> bool:
         """Tell whether a message has this layout."""
         return (
-            len(data) == self.length
+            len(data) == self._length
             and int.from_bytes(data, "little") & self._mask == self._constant
         )
 
@@ -194,10 +188,10 @@ class _Layout:
         self, messages: Sequence[Buffer]
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]] | None:
         """Stamps (N,) and values (n, N) of many messages at once; None if the layouts differ."""
-        if set(map(len, messages)) - {self.length}:
+        if set(map(len, messages)) - {self._length}:
             return None
         data = b"".join(messages)
-        constants = np.frombuffer(data, np.uint8).reshape(-1, self.length) & self._masks
+        constants = np.frombuffer(data, np.uint8).reshape(-1, self._length) & self._masks
         if (constants != constants[0]).any():  # the layout is that of the first message
             return None
         rows = np.frombuffer(data, self._dtype)
@@ -205,19 +199,8 @@ class _Layout:
         return stamps, np.ascontiguousarray(rows["values"][:, self._order].T, np.float64)
 
 
-def _picker(indices: Sequence[int]) -> Callable[[tuple[Any, ...]], tuple[float, ...]]:
-    """Return a function that picks these items of a tuple, as a tuple."""
-    first, end = indices[0], indices[0] + len(indices)
-    if list(indices) == list(range(first, end)):
-        return itemgetter(slice(first, end))
-    # With a single index itemgetter would not return a tuple, hence the slice above for n = 1.
-    return itemgetter(*indices)
-
-
 class _Decoder(ABC):
     """Decoder of a stream that keeps the layout of the last message."""
-
-    _stamped = False
 
     def __init__(self, count: int) -> None:
         self._count = count
@@ -229,32 +212,21 @@ class _Decoder(ABC):
     def _unpacked(self, data: Buffer) -> tuple[_Layout, tuple[Any, ...]]:
         """Unpack a message by its layout, which is parsed if it is not the last one."""
         layout = self._layout
-        if layout is not None and len(data) == layout.length:
-            items = layout.unpack(data)
-            if (
-                items[0] == layout.head and items[3] == layout.before and items[-1] == layout.after
-            ) or layout.matches(data):
-                return layout, items
-        layout = self._layout = self._parse(data)
+        if layout is None or not layout.matches(data):
+            layout = self._layout = self._parse(data)
         return layout, layout.unpack(data)
 
     def _many(self, messages: Sequence[Buffer]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        bulk = self._indexed(0, messages[0])[0].unpack_many(messages) if messages else None
-        if bulk is not None:
-            return bulk
         stamps, values = np.zeros(len(messages), np.int64), np.empty((self._count, len(messages)))
         for index, data in enumerate(messages):
-            layout, items = self._indexed(index, data)
-            values[:, index] = layout.values(items)
-            if self._stamped:
-                stamps[index] = items[1] * NS_PER_S + items[2]
+            try:
+                layout, items = self._unpacked(data)
+            except MalformedMessageError as error:
+                raise MalformedMessageError(f"message {index}: {error}") from None
+            if index == 0 and (bulk := layout.unpack_many(messages)) is not None:
+                return bulk
+            stamps[index], values[:, index] = items[0] * NS_PER_S + items[1], layout.values(items)
         return stamps, values
-
-    def _indexed(self, index: int, data: Buffer) -> tuple[_Layout, tuple[Any, ...]]:
-        try:
-            return self._unpacked(data)
-        except MalformedMessageError as error:
-            raise MalformedMessageError(f"message {index}: {error}") from None
 
 
 class JointStateEncoder:
@@ -332,8 +304,6 @@ class JointStateDecoder(_Decoder):
         If a name is empty, doubled or not encodable, or the field is not known.
     """
 
-    _stamped = True
-
     def __init__(self, names: Sequence[str], field: ValueField, *, others: bool = False) -> None:
         _check(names, field)
         super().__init__(len(names))
@@ -350,7 +320,7 @@ class JointStateDecoder(_Decoder):
             whose length is not the number of joints.
         """
         layout, items = self._unpacked(data)
-        return items[1] * NS_PER_S + items[2], layout.values(items)
+        return items[0] * NS_PER_S + items[1], layout.values(items)
 
     def decode_many(
         self, messages: Sequence[Buffer]
@@ -368,7 +338,7 @@ class JointStateDecoder(_Decoder):
         count = (numbers[1] - numbers[0]) // 8
         if count != len(names):
             raise reader.error(f"has {count} {self._field} values for {len(names)} joints")
-        return _Layout(data, reader, "4siI", numbers, order)
+        return _Layout(data, reader, "iI", numbers, order)
 
     def _order(self, names: Sequence[bytes], reader: CdrReader) -> list[int]:
         index = {name: place for place, name in enumerate(names)}
@@ -457,8 +427,9 @@ def next_number(number: int) -> int:
 
 def command_number(data: Buffer) -> int:
     """Return the number that a command carries, 0 if it has none."""
-    numbers = _NUMBERS.get(bytes(data[:2])) if len(data) >= 12 else None
-    dimensions, number = (1, 0) if numbers is None else numbers.unpack_from(data)
+    if len(data) < _NUMBERS.size or data[:2] != _LITTLE[:2]:
+        return 0
+    dimensions, number = _NUMBERS.unpack_from(data)
     return 0 if dimensions else int(number)
 
 
@@ -494,7 +465,7 @@ class CommandDecoder(_Decoder):
     def decode_numbered(self, data: Buffer) -> tuple[int, tuple[float, ...]]:
         """Decode as :meth:`decode` does, and return the number of the command before the values."""
         layout, items = self._unpacked(data)
-        return 0 if any(items[0][4:]) else items[1], layout.values(items)
+        return 0 if items[0] else items[1], layout.values(items)
 
     def decode_many(self, messages: Sequence[Buffer]) -> NDArray[np.float64]:
         """As `decode` of many messages: a C-contiguous array (n, N), N·m.
@@ -515,7 +486,7 @@ class CommandDecoder(_Decoder):
         count = (numbers[1] - numbers[0]) // 8
         if count != self._count:
             raise reader.error(f"has {count} values for {self._count} joints")
-        return _Layout(data, reader, "8sI0s", numbers, range(count))
+        return _Layout(data, reader, "II", numbers, range(count))
 
 
 def decode_trial_status(data: bytes) -> TrialStatus:
@@ -567,7 +538,7 @@ def encode_trial_status(status: TrialStatus) -> bytes:
     data += struct.pack("<I", len(values)) + b"".join(map(_string, texts))
     # Nothing follows the last one.
     padding = -(len(texts[-1].encode()) + 1) % 4
-    return b"\0\1\0\0" + data[: len(data) - padding]
+    return _LITTLE + data[: len(data) - padding]
 
 
 def _joint_state(data: Buffer) -> tuple[CdrReader, list[bytes], Span, Span]:

@@ -90,7 +90,6 @@ def joint_state(
     position: Sequence[float] = (),
     velocity: Sequence[float] = (),
     effort: Sequence[float] = (),
-    little_endian: bool = True,
 ) -> bytes:
     types = STORE.types
     sec, nanosec = divmod(stamp_ns, 10**9)
@@ -104,7 +103,7 @@ def joint_state(
         velocity=np.array(velocity, np.float64),
         effort=np.array(effort, np.float64),
     )
-    data = STORE.serialize_cdr(message, "sensor_msgs/msg/JointState", little_endian=little_endian)
+    data = STORE.serialize_cdr(message, "sensor_msgs/msg/JointState")
     return bytes(data)
 
 
@@ -229,10 +228,7 @@ class TestTopics:
 
 
 class TestForeignMessages:
-    @pytest.mark.parametrize("little_endian", [True, False])
-    def test_joint_order_and_filled_arrays_may_differ_per_message(
-        self, tmp_path: Path, little_endian: bool
-    ) -> None:
+    def test_joint_order_and_filled_arrays_may_differ_per_message(self, tmp_path: Path) -> None:
         (record,) = synthetic_recording(ticks=60).records
         names = record.joint_names
         messages: list[Message] = []
@@ -249,7 +245,6 @@ class TestForeignMessages:
                 raw = joint_state(
                     stamp,
                     named,
-                    little_endian=little_endian,
                     **{field: values[order, tick].tolist()},
                     **filled,
                 )

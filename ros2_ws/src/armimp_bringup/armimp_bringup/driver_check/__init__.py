@@ -10,12 +10,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.status import TimingFigures
 from armimp_common.topics import JOINT_STATES, TORQUE_SENSORS, VALUE_FIELD
 
 SENSOR_TOPICS = (JOINT_STATES, TORQUE_SENSORS)
-REST, AFTER = 200, 250
-"""Samples at rest before a push, and those after it that are looked at."""
+_BASELINE = 50
+"""Samples at rest that a push is compared with."""
+_SIGMAS = 5.0
 
 
 class Verdict(str, Enum):
@@ -75,37 +75,24 @@ class Call(NamedTuple):
     seconds: float = 0.0  # until the answer
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Push:
-    """A constant torque on one joint, after :data:`REST` samples of zero torque."""
+class Push(NamedTuple):
+    """What a constant torque on one joint did; see :func:`measure`."""
 
     joint: int  # from 0
     torque: float  # N·m
-    start: int  # number of its first sample in the recording
-    off: int  # last sample before the torque should have begun to go, from ``start``
-    readings: Mapping[str, NDArray[np.float64]]  # of all the recording, see :func:`readings`
-    on: int = REST
-
-    @property
-    def position(self) -> NDArray[np.float64]:
-        """Angles of the push and of what follows (n, samples), rad."""
-        return self.readings[JOINT_STATES][:, self.start : self.start + self.off + AFTER + 1]
-
-    @property
-    def effort(self) -> NDArray[np.float64]:
-        """Torques of the push and of what follows (n, samples), N·m."""
-        return self.readings[TORQUE_SENSORS][:, self.start : self.start + self.off + AFTER + 1]
+    moved: NDArray[np.float64]  # mean change of each angle in its second half (n,), rad
+    still: NDArray[np.float64]  # change of each angle that is no motion (n,), rad
+    delay: int | None  # samples until the reading of torque answered; None if it did not
+    change: float = 0.0  # by how much it then did, N·m
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Ending:
-    """How torque was taken away, and what the driver said about it."""
+class Ending(NamedTuple):
+    """What a driver did about a fault."""
 
-    push: Push | None = None  # the torque that was there before; None if the rig was at rest
-    again: Push | None = None  # commanded anew before the reset: must not act
     told: float | None = None  # s, from the last command, or the stop, to an ERROR; None: never
+    again: Push | None = None  # commanded under torque before the reset: must not act
     stop: Call | None = None
-    reset: Call | None = None
+    reset: Call = Call(success=None)
 
 
 @dataclass(kw_only=True, eq=False)
@@ -113,19 +100,15 @@ class Moves:
     """What was done with torque, and how it ended."""
 
     pushes: list[Push] = field(default_factory=list)  # one for each joint
-    released: Push | None = None  # for comparison, ended by a command of zero torque
-    held: Push | None = None  # likewise, but longer
     stale: Ending | None = None  # commands that stopped under torque
     stop: Ending | None = None  # the emergency stop
     second: Ending | None = None  # a second publisher of commands
     asked: bool = True  # whether torque was to be commanded
     missing: str = ""  # why the moves, or the rest of them, were not made
     astray: bool = False  # whether that is motion beyond its limit, or which cannot be read
-    fault: str = ""  # what the driver said when it stopped under regular commands
-    repeated: int = 0  # moves that were made anew, as commands had been held up
-    gap: float = 0.0  # s, longest time between two commands of those
+    fault: str = ""  # what the driver said when it stopped under commands
+    gap: float = 0.0  # s, longest time between two of those
     moved: float | None = None  # rad, how far a joint went; None if there was no torque
-    timing: TimingFigures | None = None  # as reported before commands stayed away
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -144,7 +127,6 @@ class Record:
     most: float = 0.0  # rad, how far a joint was allowed to go
     faults: Sequence[str] = ()  # of level ERROR before anything was commanded
     moves: Moves = field(default_factory=Moves)
-    timing: TimingFigures | None = None  # as the driver reports it
 
 
 def readings(joints: Sequence[str], topic: str, messages: Sequence[Message]) -> NDArray[np.float64]:
@@ -153,14 +135,50 @@ def readings(joints: Sequence[str], topic: str, messages: Sequence[Message]) -> 
     A message is whole if it has the expected joints, in any order, and as many values.
     """
     columns: list[list[float]] = []
-    places: dict[tuple[str, ...], list[int]] = {}
     for message in messages:
         values: tuple[float, ...] = getattr(message, VALUE_FIELD[topic])
-        if sorted(message.names) != sorted(joints) or len(values) != len(joints):
-            continue
-        place = places.get(message.names)
-        if place is None:
-            place = places[message.names] = [message.names.index(joint) for joint in joints]
-        columns.append([values[i] for i in place])
+        if sorted(message.names) == sorted(joints) and len(values) == len(joints):
+            columns.append([values[message.names.index(joint)] for joint in joints])
     found: NDArray[np.float64] = np.array(columns).reshape(-1, len(joints)).T
     return found
+
+
+def measure(
+    joint: int,
+    torque: float,
+    angles: NDArray[np.float64],
+    torques: NDArray[np.float64],
+    begin: int,
+) -> Push:
+    """See what a torque did.
+
+    Parameters
+    ----------
+    joint, torque : from 0; N·m
+    angles, torques : (n, N) readings at rest and under the torque, rad and N·m
+    begin : number of the last one at rest, which the first command of the torque answers
+    """
+    before = slice(max(begin - _BASELINE, 0), begin + 1)
+    later = angles[:, (begin + angles.shape[1]) // 2 :]
+    answer = torques[joint] - np.mean(torques[joint, before])
+    seen = np.flatnonzero(np.abs(answer[begin + 1 :]) > _noise(torques, before)[joint])
+    delay = int(seen[0]) + 1 if seen.size else None
+    first = begin + (delay or 0)
+    return Push(
+        joint=joint,
+        torque=torque,
+        moved=np.mean(later, axis=1) - np.mean(angles[:, before], axis=1),
+        still=_noise(angles, before),
+        delay=delay,
+        change=float(np.mean(answer[first : first + 3])) if seen.size else 0.0,
+    )
+
+
+def _noise(values: NDArray[np.float64], rest: slice) -> NDArray[np.float64]:
+    """Change (n,) of readings (n, N) that is no noise: five sigma at rest, and over one count."""
+    changes = np.abs(np.diff(np.sort(values, axis=1), axis=1))
+    count = np.array([np.min(row[row > 1e-9], initial=np.inf) for row in changes])
+    # Unquantised readings have steps of any size; those of noise are below five sigma anyway.
+    count = np.where(np.isfinite(count), count, 0.0)
+    noise: NDArray[np.float64] = np.maximum(_SIGMAS * np.std(values[:, rest], axis=1), 1.5 * count)
+    return noise

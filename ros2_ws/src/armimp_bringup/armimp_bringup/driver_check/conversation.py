@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from copy import copy
 from functools import partial
 from typing import Any, NamedTuple, TypeAlias
@@ -29,7 +29,7 @@ from armimp_common.cdr import JointStateDecoder
 from armimp_common.errors import InterruptionError, MalformedMessageError
 from armimp_common.executor import Spinner
 from armimp_common.pubsub import CommandPublisher, subscribe_raw
-from armimp_common.status import Level, TimingFigures, to_ns, values_of
+from armimp_common.status import Level, to_ns
 from armimp_common.topics import NS_PER_S
 
 _NODE = "armimp_check_driver"
@@ -169,9 +169,9 @@ class Answering:
         """Return the number of messages that came."""
         return len(self._raw[topic])
 
-    def recent(self, topic: str, count: int, step: int) -> list[bytes]:
-        """Return every ``step``-th of the last ``count`` messages."""
-        return [data for _, data in self._raw[topic][-count::step]]
+    def raw(self, topic: str, first: int, end: int) -> list[bytes]:
+        """Return these messages, by their numbers."""
+        return [data for _, data in self._raw[topic][first:end]]
 
     def recorded(self) -> tuple[dict[str, list[Message]], dict[str, int]]:
         """Return the messages by topic, and the numbers of those that cannot be decoded."""
@@ -203,7 +203,6 @@ class Conversation(Node, Answering):
         Answering.__init__(self, joints, self._command)
         self._interrupted: Callable[[], bool] | None = interrupted
         self.errors: list[Error] = []
-        self.timing: TimingFigures | None = None
         self._sensors: list[Subscription] = []
         self._triggers = {
             name: self.create_client(Trigger, name)
@@ -308,9 +307,6 @@ class Conversation(Node, Answering):
         for status in array.status:
             if status.level == bytes([Level.ERROR]):
                 self.errors.append(Error(self.now(), status.name, status.message))
-            if status.name == TimingFigures.STATUS_NAME:
-                with suppress(MalformedMessageError):
-                    self.timing = TimingFigures.from_values(values_of(status))
 
 
 def _message(arrival_ns: int, data: bytes) -> Message | None:

@@ -91,10 +91,6 @@ class _Probe:
                 moves.missing = trouble if options.move else "not without --move"
             endpoints, services = node.endpoints(), node.safety_services()
         everything, malformed = node.recorded()
-        mover.readings |= {
-            topic: readings(options.joints, topic, messages)
-            for topic, messages in everything.items()
-        }
         return Record(
             joints=options.joints,
             paced=self._paced,
@@ -108,7 +104,6 @@ class _Probe:
             most=options.most_motion,
             faults=[str(error) for error in faults],
             moves=moves,
-            timing=moves.timing or node.timing,
         )
 
     def _find(self) -> str | None:
