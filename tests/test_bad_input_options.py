@@ -62,26 +62,6 @@ def test_a_wrong_value_of_run_ends_in_one_line_with_the_value(
     assert not made
 
 
-@pytest.mark.parametrize("command", ["run", "replay"])
-@pytest.mark.parametrize("domain", ["-1", "500", "9" * 30, "x"])
-def test_a_wrong_domain_ends_in_one_line_with_the_value_and_leaves_no_directory(
-    directory: Path, command: str, domain: str
-) -> None:
-    arguments = ["nowhere"] if command == "replay" else ["--out", "new"]
-    told = refused(command, *arguments, "--domain-id", domain)
-    assert "nowhere" in told.err or domain[:20] in told.err or "--domain-id" in told.err
-    # So that the same command can be given again with another domain.
-    assert not list(directory.iterdir())
-
-
-def test_nothing_is_overwritten(directory: Path) -> None:
-    told = refused("reproduce", "--out", "../full")
-    assert told.status == 2
-    assert "../full: is not empty" in told.err
-    assert [path.name for path in (directory.parent / "full").iterdir()] == ["thesis.tex"]
-    assert (directory.parent / "file").read_text() == "ten years of work"
-
-
 @pytest.mark.parametrize("name", ["no\nwhere", "\x1b[31mred", "a\u2028b"])
 @pytest.mark.parametrize("command", ["estimate", "replay"])
 def test_a_name_with_strange_characters_is_shown_on_one_line(command: str, name: str) -> None:

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import pytest
 
-from armimp_bringup.config import ExperimentConfig, load_config
 from support.command import refused
 
 COMMANDS = (("run",), ("reproduce", "--no-figures"))
@@ -15,17 +14,6 @@ NOT_YAML = {
     "undefined alias": b"*nowhere",
     "foreign tag": b"friction: !level 3",
     "tag of Python": b"!!python/object/apply:os.system ['true']",
-}
-
-NO_SUCH_VALUE = {
-    "duration: 2024-13-45": "'2024-13-45' is no timestamp",
-    "seed: " + "9" * 5000: "is no int",
-    "friction: !!int x": "'x' is no int",
-}
-
-DEEP = {
-    "lists": "[" * 500,
-    "indented": "\n".join(" " * i + "a:" for i in range(700)),
 }
 
 WRONG = {
@@ -89,22 +77,6 @@ def test_what_is_not_yaml_is_named(kind: str, file: Path) -> None:
     )
 
 
-@pytest.mark.parametrize("text", NO_SUCH_VALUE)
-def test_a_text_that_is_not_what_it_looks_like_is_named_with_its_place(
-    text: str, file: Path
-) -> None:
-    told = complaint(file, text)
-    assert told.startswith(f"armimp: {file}: cannot be read as YAML: ")
-    assert NO_SUCH_VALUE[text] in told
-    assert "line 1" in told
-
-
-@pytest.mark.parametrize("kind", DEEP)
-def test_deep_nesting_is_refused(kind: str, file: Path) -> None:
-    told = complaint(file, DEEP[kind])
-    assert told == f"armimp: {file}: cannot be read as YAML: it is nested too deeply\n"
-
-
 @pytest.mark.parametrize("text", WRONG)
 def test_a_wrong_value_is_named(text: str, file: Path) -> None:
     assert WRONG[text] in complaint(file, text)
@@ -113,9 +85,3 @@ def test_a_wrong_value_is_named(text: str, file: Path) -> None:
 @pytest.mark.parametrize("text", ["arm_sim: &a {b: *a}", "&a {arm_sim: *a}", "estimators: &a [*a]"])
 def test_a_file_that_contains_itself_is_refused(text: str, file: Path) -> None:
     assert "cannot be read as YAML: the alias *a is not allowed" in complaint(file, text)
-
-
-def test_an_empty_file_leaves_the_defaults(file: Path) -> None:
-    for content in ("", "# nothing\n", "---\n", "{}\n"):
-        file.write_text(content)
-        assert load_config(file, {}) == ExperimentConfig()

@@ -3,7 +3,6 @@
 import copy
 import io
 import json
-import os
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -17,7 +16,7 @@ from armimp_bringup.study import read_study, select_conditions
 from armimp_bringup.study.engine import Threads
 from armimp_bringup.study.study import run_study
 from armimp_common.errors import DataError
-from armimp_estimation.summary import read_frf, read_summary
+from armimp_estimation.summary import read_frf
 
 BASE = ExperimentConfig(duration=4.0, estimators=("welch_full",))
 ONLY = "friction=0,resolution=0,perturbation=3"
@@ -53,22 +52,6 @@ def with_value(result: dict[str, Any], path: tuple[str | int, ...], value: objec
         place = place[key]
     place[path[-1]] = value
     return json.dumps([spoiled]).encode()
-
-
-NO_JSON = {
-    "empty": b"",
-    "deep": b"[" * 100_000,
-    "text": b'"list"',
-    "many digits": b"9" * 5000,
-    "foreign": b'{"name": "armimp", "version": 3}',
-    "half a pair": b'{"\\ud800": 1}',
-}
-
-
-@pytest.mark.parametrize("kind", NO_JSON)
-def test_what_is_no_study_is_named(kind: str, file: Path) -> None:
-    file.write_bytes(NO_JSON[kind])
-    assert reason_against(read_study, file).startswith(f"{file}: not a study: ")
 
 
 MATRIX = [[1.0, 2.0], [3.0]]
@@ -122,23 +105,6 @@ def test_wrong_arrays_of_curves_are_named(
     file = tmp_path / "frf.npz"
     file.write_bytes(archive(study / "conditions" / f"{NAME}.npz", **arrays))
     assert words in reason_against(read_frf, file)
-
-
-READERS = [read_frf, read_summary, read_study]
-
-
-@pytest.mark.parametrize("read", READERS)
-def test_what_is_no_regular_file_is_not_waited_for(
-    read: Callable[[Path], object], tmp_path: Path
-) -> None:
-    pipe, hole = tmp_path / "pipe", tmp_path / "hole"
-    os.mkfifo(pipe)
-    with hole.open("wb") as file:
-        file.write(b"[")
-        file.truncate(1 << 40)
-    assert reason_against(read, pipe).endswith("is not a regular file")
-    assert "of 1099511627776 bytes" in reason_against(read, hole)
-    assert reason_against(read, Path("/dev/zero")).endswith("is not a regular file")
 
 
 def test_curves_that_unfold_beyond_reason_are_refused(tmp_path: Path) -> None:

@@ -76,19 +76,6 @@ class Workspace:
         setup = shlex.quote(str(self.install / "setup.bash"))
         return ["bash", "-c", f"source {setup} && {command}"]
 
-    def python(self, program: str) -> str:
-        """Return what a Python program prints in a shell that has sourced the workspace."""
-        done = subprocess.run(
-            self.sourced(f"{shlex.quote(sys.executable)} -c {shlex.quote(program)}"),
-            capture_output=True,
-            text=True,
-            cwd=self.root,
-            env=environment(),
-            check=False,
-        )
-        assert done.returncode == 0, done.stderr
-        return done.stdout.strip()
-
 
 def environment() -> Mapping[str, str]:
     """The environment of somebody who has no other way to the packages than the workspace."""
@@ -129,24 +116,6 @@ def test_every_file_of_the_modules_is_installed(workspace: Workspace, package: s
         }
 
     assert files(installed) == files(SOURCES / package)
-
-
-def test_a_sourced_shell_finds_packages_modules_and_parameter_files_in_the_install_tree(
-    workspace: Workspace,
-) -> None:
-    program = (
-        "from ament_index_python.packages import get_package_share_directory as share\n"
-        "import importlib\n"
-        f"for name in {PACKAGES!r}:\n"
-        "    print(share(name), importlib.import_module(name).__file__, sep='\\n')\n"
-        "from armimp_bringup.graph import OPEN\n"
-        "print(OPEN.resolve(strict=True))\n"
-    )
-
-    lines = workspace.python(program).splitlines()
-
-    assert len(lines) == 2 * len(PACKAGES) + 1
-    assert all(Path(line).is_relative_to(workspace.install) for line in lines)
 
 
 def test_an_installed_node_takes_part_in_the_graph(workspace: Workspace, node: Node) -> None:

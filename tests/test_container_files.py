@@ -2,7 +2,6 @@
 
 import os
 import re
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -46,14 +45,6 @@ def test_images_copy_and_run_what_is_there_and_end_as_an_ordinary_user(name: str
     assert users[-1] == "10001"
     (created,) = re.findall(r"useradd --create-home --uid (\d+) armimp", str(found))
     assert created == users[-1]
-
-
-@pytest.mark.parametrize("script", sorted(path.name for path in DOCKER.glob("*.sh")))
-def test_scripts_can_be_parsed_and_run(script: str) -> None:
-    path = DOCKER / script
-    shell = path.read_text(encoding="utf-8").splitlines()[0].removeprefix("#!")
-    assert os.access(path, os.X_OK)
-    assert subprocess.run([shell, "-n", str(path)], check=False).returncode == 0
 
 
 def test_every_node_has_a_container_with_its_parameters() -> None:

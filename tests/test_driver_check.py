@@ -2,7 +2,6 @@
 
 import functools
 import io
-import json
 import signal
 import subprocess
 import sys
@@ -117,23 +116,6 @@ def test_when_there_is_nothing_to_check_expect_one_line_and_status_one(
     said = capfd.readouterr().err
     assert words in said
     assert said.count("\n") == 1
-
-
-@pytest.mark.slow
-def test_the_command_prints_findings_and_its_status_tells_whether_any_failed(
-    start: Start, driver_domain: int, capfd: pytest.CaptureFixture[str]
-) -> None:
-    start(SIMULATOR, "-p", "mode:=lockstep")
-    options = ["check-driver", "--domain-id", str(driver_domain), "--duration", "1"]
-
-    assert main([*options, "--json"]) == 0
-    printed = json.loads(capfd.readouterr().out)
-    assert (printed["passed"], printed["fail"]) == (True, 0)
-
-    assert main([*options, "--joint", "shoulder", "--joint", "wrist"]) == 1
-    table = capfd.readouterr().out
-    assert "joint names" in table
-    assert "checks failed" in table
 
 
 @pytest.mark.parametrize(

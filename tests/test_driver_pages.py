@@ -67,17 +67,6 @@ def test_the_page_names_every_parameter_of_calibration_and_mock() -> None:
     }
 
 
-@pytest.mark.parametrize("name", [*rows("mock"), *rows("drive"), *rows("transducer")])
-def test_the_defaults_of_the_page_are_those_of_the_driver(name: str) -> None:
-    written = {**rows("mock"), **rows("drive"), **rows("transducer")}[name]
-    value = flatten(DriverParameters())[name]
-    if written.startswith("as "):
-        assert value == []
-        return
-    numbers = [float(part.replace("−", "-")) for part in written.split(",")]
-    assert np.atleast_1d(value).tolist() == pytest.approx(numbers)
-
-
 def test_the_example_of_a_calibration_is_one() -> None:
     (block,) = re.findall(r"```yaml\n(.*?)```", PAGE, flags=re.DOTALL)
     values = dotted(yaml.safe_load(block)["arm_sim"]["ros__parameters"])

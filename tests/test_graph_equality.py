@@ -10,7 +10,6 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import run_offline
 from armimp_bringup.parameters import node_parameters
 from armimp_common.topics import (
-    COMMANDS,
     PERTURBATION,
 )
 from armimp_estimation.bags import read_bag
@@ -84,13 +83,6 @@ def test_an_optimal_multisine_goes_the_same_way(run: Run) -> None:
 
 
 @pytest.mark.slow
-def test_a_multisine_on_a_realistic_rig_is_valid(run: Run) -> None:
-    finished = run(perturbation_kind="multisine", rig="realistic", duration=20.0)
-
-    assert finished.summary.valid, finished.summary.problems
-
-
-@pytest.mark.slow
 def test_three_joints_go_the_same_way(run: Run) -> None:
     finished = run(joints=3)
 
@@ -105,22 +97,3 @@ def test_three_joints_go_the_same_way(run: Run) -> None:
         for trial in finished.trials()
     ]
     assert perturbed == [[0], [1], [2]]
-
-
-@pytest.mark.slow
-def test_levels_and_overridden_parameters_reach_the_nodes(run: Run) -> None:
-    options: dict[str, Any] = {
-        "friction": 2,
-        "resolution": 1,
-        "perturbation": 2,
-        "arm_sim": {"voluntary": {"rms": 0.1}},
-        "imbic_controller": {"safety.torque_limit": 5.0},
-    }
-
-    finished = run(**options)
-
-    finished.assert_same_as_offline(offline(**options))
-    commands = np.array(
-        [trial.values(COMMANDS, finished.joint_names) for trial in finished.trials()]
-    )
-    assert np.abs(commands).max() == 5.0

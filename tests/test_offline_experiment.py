@@ -15,10 +15,8 @@ from armimp_common.errors import DataError
 from armimp_common.topics import PERIOD_NS
 from armimp_control import presets as control_presets
 from armimp_control.safety_limiter import Action
-from armimp_control.sequence import SequenceParameters
 from armimp_estimation.record import TrialRecord
 from armimp_sim import presets as sim_presets
-from armimp_sim.plant import IntegrationError
 from armimp_sim.voluntary import VoluntaryParameters
 from support.compiled import brief_rig
 from support.safety import torque_only
@@ -107,21 +105,3 @@ def test_when_the_limiter_stops_an_experiment_expect_no_result_but_the_reason(
     rig = replace(brief_rig(), safety=brief_rig().safety.model_copy(update=limits))
     with pytest.raises(DataError, match=reason):
         run_offline([brief_rig(), rig])
-
-
-def test_integration_that_breaks_down_is_reported() -> None:
-    rig = brief_rig()
-    wild = replace(
-        rig,
-        safety=torque_only(1e5),
-        perturbation=rig.perturbation.model_copy(update={"peak": (1e5, 1e5)}),
-    )
-    with pytest.raises(IntegrationError, match="plant: ") as caught:
-        run_offline([wild])
-    assert "\n" not in str(caught.value)
-
-
-def test_experiments_of_unequal_sequence_are_refused() -> None:
-    longer = replace(brief_rig(), sequence=SequenceParameters(duration=1.0))
-    with pytest.raises(DataError, match="same trial sequence"):
-        run_offline([brief_rig(), longer])

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import functools
-import json
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,12 +15,10 @@ from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_common.status import Phase, TrialStatus
 from armimp_common.topics import PERIOD_NS
 from armimp_control.trial_sequencer import TrialSequencer
-from armimp_estimation.estimators.lpm import LpmConfig
-from armimp_estimation.identify import EstimatorResult, identify
+from armimp_estimation.identify import EstimatorResult
 from armimp_estimation.mbk import MBK
 from armimp_estimation.metadata import Metadata
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
-from armimp_estimation.trial import TrialData
 from armimp_sim.simulator import SimulatedRig
 
 TARE = {"tare": {"duration": 0.6, "wait": 0.4}}
@@ -75,14 +71,9 @@ def truth() -> MBK:
 
 
 @functools.cache
-def estimated(name: str, *, told: bool = True) -> EstimatorResult:
-    """What `lpm_full` makes of a case, with or without knowing of the readings."""
-    experiment = simulated(name)
-    if told:
-        return experiment.identify(["lpm_full"]).estimators["lpm_full"]
-    options = replace(experiment.options, lpm=LpmConfig(reading=TorqueReading()))
-    data = [TrialData.of(one, welch=options.welch) for one in experiment.records]
-    return identify(data, ["lpm_full"], truth(), options).estimators["lpm_full"]
+def estimated(name: str) -> EstimatorResult:
+    """What `lpm_full` makes of a case, knowing of the readings."""
+    return simulated(name).identify(["lpm_full"]).estimators["lpm_full"]
 
 
 def errors(result: EstimatorResult) -> dict[str, float]:
@@ -107,18 +98,6 @@ def test_what_is_known_of_the_sensors_costs_no_accuracy(name: str) -> None:
     assert found["B"] < 0.006
     assert found["K"] < 0.006
     assert vaf(estimated(name)) > 99.9
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["delay", "filter", "everything"])
-def test_what_nobody_told_of_the_torque_readings_is_found_or_in_the_errors(name: str) -> None:
-    result = estimated(name, told=False)
-    fit = result.fit
-    for letter in ("M", "B", "K"):
-        off = np.abs(getattr(fit.mbk, letter) - getattr(truth(), letter))
-        assert (off < 3.5 * getattr(fit, f"{letter}_se")).all()
-    assert fit.delay is not None
-    assert fit.delay.delay > 0.0005
 
 
 @pytest.mark.slow
@@ -181,20 +160,6 @@ def test_the_estimator_knows_what_is_simulated_unless_it_is_told_otherwise() -> 
     assert known(torque_delay=0.0) == everything.model_copy(update={"delay": 0.0})
     blind = {"torque": {"delay": 0.0, "cutoff": 0.0, "actuator_lag": 0.0}}
     assert known(impedance_estimator=blind) == prompt
-
-
-def test_of_the_realistic_rig_the_nodes_are_told_what_its_builder_knows() -> None:
-    config = ExperimentConfig(rig="realistic", internal_model="observer")
-    case = node_parameters(config, None)
-    metadata = case.estimator.bag_metadata()
-    assert case.controller.known.command_delay == 1
-    assert case.controller.known.actuator_lag == pytest.approx(0.0008, rel=0.01)
-    assert json.loads(metadata["arm_model"]) == "cuff"
-    assert json.loads(metadata["truth"])["M"] == case.simulator.human_arm().inertia.tolist()
-    assert case.controller.check()  # of commands that would be later still
-    paper = node_parameters(config.model_copy(update={"rig": "paper"}), None)
-    assert paper.simulator.plant_config().ideal
-    assert "arm_model" not in paper.estimator.bag_metadata()
 
 
 @pytest.mark.parametrize("joints", [1, pytest.param(7, marks=pytest.mark.slow)])

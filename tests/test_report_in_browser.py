@@ -121,15 +121,6 @@ def test_page_and_plots_follow_the_colour_scheme_of_the_system_but_on_paper(page
     assert page.said() == []
 
 
-def test_no_button_sends_data_anywhere(page: Browser) -> None:
-    buttons = page.value(
-        "[...document.querySelector('.modebar').querySelectorAll('.modebar-btn')]"
-        ".map((button) => button.dataset.title)"
-    )
-    assert len(buttons) == 4
-    assert not [title for title in buttons if "hare" in title or "loud" in title]
-
-
 def test_the_page_itself_forbids_requests_and_foreign_scripts(page: Browser) -> None:
     refused = page.value("fetch('https://example.org/').then(() => 'sent', () => 'refused')")
     assert refused == "refused"

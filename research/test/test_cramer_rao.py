@@ -54,37 +54,6 @@ def test_one_joint_has_the_bound_of_the_closed_form() -> None:
     np.testing.assert_allclose(found[:, 0, 0], np.sqrt(expected), rtol=1e-9)
 
 
-def test_motion_that_is_unknown_costs_as_much_as_it_does_in_the_whole_information() -> None:
-    """That of all parameters and of the motion at every bin, inverted, has the same bound."""
-    f, theta = motion(2, 2)
-    f, theta = f[::15], theta[..., ::15]
-    power = np.linspace(1e-3, 1e-5, f.size)
-    s = 2j * np.pi * f
-    Z = TWO_JOINT_ARM.impedance(f)
-    parameters, nuisance = 12, 2 * theta.size
-    # Rows are readings: angles, then torques, by trial, joint and bin; columns what is unknown.
-    shape = (2, *theta.shape)
-    slopes = np.zeros((*shape, parameters + nuisance), dtype=complex)
-    for which, factor in enumerate((s**2, s, np.ones_like(s))):
-        for i, k in np.ndindex(2, 2):
-            slopes[1, :, i, :, 4 * which + 2 * i + k] = factor * theta[:, k]
-    for number, (trial, k, b) in enumerate(np.ndindex(theta.shape)):
-        for part, unit in enumerate((1.0, 1j)):
-            column = parameters + 2 * number + part
-            slopes[0, trial, k, b, column] = unit
-            slopes[1, trial, :, b, column] = unit * Z[:, k, b]
-    variance = np.empty(shape)
-    variance[0] = SAMPLES * NOISE.angle**2
-    variance[1] = SAMPLES * (NOISE.torque**2 + power)
-    rows = (slopes / np.sqrt(variance)[..., None]).reshape(-1, parameters + nuisance)
-    whole = 2.0 * np.real(np.conj(rows.T) @ rows)
-    size = np.sqrt(np.diagonal(whole))
-    expected = np.sqrt(np.diagonal(np.linalg.inv(whole / size[:, None] / size))) / size
-    covariance = error_covariance(TWO_JOINT_ARM, f, SAMPLES, NOISE, power)
-    found = cramer_rao_bound(f, theta, covariance)
-    np.testing.assert_allclose(found.ravel(), expected[:parameters], rtol=1e-6)
-
-
 def test_joints_that_cannot_be_told_apart_are_refused() -> None:
     f, theta = motion(2, 1)
     covariance = error_covariance(TWO_JOINT_ARM, f, SAMPLES, NOISE)

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import csv
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from armimp_bringup.config import ExperimentConfig
-from research.coverage import CoveragePlan, investigate, run_coverage
+from research.coverage import CoveragePlan, run_coverage
 from research.coverage_statistics import QUANTILE, Cell, Share
-from research.options import InvestigationOptions
 
 pytestmark = pytest.mark.slow
 
@@ -68,26 +64,3 @@ def test_pooled_intervals_hold_the_share_in_95_of_100_experiments() -> None:
         share = Share.of(np.abs(np.sqrt(0.4) * common + np.sqrt(0.6) * own) < QUANTILE)
         held.append(share.lower <= 0.95 <= share.upper)
     assert np.mean(held) == pytest.approx(0.95, abs=4.0 * np.sqrt(0.95 * 0.05 / 400))
-
-
-def test_investigation_leaves_tables_and_a_figure(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    plan = replace(PLAN, base=ExperimentConfig(duration=16.4, arm_sim={"substeps": 10}))
-    assert investigate(InvestigationOptions(out=tmp_path, seeds="0:3", workers=2), plan) == 0
-    assert "welch_siso" in capsys.readouterr().out
-    result = json.loads((tmp_path / "coverage.json").read_text(encoding="utf-8"))
-    assert result["seeds"] == "0:3"
-    assert [(cell["estimator"], cell["voluntary_rms"]) for cell in result["cells"]] == [
-        ("lpm_full", 0.3),
-        ("lpm_full", 0.0),
-        ("welch_siso", 0.3),
-        ("welch_siso", 0.0),
-    ]
-    with (tmp_path / "coverage.csv").open(encoding="utf-8", newline="") as stream:
-        rows = list(csv.DictReader(stream))
-    assert len(rows) == 4 * 12
-    lowest = result["cells"][0]["by_element"]["M11"]["interval"][0]
-    assert float(rows[0]["share_lower"]) == pytest.approx(lowest)
-    assert (tmp_path / "coverage.png").stat().st_size > 10_000
-    assert (tmp_path / "coverage.pdf").stat().st_size > 5_000

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-
 import pytest
 
 from armimp_bringup.config import ExperimentConfig
-from research.growth import GrowthPlan, investigate, run_growth
+from research.growth import GrowthPlan, run_growth
 from research.growth_outcomes import Cell
-from research.options import InvestigationOptions
 
 pytestmark = pytest.mark.slow
 
@@ -38,17 +34,3 @@ def test_local_polynomials_have_the_least_bias(cells: Cells, joints: int) -> Non
     assert best.worst_vaf > 99.9
     for name in ("welch_siso", "mimo"):
         assert (best.bias < cells[joints, 0.0, name].bias).all()
-
-
-def test_investigation_leaves_tables_and_a_figure(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    plan = GrowthPlan(base=BASE, joints=(2,), voluntary=(0.0,))
-    assert investigate(InvestigationOptions(out=tmp_path, seeds="0:2"), plan) == 0
-    assert "mimo" in capsys.readouterr().out
-    result = json.loads((tmp_path / "growth.json").read_text(encoding="utf-8"))
-    assert [cell["estimator"] for cell in result["cells"]] == ["welch_siso", "lpm_full", "mimo"]
-    assert result["seeds"] == "0:2"
-    assert len((tmp_path / "growth.csv").read_text(encoding="utf-8").splitlines()) == 4
-    assert (tmp_path / "growth.png").stat().st_size > 10_000
-    assert (tmp_path / "growth.pdf").stat().st_size > 5_000

@@ -10,15 +10,13 @@ from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import confidence_radius
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.spectra import SpectralAccumulator, WelchConfig
-from research.mimo import MimoEstimate, estimate_mimo, input_coupling
+from armimp_estimation.spectra import WelchConfig
+from research.mimo import MimoEstimate, estimate_mimo
 from support.synthetic_trials import TWO_JOINT_ARM
 
 pytestmark = pytest.mark.slow
 
 FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-
 RATE, SAMPLES = 125.0, 6144
 WELCH = WelchConfig(segment=1024, overlap=768)
 CONTROL = MBK(M=0.2 * np.eye(2), B=4.0 * np.eye(2), K=30.0 * np.eye(2))
@@ -88,25 +86,6 @@ def test_when_the_subject_pushes_expect_no_bias_and_variance_that_is_right() -> 
         ]
     )
     assert 0.935 < inside < 0.97
-
-
-def spectra_of(x: FloatArray) -> tuple[FloatArray, ComplexArray]:
-    accumulator = SpectralAccumulator(len(x), RATE, WELCH)
-    accumulator.push(x)
-    return accumulator.result().f, accumulator.result().matrix
-
-
-def test_coupling_of_independent_inputs_is_that_of_chance() -> None:
-    f, matrix = spectra_of(np.random.default_rng(3).standard_normal((2, SAMPLES)))
-    coupling = input_coupling(f, matrix)
-    # One over 11 averages.
-    assert 0.06 < np.mean(coupling.coherence[0, 1]) < 0.13
-    np.testing.assert_allclose(coupling.coherence[[0, 1], [0, 1]], 1.0, rtol=1e-12)
-    np.testing.assert_array_equal(coupling.f, f)
-    # Of two inputs with coherence γ²: (1 + γ)/(1 - γ) and 1/(1 - γ²).
-    gamma = np.sqrt(coupling.coherence[0, 1])
-    np.testing.assert_allclose(coupling.condition, (1.0 + gamma) / (1.0 - gamma), rtol=1e-9)
-    np.testing.assert_allclose(coupling.inflation, [1.0 / (1.0 - gamma**2)] * 2, rtol=1e-9)
 
 
 def test_when_inputs_have_much_in_common_expect_data_error() -> None:

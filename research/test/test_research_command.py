@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import csv
+import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from armimp_bringup.config import ExperimentConfig
+from research import coverage, growth, limits
 from research.__main__ import main
+from research.options import InvestigationOptions
 
 pytestmark = pytest.mark.slow
 
@@ -33,3 +39,31 @@ def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert main(["limits", "--out", str(tmp_path)]) == 2
     assert "is not empty" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+SHORT = ExperimentConfig(duration=16.4, arm_sim={"substeps": 10})
+
+
+@pytest.mark.parametrize(
+    ("name", "investigate", "plan", "rows"),
+    [
+        (
+            "coverage",
+            coverage.investigate,
+            coverage.CoveragePlan(base=SHORT, levels=((3, 3, 3),), voluntary=(0.3, 0.0)),
+            4 * 12,
+        ),
+        ("limits", limits.investigate, limits.LimitsPlan(base=SHORT, levels=((3, 3, 3),)), 4 * 12),
+        ("growth", growth.investigate, growth.GrowthPlan(base=SHORT, joints=(2,)), 3),
+    ],
+)
+def test_a_study_leaves_tables_and_a_figure(
+    name: str, investigate: Any, plan: Any, rows: int, tmp_path: Path
+) -> None:
+    assert investigate(InvestigationOptions(out=tmp_path, seeds="0:3", workers=2), plan) == 0
+    result = json.loads((tmp_path / f"{name}.json").read_text(encoding="utf-8"))
+    assert result["seeds"] == "0:3"
+    with (tmp_path / f"{name}.csv").open(encoding="utf-8", newline="") as stream:
+        assert len(list(csv.DictReader(stream))) >= rows
+    assert (tmp_path / f"{name}.png").stat().st_size > 10_000
+    assert (tmp_path / f"{name}.pdf").stat().st_size > 5_000

@@ -88,13 +88,7 @@ def write_mcap(
 
 
 def iterate_messages(path: Path, *, namespace: str | None = None) -> Iterator[Message]:
-    """The messages of the contract in a bag, in which there need not be a trial.
-
-    Raises
-    ------
-    BagError
-        At the call, if the path is not a readable bag or has no message.
-    """
+    """The messages of the contract in a bag, in which there need not be a trial."""
     raw = read_storage(path, contract_topic)
     if not raw.payloads:
         raise BagError(f"{path}: no messages")

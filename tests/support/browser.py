@@ -43,15 +43,7 @@ def _pipe() -> tuple[int, int]:
 
 
 class Browser:
-    """A running browser.
-
-    Parameters
-    ----------
-    executable : str
-        Of Chromium.
-    profile : Path
-        Directory for its files.
-    """
+    """A running browser."""
 
     def __init__(self, executable: str, profile: Path) -> None:
         orders_in, orders_out = _pipe()

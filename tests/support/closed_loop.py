@@ -20,12 +20,7 @@ ACCURACY = {"VAF": 99.7, "M": 0.02, "B": 0.02, "K": 0.02}
 
 
 class ClosedLoop:
-    """Controller and rig, without anything between them but what a test puts there.
-
-    Parameters
-    ----------
-    parameters : of the nodes
-    """
+    """Controller and rig, without anything between them but what a test puts there."""
 
     def __init__(self, parameters: NodeParameters) -> None:
         self._parameters = parameters

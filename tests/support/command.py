@@ -13,15 +13,7 @@ _NOTES = ("note: ", "armimp: note: ", "armimp: refused: ", "trial ")
 
 @dataclass(frozen=True, kw_only=True)
 class Told:
-    """What a command left on the screen.
-
-    Attributes
-    ----------
-    status : int
-        Exit status.
-    out, err : str
-        Standard output and standard error.
-    """
+    """What a command left on the screen."""
 
     status: int
     out: str
@@ -43,13 +35,7 @@ def call(*arguments: str) -> Told:
 
 
 def refused(*arguments: str) -> Told:
-    """Run a command that must not do anything but complain, in one line.
-
-    Raises
-    ------
-    AssertionError
-        If it does anything else.
-    """
+    """Run a command that must not do anything but complain, in one line."""
     told = call(*arguments)
     assert told.status in (1, 2), told
     assert told.err.startswith("armimp: "), told
@@ -60,13 +46,7 @@ def refused(*arguments: str) -> Told:
 
 
 def behaved(*arguments: str) -> Told:
-    """Run a command on data that may be bad: each of its complaints must be one line of its own.
-
-    Raises
-    ------
-    AssertionError
-        If a bad result is not complained about, or in another form.
-    """
+    """Run a command on data that may be bad: each of its complaints must be one line of its own."""
     told = call(*arguments)
     assert told.status in (0, 1, 2), told
     assert bool(told.complaints) == (told.status != 0), told

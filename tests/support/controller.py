@@ -35,17 +35,7 @@ Reading = Sequence[float] | NDArray[np.float64]
 def controller_parameters(
     *ticks: int, seed: int = 1, law: Any = "observer", **groups: Any
 ) -> ControllerParameters:
-    """Parameters for robot and arm of the study.
-
-    Parameters
-    ----------
-    ticks
-        Of settling, perturbation and rest; by default those of the study.
-    seed, law
-        As of the preset.
-    groups
-        Groups of parameters in the place of those of the preset.
-    """
+    """Parameters for robot and arm of the study."""
     preset = ControllerParameters.preset(
         joints=NAMES,
         posture=np.array(POSTURE),
@@ -106,17 +96,7 @@ def wobble(ticks: int) -> list[tuple[tuple[float, ...], tuple[float, ...]]]:
 
 
 class ScriptedController:
-    """Stands for controller, recorder and people: commands a rig, and keeps what comes back.
-
-    Attributes
-    ----------
-    positions, torques
-        Stamps (ns) and values received.
-    answer
-        Torque (N·m) that answers each sample at once; None for no answer.
-    diagnostics
-        Statuses received.
-    """
+    """Stands for controller, recorder and people: commands a rig, and keeps what comes back."""
 
     def __init__(self, node: Node, spinner: Spinner, names: Sequence[str] = NAMES) -> None:
         self.node, self.spinner = node, spinner

@@ -20,18 +20,7 @@ class Figures:
         self._hazards: dict[str, _Hazard] = {}
 
     def add(self, hazard: str, times: int = 1, **worst: tuple[float, str]) -> None:
-        """Note what one try, or several, gave.
-
-        Parameters
-        ----------
-        hazard
-            What was done, as a clause: "recorder killed".
-        times
-            How often.
-        worst
-            By the name of each quantity, in which ``_`` stands for a space: its largest value, and
-            its unit.
-        """
+        """Note what one try, or several, gave."""
         known = self._hazards.setdefault(hazard, _Hazard())
         known.times += times
         for name, (value, unit) in worst.items():

@@ -117,24 +117,7 @@ def spinner(node: Node) -> Iterator[Spinner]:
 def eventually(
     spinner: Spinner, condition: Callable[[], bool], what: str, patience: float = PATIENCE
 ) -> None:
-    """Spin until a condition is met.
-
-    Parameters
-    ----------
-    spinner
-        Spins the nodes on which the condition depends.
-    condition
-        What must come true.
-    what
-        The condition in words, for the failure.
-    patience
-        How long to wait at most (s).
-
-    Raises
-    ------
-    AssertionError
-        If it is not met in time.
-    """
+    """Spin until a condition is met."""
     end = time.monotonic() + patience
     spinner.spin(lambda: condition() or time.monotonic() > end, period=0.01)
     assert condition(), f"did not happen within {patience} s: {what}"
@@ -147,15 +130,7 @@ def a_moment(spinner: Spinner, seconds: float = MOMENT) -> None:
 
 
 def overrides(model: BaseModel, changes: Mapping[str, Value] | None = None) -> list[Parameter]:
-    """Return the ``parameter_overrides`` that give a node the values of a schema.
-
-    Parameters
-    ----------
-    model
-        The values.
-    changes
-        Other values by dotted name, which need not be right.
-    """
+    """Return the ``parameter_overrides`` that give a node the values of a schema."""
     values = {**flatten(model), **(changes or {})}
     return [Parameter(name, value=value) for name, value in values.items()]
 
@@ -172,15 +147,7 @@ def set_clock(node: Node, step: float) -> None:
 
 
 class HandedClock:
-    """Stands for the module ``time`` of a node: how busy the machine is decides nothing.
-
-    Attributes
-    ----------
-    now
-        The time (s).
-    pace
-        By how much each look at the clock lets it go on (s).
-    """
+    """Stands for the module ``time`` of a node: how busy the machine is decides nothing."""
 
     def __init__(self) -> None:
         self.now = 1000.0
@@ -201,28 +168,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> HandedClock:
 
 
 class ScriptedDriver:
-    """Stands for the rig: feeds samples to a controller, and keeps what comes back.
-
-    Parameters
-    ----------
-    node
-        Publishes and listens, in its namespace.
-    names
-        Joints in the order of the values that are fed.
-    start_ns
-        Stamp of the first sample (ns).
-
-    Attributes
-    ----------
-    tick
-        Number of the next sample.
-    commands
-        Torques received (N·m).
-    perturbations
-        Stamps (ns) and torques (N·m) received.
-    messages
-        Trial statuses received, as messages.
-    """
+    """Stands for the rig: feeds samples to a controller, and keeps what comes back."""
 
     def __init__(self, node: Node, names: Sequence[str], *, start_ns: int = 0) -> None:
         self.names = tuple(names)

@@ -29,18 +29,7 @@ def rig_record(
     chatter: float = 1.0,
     count: float = 0.0,
 ) -> TrialRecord:
-    """Simulate the trial of a joint (0-based): the exact solution, without control.
-
-    Parameters
-    ----------
-    joint : int
-    reading : TorqueReading
-        The filter's output is read ``delay`` before each update.
-    chatter : float
-        Rms of the noise in the commands, N·m.
-    count : float
-        Resolution of the encoders, rad; 0: none.
-    """
+    """Simulate the trial of a joint (0-based): the exact solution, without control."""
     rng = np.random.default_rng((1, joint))
     sos = signal.butter(8, 15.0, fs=RATE, output="sos")
     perturbation = np.zeros((2, SAMPLES))

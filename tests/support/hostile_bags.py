@@ -127,18 +127,16 @@ def experiment() -> Sequence[Message]:
     return recorded_arm(1800).messages
 
 
-def samples(ticks: int, *, joint: Callable[[int], int] = lambda _: 0) -> Iterable[Message]:
+def samples(ticks: int) -> Iterable[Message]:
     """Messages of so many ticks without any status."""
     names = ("joint_1", "joint_2")
     states, efforts = JointStateEncoder(names, "position"), JointStateEncoder(names, "effort")
     commands = CommandEncoder(2)
     for tick in range(ticks):
         stamp = tick * PERIOD_NS
-        torque = [0.0, 0.0]
-        torque[joint(tick)] = 1.0 + tick % 7
         yield JOINT_STATES, stamp, states.encode(stamp, [float(tick), 0.1])
         yield TORQUE_SENSORS, stamp, efforts.encode(stamp, [0.1, 0.2])
-        yield PERTURBATION, stamp, efforts.encode(stamp, torque)
+        yield PERTURBATION, stamp, efforts.encode(stamp, [1.0 + tick % 7, 0.0])
         yield COMMANDS, stamp, commands.encode([0.1, 0.2])
 
 
@@ -193,19 +191,8 @@ def sound() -> bytes:
     return zstd_chunk(packed(experiment()))
 
 
-def armimp_metadata(**values: str) -> bytes:
-    return metadata_record("armimp", values) + sound()
-
-
 def rosbag_metadata(text_of_it: str, times: int = 1) -> bytes:
     return metadata_record("rosbag2", {"serialized_metadata": text_of_it}) * times + sound()
-
-
-def clipped_beyond_reason() -> bytes:
-    intervals = " ".join(["0-" + "9" * 19] * 100)
-    ticks, start_ns = 10_000_000, 60 * PERIOD_NS
-    one = status(1, start_ns, ticks, clipped=1, clipped_intervals=intervals)
-    return message(5, 1, one) + message(5, 2, status(1, start_ns, ticks, phase=Phase.DONE))
 
 
 def three_hundred_thousand_joints() -> Iterable[bytes]:
@@ -232,9 +219,6 @@ MCAP: Final[dict[str, Callable[[], bytes]]] = {
     "lz4 chunk bomb": lambda: chunk("lz4", 1000, lz4.frame.compress(bytes(_GIB // 4))),
     "compressed messages": lambda: 1000 * message(1, 1, zstd(bytes(64 << 20))),
     # Counts and names
-    "sixty-five thousand rigs": lambda: b"".join(
-        (*(channel(10 + i, f"/{i // 4}/{DATA_STREAMS[i % 4]}", 0) for i in range(65_500)), _X)
-    ),
     "topic with a name of five million letters": lambda: (
         channel(1, "/" + "a" * 5_000_000 + "/joint_states", 0) + _X
     ),
@@ -243,15 +227,8 @@ MCAP: Final[dict[str, Callable[[], bytes]]] = {
         zstd_chunks(records_of(samples(50_000))) + statuses(900, 1, 100_000, _LATE)
     ),
     "trials of ten million samples": lambda: sound() + statuses(900, 10**6, 10_000_000),
-    "clipped intervals beyond reason": lambda: sound() + clipped_beyond_reason(),
-    "perturbed joint changes with each sample": lambda: zstd_chunks(
-        records_of(samples(50_000, joint=lambda tick: tick % 2))
-    ),
     "three hundred thousand joints in messages": lambda: b"".join(three_hundred_thousand_joints()),
     "metadata of millions of nodes": lambda: rosbag_metadata("- a\n" * 2_000_000),
-    "metadata nested without end": lambda: armimp_metadata(
-        **dict.fromkeys(("config", "truth", "joint_names"), "[" * 3_000_000)
-    ),
 }
 """What follows the head of the file, whose channels may be told anew."""
 
@@ -433,13 +410,6 @@ def provisional(directory: Path, *content: bytes) -> Path:
 
 
 @attack
-def link_in_place_of_the_temporary_metadata(directory: Path) -> Arguments:
-    bag = provisional(directory, sound())
-    (bag / ".metadata.yaml.tmp").symlink_to(directory.parent / WITNESS / "canary")
-    return "estimate", str(bag)
-
-
-@attack
 def unfinished_bag_of_large_chunks(directory: Path) -> Arguments:
     content = endless(30 << 20) + bytes(30 << 20)
     return "estimate", str(provisional(directory, zstd_chunk(content) * 200))
@@ -499,23 +469,14 @@ def _nested(first: str, other: str) -> str:
     return "arm_sim:\n" + "".join(f"  {line}\n" for line in lines)
 
 
-CONFIGS: Final[dict[str, Callable[[], str]]] = {
-    "nested nine hundred deep": lambda: "arm_sim: {a: " + "[" * 900 + "]" * 900 + "}",
-    "of nested aliases": lambda: _nested("[x, x, x, x, x, x, x, x, x]", "[{}]"),
-}
-"""Contents of a configuration file."""
-
-
 def config(directory: Path, content: str, name: str = "config.yaml") -> Arguments:
     (directory / name).write_text(content)
     return configured(directory / name)
 
 
-def _configured_by(make: Callable[[], str]) -> Attack:
-    return lambda directory: config(directory, make())
-
-
-ATTACKS |= {f"config {name}": _configured_by(make) for name, make in CONFIGS.items()}
+@attack
+def config_of_nested_aliases(directory: Path) -> Arguments:
+    return config(directory, _nested("[x, x, x, x, x, x, x, x, x]", "[{}]"))
 
 
 QUICK: Final = [

@@ -46,24 +46,7 @@ def make_result(
     metadata: Mapping[str, str] = METADATA,
     estimators: Sequence[str] = ("welch_siso", "welch_full"),
 ) -> Path:
-    """Record messages in ``bags/session``, conclude from them, and write the files of the result.
-
-    Parameters
-    ----------
-    directory : Path
-        Made for the result.
-    messages : sequence of Message, optional
-        By default two good trials of a two-joint arm.
-    metadata : mapping of str to str
-        Of the bag.
-    estimators : sequence of str
-        Names.
-
-    Returns
-    -------
-    Path
-        The directory.
-    """
+    """Record messages in ``bags/session``, conclude from them, and write the result."""
     bag = directory / "bags" / "session"
     write_bag(bag, recorded_arm().messages if messages is None else messages, metadata)
     content = read_bag(bag)

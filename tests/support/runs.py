@@ -21,15 +21,7 @@ from support.bag_files import iterate_messages
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordedTrial:
-    """The messages of one trial in its bag.
-
-    Attributes
-    ----------
-    streams : mapping of str to list of bytes
-        Serialised messages of the data streams, by topic of the contract.
-    statuses : list of TrialStatus
-        Trial statuses.
-    """
+    """The messages of one trial in its bag."""
 
     streams: Mapping[str, list[bytes]]
     statuses: list[TrialStatus]
@@ -64,15 +56,7 @@ class RecordedTrial:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FinishedRun:
-    """An experiment that ran through the node graph.
-
-    Attributes
-    ----------
-    directory : Path
-        Its output.
-    summary : Summary
-        What it returned.
-    """
+    """An experiment that ran through the node graph."""
 
     directory: Path
     summary: Summary

@@ -20,12 +20,7 @@ while True:
 
 
 class StallWitness:
-    """A process that does nothing but sleep and look at the clock, while this is entered.
-
-    Parameters
-    ----------
-    file : where it writes
-    """
+    """A process that does nothing but sleep and look at the clock, while this is entered."""
 
     def __init__(self, file: Path) -> None:
         self._file = file

@@ -202,13 +202,7 @@ ACTS: dict[str, Act] = {
 
 
 def disturbed(kind: str, directory: Path, moment: str = "during", **options: Any) -> Summary:
-    """Run an experiment in which a stranger does this at a moment; a composed graph stands still.
-
-    Raises
-    ------
-    AssertionError
-        If nobody listens to it.
-    """
+    """Run an experiment in which a stranger does this; a composed graph stands still meanwhile."""
     with DomainClaim() as claim:
         domain_id = claim.domain_id
     node, phases, kept = Stranger(domain_id), Counter[Phase](), list[object]()

@@ -27,15 +27,7 @@ Message: TypeAlias = tuple[str, int, bytes]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SyntheticRecording:
-    """Messages, and the records which they must give.
-
-    Parameters
-    ----------
-    messages : tuple of Message
-        In recorded order.
-    records : tuple of TrialRecord
-        One for each trial.
-    """
+    """Messages, and the records which they must give."""
 
     messages: tuple[Message, ...]
     records: tuple[TrialRecord, ...]
@@ -61,21 +53,6 @@ def synthetic_recording(
     """Make up the recording of some trials, one after the other; its end is not announced.
 
     The numbers have no physical meaning: a random walk as position, noise as torque.
-
-    Parameters
-    ----------
-    joint_names : sequence of str
-        The n joints.
-    perturbed : sequence of int
-        Perturbed joint of each trial, 0-based.
-    ticks : int
-        Perturbed samples of each trial.
-    settle, rest : int
-        Control periods before and after the perturbation of each trial.
-    start_ns : int
-        Stamp of the first sample (ns).
-    seed : int
-        Of the numbers, and as seed of the experiment.
     """
     names = tuple(joint_names)
     rng = np.random.default_rng(seed)
@@ -105,24 +82,7 @@ def synthetic_recording(
 def recording_of(
     records: Sequence[TrialRecord], *, settle: int = 60, rest: int = 60, start_ns: int = 0
 ) -> SyntheticRecording:
-    """Return the messages which an experiment with these trials would have sent.
-
-    Parameters
-    ----------
-    records : sequence of TrialRecord
-        One for each trial, in order; numbers and stamps in them are given anew. Those without
-        commands get the perturbation as such.
-    settle, rest : int
-        Control periods before and after the perturbation of each trial, without motion.
-    start_ns : int
-        Stamp of the first sample (ns).
-
-    Returns
-    -------
-    SyntheticRecording
-        Messages in the order of the graph, statuses included, with the stamp as log time; and
-        the records with their new numbers and stamps.
-    """
+    """Return the messages which an experiment with these trials would have sent."""
     names = records[0].joint_names
     states, efforts = JointStateEncoder(names, "position"), JointStateEncoder(names, "effort")
     commands = CommandEncoder(len(names))

@@ -24,7 +24,6 @@ from armimp_common.topics import (
     PERTURBATION,
     TORQUE_SENSORS,
     TRIAL,
-    VALUE_FIELD,
 )
 from armimp_estimation.alignment.assemble import StreamCount, Trial, assemble_trials
 from armimp_estimation.alignment.streams import decode_streams
@@ -202,19 +201,6 @@ def test_record_holds_exactly_the_samples_of_the_trial() -> None:
     assert trial.statistics.streams == dict.fromkeys(DATA_STREAMS, count)
 
 
-def test_samples_taken_late_are_counted_but_no_gap() -> None:
-    topics = RECORDING.by_topic()
-    shifted = synthetic_recording(
-        ticks=TICKS, settle=10, rest=10, start_ns=START - FIRST * PERIOD_NS + 300_000
-    ).by_topic()
-    for topic in VALUE_FIELD:
-        topics[topic][20] = shifted[topic][20]
-    trial = assemble(topics)
-    assert trial.intact()[0].samples == TICKS
-    late = {topic: one.late for topic, one in trial.statistics.streams.items()}
-    assert late == {**dict.fromkeys(STAMPED, 1), COMMANDS: 0}
-
-
 # --- the account of the samples ---------------------------------------------------------------
 
 
@@ -259,16 +245,6 @@ def test_exchange_of_two_samples_is_one_reordered(topic: str) -> None:
     problem = only(trial, ProblemCode.SAMPLES_REORDERED)
     assert problem.values == {"stream": topic, "count": 1}
     assert_refused(trial, ProblemCode.SAMPLES_REORDERED, healed=True)
-    assert_part(trial.intact(allow_gaps=True)[0], RECORDING.records[0], 0, TICKS)
-
-
-def test_late_repetition_is_duplicated_and_not_reordered() -> None:
-    topics = RECORDING.by_topic()
-    topics[TORQUE_SENSORS].insert(FIRST + 20, topics[TORQUE_SENSORS][FIRST + 3])
-    trial = assemble(topics)
-    count = trial.statistics.streams[TORQUE_SENSORS]
-    assert (count.received, count.duplicated, count.reordered) == (TICKS + 1, 1, 0)
-    assert_refused(trial, ProblemCode.SAMPLES_REPEATED, healed=True)
     assert_part(trial.intact(allow_gaps=True)[0], RECORDING.records[0], 0, TICKS)
 
 
@@ -346,10 +322,6 @@ def test_streams_stamped_a_fraction_of_a_period_apart_are_paired_with_a_note(lat
     assert apart.values["apart_ms"] == pytest.approx(later)
     (record,) = trial.intact()
     np.testing.assert_array_equal(record.torque[0], np.arange(TICKS))
-
-
-def test_streams_whose_stamps_differ_by_nanoseconds_have_nothing_to_tell() -> None:
-    assert not with_torque_stamps(lambda k: 7e-5 * (k % 2)).problems
 
 
 @pytest.mark.parametrize("shift", [lambda _: 0.5, lambda k: 0.03 * k])

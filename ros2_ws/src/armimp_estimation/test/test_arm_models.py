@@ -115,13 +115,6 @@ def test_where_m_b_and_k_fit_no_other_model_is_tried() -> None:
     assert fits_of(replace(estimate, Z=TWO_JOINT_ARM.impedance(F) + noise)) == ()
 
 
-@pytest.mark.slow
-def test_an_arm_that_no_model_describes_gets_none_offered() -> None:
-    estimate = measured("cuff", seed=1)
-    bent = estimate.Z * (1.0 + 0.2 * np.sin(F) ** 2)
-    assert supported(fits_of(replace(estimate, Z=bent))) is None
-
-
 def test_uncertain_calibrations_widen_intervals_but_hide_no_lack_of_fit() -> None:
     estimate = measured("mbk_delay", seed=1, noise=1e-3)
     _, exact = fit_impedance(estimate, FitConfig())

@@ -64,16 +64,6 @@ def test_bag_that_is_being_recorded_is_left_alone(tmp_path: Path) -> None:
     assert list(iterate_messages(tmp_path / "bag")) == list(MESSAGES)
 
 
-def test_whole_bags_and_whatever_is_none_are_left_alone(tmp_path: Path) -> None:
-    path = finished(tmp_path / "bag")
-    (tmp_path / "file").write_text("no bag")
-    (tmp_path / "empty").mkdir()
-    before = content_of(path)
-    for name in ("bag", "file", "empty", "missing", "bag/bag_0.mcap", "bag/metadata.yaml"):
-        assert finish_bag(tmp_path / name) == ""
-    assert content_of(path) == before
-
-
 def test_unfinished_file_of_another_recorder_is_left_alone(tmp_path: Path) -> None:
     path = unfinished(tmp_path / "bag")
     file = path / "bag_0.mcap"

@@ -86,12 +86,6 @@ class Script:
             time.sleep(0.005)
         assert not wait_until_matched(self.node, subscriptions=self.people, timeout_s=PATIENCE)
 
-    def close(self) -> None:
-        for publisher in self.publishers.values():
-            self.node.destroy_publisher(publisher)
-        for subscription in [*self.echo, *self.people]:
-            self.node.destroy_subscription(subscription)
-
     def play(self, spinner: Spinner, messages: Iterable[Message]) -> None:
         """Publish messages no faster than they are received."""
         sent = list(messages)
@@ -175,24 +169,6 @@ def desk(context: Context, node: Node, tmp_path: Path) -> Iterator[Desk]:
             estimator.destroy_node()
 
 
-class TestResults:
-    @pytest.mark.parametrize("changes", [{"record": False}, {"directory": ""}], ids=str)
-    def test_recording_and_storing_can_be_switched_off(
-        self,
-        desk: Desk,
-        monkeypatch: pytest.MonkeyPatch,
-        changes: dict[str, Value],
-    ) -> None:
-        monkeypatch.chdir(desk.directory)
-        desk.bring_up(changes)
-
-        desk.play(MADE_UP)
-        desk.conclude()
-
-        files = [path.name for path in desk.directory.rglob("*") if path.is_file()]
-        assert files == (["summary.json"] if "record" in changes else [])
-
-
 class TestFaults:
     def test_when_a_message_is_malformed_expect_it_named_and_the_node_alive(
         self, desk: Desk
@@ -211,19 +187,6 @@ class TestFaults:
         assert (refused.code, refused.values["stream"]) == (ProblemCode.MESSAGE_REFUSED, topic)
         assert (missing.code, missing.values["stream"]) == (ProblemCode.SAMPLES_MISSING, topic)
         assert len(desk.bags) == 2
-
-    def test_a_status_that_makes_no_sense_is_refused_and_a_problem(self, desk: Desk) -> None:
-        desk.bring_up()
-        desk.play(MADE_UP[: 4 * (SETTLE + 40)])
-
-        desk.script.publishers[TRIAL].publish(DiagnosticStatus(name="imbic_controller: trial"))
-        desk.play([*MADE_UP[4 * (SETTLE + 40) :], DONE])
-        desk.conclude()
-
-        refused = desk.summary.problems[0]
-        assert refused.code is ProblemCode.MESSAGE_REFUSED
-        assert refused.values["stream"] == TRIAL
-        assert [(trial.ticks, trial.lost) for trial in desk.summary.trials] == [(TICKS, 0)] * 2
 
     def test_samples_may_come_after_the_end_was_announced(
         self, desk: Desk, monkeypatch: pytest.MonkeyPatch
@@ -330,23 +293,6 @@ class TestLife:
         assert len(desk.bags) == 2
         (cut,) = read_bag(desk.bags[-1]).trials
         assert 35 <= cut.segments[0].samples <= 40
-
-    def test_life_can_be_gone_through_again_with_another_directory(self, desk: Desk) -> None:
-        desk.make()
-        base, estimator = desk.directory, desk.estimator
-        for name in ("one", "two"):
-            desk.directory, desk.script = base / name, Script(desk.node)
-            directory = str(desk.directory / "out")
-            estimator.set_parameters([Parameter("directory", value=directory)])
-            desk.activate()
-            desk.play(MADE_UP)
-            desk.conclude()
-            assert estimator.trigger_deactivate() is SUCCESS
-            assert estimator.trigger_cleanup() is SUCCESS
-            desk.script.close()
-            assert len(desk.bags) == 2
-            assert [trial.lost for trial in desk.summary.trials] == [0, 0]
-        assert estimator.trigger_shutdown() is SUCCESS
 
     def test_what_came_before_the_activation_does_not_count(self, desk: Desk) -> None:
         """Perturbations that still wait for their callback would be paired with later commands."""

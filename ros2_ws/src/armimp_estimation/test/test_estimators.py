@@ -5,20 +5,16 @@ from collections.abc import Mapping
 
 import numpy as np
 import pytest
-import scipy.stats
 from numpy.typing import NDArray
 
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.direct import Direct
 from armimp_estimation.estimators.estimate import Estimator
-from armimp_estimation.estimators.local_polynomial import LocalPolynomialConfig
 from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
-from armimp_estimation.estimators.registry import IdentifyConfig, make_estimator
 from armimp_estimation.estimators.welch import WelchFull, WelchSiso
 from armimp_estimation.fit import fit_mbk
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from support.synthetic_trials import (
@@ -84,32 +80,6 @@ def test_when_the_subject_pushes_expect_bias_of_the_direct_one_and_none_of_the_o
         assert (np.abs(np.diag(mean[estimator.name])) < 0.3 * np.abs(bias)).all()
 
 
-def pushed_record(seed: int) -> TrialRecord:
-    """A static loop: stiffness 4 against one of 6, perturbation x, voluntary torque d."""
-    x, d = np.random.default_rng(seed).standard_normal((2, 6144))
-    angle = (x - d) / (4.0 + 6.0)
-    return TrialRecord(
-        trial=1,
-        perturbed_joint=0,
-        rate=125.0,
-        joint_names=("a",),
-        perturbation=x[None],
-        position=angle[None],
-        torque=(4.0 * angle + d)[None],
-        start_ns=0,
-        seed=seed,
-    )
-
-
-def test_bias_of_the_direct_one_is_that_of_theory() -> None:
-    """``G_θτ/G_θθ = (Z G_xx - Y G_dd)/(G_xx + G_dd)``: with equal powers halfway from Z to -Y."""
-    data = [TrialData.of(pushed_record(seed), welch=WELCH) for seed in range(30)]
-    found = np.mean([DIRECT.estimate([one]).Z for one in data])
-    assert abs(found - (4.0 - 6.0) / 2.0) < 0.1
-    unbiased = np.mean([SISO.estimate([one]).Z.real for one in data])
-    assert abs(unbiased - 4.0) < 0.4
-
-
 def test_standard_errors_of_the_direct_one_have_the_bias_of_the_loop() -> None:
     found = DIRECT.estimate(synthetic_trials(dataclasses.replace(LOOP, voluntary=3.0)))
     for estimate, held in ((found, True), (found.without_systematics(), False)):
@@ -156,50 +126,6 @@ def test_variance_is_that_of_repeated_experiments(
     assert 0.47 < share_within(estimates, true, 0.5) < 0.54
 
 
-def coverage_accepted(inside: NDArray[np.bool_], most_off: float) -> bool:
-    """Whether intervals can be said to cover 92 to 98 %, each parameter and all together.
-
-    The share of a single parameter scatters by some per cent, so its count is only held against
-    what chance allows (1 in 1000 at either end); that of all 12 together has to be near.
-    """
-    counts = np.sum(inside, axis=0)
-    lowest = scipy.stats.binom.ppf(0.001, len(inside), 0.92)
-    highest = scipy.stats.binom.ppf(0.999, len(inside), 0.98)
-    near = bool(abs(inside.mean() - 0.95) < most_off)
-    return bool((counts >= lowest).all() and (counts <= highest).all()) and near
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("estimator", "changes", "runs"),
-    [
-        # The subject pushes: the noise moves the joints through the loop.
-        (SISO, {"voluntary": 1.0}, 400),
-        (SISO, {"voluntary": 0.5, "torque_noise": 0.5}, 400),
-        (LPM, {"voluntary": 1.0}, 120),
-        # Locked joints give way.
-        (FULL, {"voluntary": 0.5, "torque_noise": 0.5, "lock_stiffness": 300.0}, 400),
-        (LPM, {"voluntary": 0.5, "torque_noise": 0.5, "lock_stiffness": 300.0}, 120),
-    ],
-    ids=["siso voluntary", "siso mixed", "lpm voluntary", "full", "lpm mixed"],
-)
-def test_95_per_cent_intervals_of_parameters_cover_the_truth_as_often(
-    estimator: Estimator, changes: Mapping[str, float], runs: int
-) -> None:
-    loop = dataclasses.replace(LOOP, **changes)  # type: ignore[arg-type]
-    truth = np.stack((TWO_JOINT_ARM.M, TWO_JOINT_ARM.B, TWO_JOINT_ARM.K))
-    estimates = (estimator.estimate(synthetic_trials(loop, 1000 + seed)) for seed in range(runs))
-    # The known biases of averaged spectra are no part of this arm's noise.
-    fits = [fit_mbk(one if estimator is LPM else one.without_systematics()) for one in estimates]
-    error = np.abs([np.stack((fit.mbk.M, fit.mbk.B, fit.mbk.K)) - truth for fit in fits])
-    deviation = np.array([np.stack((fit.M_se, fit.B_se, fit.K_se)) for fit in fits])
-    most_off = 0.02 if runs > 200 else 0.03
-    assert coverage_accepted(error <= 1.96 * deviation, most_off)
-    # The check itself must notice standard errors that are wrong by a quarter or a third.
-    assert not coverage_accepted(error <= 0.75 * 1.96 * deviation, most_off)
-    assert not coverage_accepted(error <= 1.33 * 1.96 * deviation, most_off)
-
-
 @every
 def test_neither_order_of_trials_nor_place_in_memory_changes_a_bit(estimator: Estimator) -> None:
     def moved(trial: TrialData, by: int) -> TrialData:
@@ -232,13 +158,3 @@ def test_when_the_perturbed_joint_does_not_move_expect_its_number_in_the_error()
         DIRECT.estimate(data)
     with pytest.raises(DataError, match="joint 2 does not move"):
         LPM.column(record)
-
-
-def test_registry_gives_the_local_polynomials_the_band_and_their_options() -> None:
-    options = IdentifyConfig(
-        welch=WelchConfig(f_low=1.0, f_high=5.0),
-        lpm=LpmConfig(local=LocalPolynomialConfig(order=1), reading=SIMULTANEOUS),
-    )
-    estimate = make_estimator("lpm_full", options).estimate(synthetic_trials())
-    assert (estimate.f[0], estimate.f[-1]) == pytest.approx((1.0, 5.0), abs=0.03)
-    assert estimate.averages == 22.0

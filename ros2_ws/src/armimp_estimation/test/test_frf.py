@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armimp_common.errors import DataError
-from armimp_estimation.estimators.welch import WelchSiso, invert, multiply
+from armimp_estimation.estimators.welch import WelchSiso, invert
 from armimp_estimation.frf import frf_matrix, order_trials
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.trial import TrialData
@@ -75,28 +75,6 @@ def test_when_there_is_no_perturbation_expect_data_error() -> None:
     record = dataclasses.replace(static_record(), perturbation=np.zeros((2, 6144)))
     with pytest.raises(DataError, match="joint 1: no perturbation at"):
         frf_matrix([TrialData.of(record, welch=WELCH)])
-
-
-@pytest.mark.filterwarnings("ignore::RuntimeWarning")
-@pytest.mark.parametrize("value", [1e160, 1e300])
-def test_when_the_perturbation_is_too_large_to_be_squared_expect_data_error(value: float) -> None:
-    record = static_record()
-    perturbation = record.perturbation.copy()
-    perturbation[0, 100] = value
-    record = dataclasses.replace(record, perturbation=perturbation)
-    with pytest.raises(DataError, match="joint 1: no perturbation at"):
-        frf_matrix([TrialData.of(record, welch=WELCH)])
-
-
-def test_inverse_times_matrix_is_the_identity_at_each_frequency() -> None:
-    rng = np.random.default_rng(2)
-    matrix = rng.standard_normal((3, 3, 7)) + 1j * rng.standard_normal((3, 3, 7))
-    f = np.arange(1.0, 8.0)
-    product = multiply(matrix, invert(matrix, f))
-    np.testing.assert_allclose(product, np.repeat(np.eye(3)[:, :, None], 7, axis=2), atol=1e-12)
-    np.testing.assert_allclose(
-        multiply(matrix, matrix), np.einsum("ijf,jkf->ikf", matrix, matrix), rtol=1e-12
-    )
 
 
 def test_when_motions_are_dependent_expect_the_frequency_in_the_error() -> None:

@@ -80,13 +80,6 @@ def test_viscosity_is_right_with_commands_and_nearly_so_without(
     np.testing.assert_allclose(viscosity(without, simultaneous), 1.0, atol=0.025)
 
 
-@pytest.mark.slow
-def test_commands_are_not_used_for_readings_that_are_means(smooth: list[TrialRecord]) -> None:
-    config = LpmConfig(reading=TorqueReading(timing=TorqueTiming.INTERVAL_MEAN))
-    without = [dataclasses.replace(record, command=None) for record in smooth]
-    np.testing.assert_array_equal(viscosity(smooth, config), viscosity(without, config))
-
-
 def test_when_commands_do_not_drive_the_torques_expect_none(chattering: list[TrialRecord]) -> None:
     noise = np.random.default_rng(1).standard_normal((2, SAMPLES))
     foreign = [dataclasses.replace(record, command=noise) for record in chattering]

@@ -126,19 +126,6 @@ def test_variances_of_responses_and_of_their_sums_over_bins_are_those_of_noise()
     np.testing.assert_allclose(np.mean(ratios, axis=0), 1.0, atol=0.15)
 
 
-def test_at_bins_that_are_asked_for_the_response_is_that_of_the_band() -> None:
-    source, output = white(5), white(6) + 2.0 * white(5)
-    found = estimate(source, output)
-    some = found.f[100:400:7]
-    asked = local_response(source, np.stack((output,)), RATE, BAND, CONFIG, some)
-    np.testing.assert_array_equal(asked.f, some)
-    np.testing.assert_allclose(asked.response[0], found.response[0, 100:400:7], rtol=1e-9)
-    np.testing.assert_allclose(asked.gain, found.gain[100:400:7], rtol=1e-9)
-    # Windows that are further apart than they are wide have nothing in common.
-    far = local_response(source, np.stack((output,)), RATE, BAND, CONFIG, found.f[60:600:30])
-    np.testing.assert_allclose(far.bin_correlation()[1:], 0.0)
-
-
 def test_when_the_input_is_still_expect_the_band_in_the_error() -> None:
     with pytest.raises(DataError, match=r"no perturbation between 0\.122 and 15 Hz"):
         estimate(np.zeros(SAMPLES), white(1))

@@ -10,15 +10,11 @@ from armimp_estimation.estimators.lpm import LpmConfig, LpmFull, unresolved
 from armimp_estimation.fit import MBKFit, fit_mbk
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.signal_quality import lost_motion, rounding_lead
-from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from support.synthetic_trials import (
     LOOP,
     TWO_JOINT_ARM,
-    WELCH,
-    relative_error,
-    synthetic_trial,
     synthetic_trials,
 )
 
@@ -96,52 +92,6 @@ def test_motion_that_an_encoder_misses_is_that_of_a_spring_or_a_damper() -> None
         ahead = 2j * np.pi * f * lead * R[joint, k]
         expected += np.abs(ahead * Z[:, joint, None] * inverse[None, k]) ** 2
     np.testing.assert_allclose(added, expected, rtol=1e-12)
-
-
-def test_in_short_records_fewer_bins_take_part() -> None:
-    config = LpmConfig()
-    assert [config.local_for(seconds).half_width for seconds in (200.0, 50.0, 30.0, 10.0)] == [
-        12,
-        12,
-        7,
-        5,
-    ]
-    loop = dataclasses.replace(LOOP, samples=1250)
-    data = [
-        TrialData.of(
-            synthetic_trial(TWO_JOINT_ARM, joint, loop, 1), welch=WelchConfig.for_samples(1250)
-        )
-        for joint in range(2)
-    ]
-    estimate = LPM.estimate(data)
-    assert estimate.averages == 6.0
-    wide = LpmFull(config=LpmConfig(reading=SIMULTANEOUS, span=10.0)).estimate(data)
-    assert wide.averages == 20.0
-    assert relative_error(estimate, TWO_JOINT_ARM) < 0.5 * relative_error(wide, TWO_JOINT_ARM)
-
-
-def cut_to(record: TrialRecord, samples: int) -> TrialRecord:
-    arrays = {
-        name: getattr(record, name)[:, :samples] for name in ("perturbation", "position", "torque")
-    }
-    return dataclasses.replace(record, **arrays)
-
-
-def test_of_trials_of_different_length_each_is_used_whole_at_frequencies_of_the_shortest() -> None:
-    loop = dataclasses.replace(LOOP, voluntary=0.3)
-    whole = synthetic_trials(loop)
-    shorter = [TrialData.of(cut_to(trial.record, 3072), welch=WELCH) for trial in whole]
-    mixed = LPM.estimate([whole[0], shorter[1]])
-    both_short = LPM.estimate(shorter)
-
-    assert mixed.f.tobytes() == both_short.f.tobytes()
-    assert relative_error(mixed, TWO_JOINT_ARM) < 0.125
-    # The longer trial has the smaller errors; the other column stays as it was.
-    errors, before = (fit_mbk(one) for one in (mixed, both_short))
-    for name in ("M_se", "B_se", "K_se"):
-        ratio = getattr(errors, name) / getattr(before, name)
-        assert (ratio[:, 0] < 0.9).all()
-        np.testing.assert_allclose(ratio[:, 1], 1.0, rtol=0.05)
 
 
 def locked(record: TrialRecord) -> TrialRecord:

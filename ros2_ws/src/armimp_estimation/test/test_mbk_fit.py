@@ -15,9 +15,7 @@ from armimp_estimation.fit import (
     MBKFit,
     fit_impedance,
     fit_mbk,
-    fit_weights,
     hidden_square,
-    mbk_coefficients,
     r_squared,
 )
 from armimp_estimation.mbk import MBK
@@ -100,42 +98,6 @@ def test_floor_of_weights_bounds_what_time_skew_does_to_viscosity() -> None:
     unlimited = fit_mbk(estimate_of(Z, variance), FitConfig(weight_floor=0.0)).mbk.B
     assert (np.abs(viscosity - 1.0) < 0.08).all()
     assert (unlimited / TWO_JOINT_ARM.B > 1.25).all()
-
-
-def test_what_falls_on_strong_and_weak_lines_alike_is_a_smaller_part_of_strong_ones() -> None:
-    power = np.ones(F.size)
-    power[[20, 21, 110, 111]] = 400.0
-    Z = TWO_JOINT_ARM.impedance(F)[0, 0]
-    beside = 1e-3 * np.abs(Z) / np.sqrt(power)
-    expected = []
-    for line_power in (power, np.ones(F.size)):
-        weights = fit_weights(F, Z, np.full(F.size, 1e-12), 1e-3, 0.6, line_power)
-        coefficients = mbk_coefficients(2.0 * np.pi * F, weights)
-        expected.append(np.linalg.norm(coefficients * beside, axis=1))
-    known, unknown = expected
-    assert (known < unknown).all()
-    assert known[0] < 0.6 * unknown[0]
-
-
-def test_correlation_of_neighbours_makes_standard_errors_larger() -> None:
-    Z = TWO_JOINT_ARM.impedance(F)
-    correlated = np.outer([1.0, 4.0 / 9.0, 1.0 / 36.0], np.ones(F.size))
-    ratio = errors(fit_mbk(estimate_of(Z, correlation=correlated))) / errors(
-        fit_mbk(estimate_of(Z))
-    )
-    # Where coefficients change slowly over frequency: sqrt(1 + 2 (4/9 + 1/36)) = 1.39, and a little
-    # more with the reflex that such errors may hide.
-    assert (ratio > 1.3).all()
-    assert (ratio < 1.5).all()
-
-
-def test_when_all_variances_are_zero_expect_a_fit_and_no_error() -> None:
-    fit = fit_mbk(
-        estimate_of(TWO_JOINT_ARM.impedance(F), np.zeros((2, 2, F.size))),
-        FitConfig(weight_floor=0.0),
-    )
-    np.testing.assert_allclose(fit.mbk.B, TWO_JOINT_ARM.B, rtol=1e-9)
-    np.testing.assert_array_equal(errors(fit), 0.0)
 
 
 @pytest.mark.parametrize(("noise", "left"), [(0.02, 0.1), (1e6, 1.0)])

@@ -14,7 +14,7 @@ from armimp_estimation.distortion import Distortion
 from armimp_estimation.estimators.local_polynomial import LocalPolynomialConfig, local_response
 from armimp_estimation.mbk import MBK
 from armimp_estimation.nonlinearity import deviations
-from armimp_estimation.periods import Periods, common_periods
+from armimp_estimation.periods import Periods
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import drift_of, segments_for
@@ -81,13 +81,6 @@ def test_a_signal_that_was_rounded_on_its_way_still_repeats_itself(digits: int) 
 )
 def test_what_does_not_repeat_itself_or_has_too_few_lines_has_no_periods(signal: Array) -> None:
     assert Periods.of(signal) is None
-
-
-def test_trials_with_other_lines_have_no_periods_in_common() -> None:
-    one, other = (Periods.of(multisine(3.0, lines)) for lines in (LINES, LINES[:-1]))
-    assert common_periods([one, one]) == [one, one]
-    assert common_periods([one, other]) is None
-    assert common_periods([one, None]) is None
 
 
 def test_segments_are_periods_where_all_trials_have_the_same_ones() -> None:

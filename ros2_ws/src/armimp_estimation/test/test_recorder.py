@@ -41,7 +41,7 @@ from armimp_estimation.recorder import RunningTrial, TrialRecorder, largest_erro
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
-from support.bag_files import iterate_messages, records_of
+from support.bag_files import iterate_messages
 from support.streams import record
 from support.synthetic_bags import Message, recorded_arm, synthetic_recording
 from support.synthetic_trials import TWO_JOINT_ARM as ARM
@@ -298,21 +298,6 @@ def test_stamps_that_make_no_sense_hold_nothing_up_and_messages_without_are_refu
     assert [line[:33] for line in refused] == ["joint_states: message has 2 bytes"]
     for trial, expected in zip(desk.finished, MADE_UP.records, strict=True):
         assert_equal(trial.segments[0], expected)
-
-
-def test_when_stopped_in_a_trial_expect_its_bag_closed_and_readable(tmp_path: Path) -> None:
-    desk = Desk(tmp_path)
-    desk.feed(MADE_UP.messages[: 2 + 4 * (SETTLE + 40) + 1])
-
-    desk.recorder.stop()
-    desk.recorder.stop()
-
-    (trial,) = desk.finished
-    assert_equal(trial.intact()[0], MADE_UP.records[0], 40)
-    assert trial.shortfall == TICKS - 40
-    (bag,) = desk.bags
-    assert (bag / "metadata.yaml").exists()
-    assert_equal(records_of(read_bag(bag))[0], MADE_UP.records[0], 40)
 
 
 def test_when_a_trial_ends_depends_on_its_first_samples_and_the_trials_before() -> None:

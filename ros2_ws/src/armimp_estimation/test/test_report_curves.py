@@ -7,8 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from armimp_estimation.alignment.assemble import StreamStatistics, Trial
-from armimp_estimation.alignment.trial_windows import TrialWindow
 from armimp_estimation.mbk import MBK
 from armimp_estimation.report.plots import (
     DASHES,
@@ -18,7 +16,6 @@ from armimp_estimation.report.plots import (
     printed,
     rows_of,
     strokes,
-    trace_plot,
 )
 from armimp_estimation.scores import Coherences
 from armimp_estimation.summary import ImpedanceCurve
@@ -64,13 +61,6 @@ def test_estimates_are_compared_with_the_truth_or_else_with_the_best_of_them() -
     np.testing.assert_allclose(off, 100.0 * (5.0 / 4.9 - 1.0))
     assert ends[0] < off.min()
     assert ends[1] > off.max()
-
-
-def test_band_of_the_phase_is_the_angle_under_which_the_circle_is_seen() -> None:
-    one = curve(1j)
-    lower, upper = one.phase_band
-    np.testing.assert_allclose(np.sin(np.radians(upper - 90.0)), one.radius)
-    np.testing.assert_allclose(upper - 90.0, 90.0 - lower)
 
 
 def test_when_the_circle_holds_zero_expect_any_phase_and_a_positive_magnitude() -> None:
@@ -146,25 +136,6 @@ def test_signals_are_seen_in_the_band_of_the_perturbation_neither_early_nor_late
     slow, chatter = np.sin(2 * np.pi * 5.0 * time), 20.0 * np.sin(2 * np.pi * 400.0 * time)
     torque = rows_of([replace(record, torque=np.stack([slow + chatter] * 2))], record.start_ns)[-1]
     np.testing.assert_allclose(torque.values[0, 500:-500], slow[500:-500], atol=0.02)
-
-
-def test_time_goes_by_the_rate_of_the_record() -> None:
-    config = SyntheticConfig(samples=5000)
-    record = replace(synthetic_trial(TWO_JOINT_ARM, 1, config, seed=1), rate=500.0)
-    window = TrialWindow(
-        trial=1,
-        joint=1,
-        joint_name="",
-        start_ns=record.start_ns,
-        ticks=record.samples,
-        seed=None,
-        ended=True,
-    )
-    trial = Trial(window=window, segments=(record,), statistics=StreamStatistics())
-    whole, last = trace_plot("trace", trial, 100).views.values()
-    assert whole.abscissa.ends == (0.0, 10.0)
-    assert last.abscissa.ends == (6.0, 10.0)
-    np.testing.assert_allclose(last.lines[0].x, np.arange(3000, 5000) / 500.0)
 
 
 def test_estimators_differ_in_colour_and_dashes_even_if_they_are_unknown() -> None:

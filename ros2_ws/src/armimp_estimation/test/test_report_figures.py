@@ -44,17 +44,6 @@ def test_a_figure_fits_its_columns_and_nothing_is_cut_off(result: Result) -> Non
     assert needed.y1 <= figure.get_figheight()
 
 
-def test_legend_names_estimators_bands_and_truth(result: Result) -> None:
-    figure = impedance_figure(result.summary, result.curves)
-    (legend,) = figure.legends
-    assert [text.get_text() for text in legend.get_texts()] == [
-        "welch_siso",
-        "welch_full",
-        "truth",
-        "95 % confidence",
-    ]
-
-
 def test_without_an_estimate_the_traces_alone_are_drawn_whatever_the_joints_are_called(
     tmp_path: Path,
 ) -> None:

@@ -98,26 +98,6 @@ def test_without_truth_there_is_no_word_of_simulation_and_the_relative_error_is_
     assert "they were made elsewhere" in words
 
 
-def test_plots_are_one_per_element_and_one_per_trial(page: Page) -> None:
-    figures = [a["id"] for tag, a in page.elements if tag == "figure"]
-    elements = ["1-1", "1-2", "2-1", "2-2"]
-    assert figures == [
-        *(f"bode-{element}" for element in elements),
-        *(f"coherence-{element}" for element in elements),
-        "trace-1",
-        "trace-2",
-    ]
-    assert len(page.plots()) == 8 + 2 * 2  # two views of each trial
-
-
-def test_controls_switch_what_is_in_the_plots(page: Page) -> None:
-    switches = {a["data-switch"] for _, a in page.elements if "data-switch" in a}
-    assert switches == {"estimator:welch_siso", "estimator:welch_full", "bands", "truth"}
-    traces = page.plots()[0]["data"]
-    assert isinstance(traces, list)
-    assert {tag for trace in traces for tag in trace["meta"]} == switches
-
-
 def test_every_plot_and_table_is_described_for_those_who_do_not_see_it(page: Page) -> None:
     canvases = [a for _, a in page.elements if a.get("class") == "canvas"]
     assert len(canvases) == 10

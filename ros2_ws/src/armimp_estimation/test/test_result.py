@@ -15,7 +15,7 @@ from armimp_common.cdr import decode_trial_status, encode_trial_status
 from armimp_common.errors import DataError
 from armimp_common.realtime import TimingLimits
 from armimp_common.status import Cause, Phase, TimingFigures
-from armimp_common.topics import JOINT_STATES, PERIOD_NS, TORQUE_SENSORS, TRIAL
+from armimp_common.topics import JOINT_STATES, PERIOD_NS, TRIAL
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.bags import read_bag
 from armimp_estimation.estimators.registry import IdentifyConfig
@@ -259,20 +259,6 @@ def test_trials_that_lost_samples_are_refused_or_estimated_from_their_intact_par
     assert bits(result_of(allow_gaps=True)) == bits(complete())
 
 
-def test_parts_that_are_too_short_are_refused() -> None:
-    messages = without(RECORDING.messages, JOINT_STATES, 1, range(0, SAMPLES, 900))
-    result = result_of(recorded(messages), allow_gaps=True)
-    assert [one.code for one in result.summary.faults] == [ProblemCode.RECORD_TOO_SHORT]
-
-
-def test_a_result_from_too_little_of_a_trial_is_not_valid() -> None:
-    trials = recorded(without(RECORDING.messages, TORQUE_SENSORS, 1, range(600)))
-    result = result_of(trials, allow_gaps=True)
-    assert [one.code for one in result.summary.faults] == [ProblemCode.MUCH_EXCLUDED]
-    assert result.curves
-    assert result_of(trials, allow_gaps=True, most_excluded=0.06).summary.valid
-
-
 def part(record: TrialRecord, start: int, stop: int) -> TrialRecord:
     return replace(
         record,
@@ -301,22 +287,6 @@ def test_segments_of_all_parts_are_averaged_and_none_spans_a_gap() -> None:
     assert effective_averages(config, 8, 8) == pytest.approx(2 * effective_averages(config, 8))
     assert effective_averages(config, 8, 8) > effective_averages(config, 16)
     np.testing.assert_allclose(bin_correlation(config, 8, 8), bin_correlation(config, 8))
-
-
-@pytest.mark.parametrize(
-    ("lengths", "segment"),
-    [
-        ([50_000], 8192),
-        ([32_767], 4096),
-        ([20_000, 29_000], 8192),
-        ([8191] * 6, 4096),
-        ([100] * 500, 1024),
-    ],
-)
-def test_segment_length_is_that_of_which_four_fit_into_long_enough_parts(
-    lengths: list[int], segment: int
-) -> None:
-    assert WelchConfig.for_samples(*lengths).segment == segment
 
 
 def test_all_trials_get_the_segments_of_the_one_that_can_have_least() -> None:

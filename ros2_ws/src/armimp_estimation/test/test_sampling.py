@@ -35,11 +35,6 @@ def test_when_a_rate_is_not_customary_expect_a_problem_with_it(rate: float) -> N
     assert codes(stamps(rate), planned=1000.0) == [ProblemCode.RATE_UNPLANNED]
 
 
-def test_when_half_of_the_samples_are_missing_expect_the_rate_of_the_rest() -> None:
-    kept = np.delete(stamps(1000.0), slice(500, 2500))
-    assert sampling_period({"joint_states": kept}) == 1_000_000.0
-
-
 def test_when_a_clock_runs_faster_and_faster_expect_a_problem() -> None:
     x = np.arange(4000)
     assert codes(stamps(1000.0) + np.rint(2.5 * x**2).astype(np.int64))[-1:] == [

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 from armimp_common.errors import DataError
 from armimp_estimation import scores
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
-from armimp_estimation.estimators.lpm import LpmFull
 from armimp_estimation.frf import FrfMatrix, frf_matrix
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
@@ -86,30 +85,6 @@ def test_a_robot_that_does_what_its_law_says_has_no_deviation_from_the_target() 
     unknown = scores.realisation(_realised(0.07), TARGET)
     np.testing.assert_allclose(unknown[:, 0], 0.07, rtol=1e-9)
     assert np.isnan(unknown[:, 1:]).all()
-
-
-@pytest.mark.parametrize(
-    ("inertia", "closest", "furthest"),
-    [pytest.param(0.2, 0.0, 0.03, marks=pytest.mark.slow), (0.22, 0.09, 0.11)],
-)
-def test_the_interval_of_the_deviation_holds_that_of_the_loop_as_often_as_it_says(
-    inertia: float, closest: float, furthest: float
-) -> None:
-    loop = SyntheticConfig(rate=125.0, samples=6144, torque_noise=0.1, inertia=inertia)
-    shown = MBK(M=np.diag([inertia] * 2), B=np.diag([2.0] * 2), K=np.diag([10.0] * 2))
-    held, found = [], []
-    for seed in range(40):
-        trials = [
-            TrialData.of(synthetic_trial(TWO_JOINT_ARM, k, loop, seed), welch=WELCH) for k in (0, 1)
-        ]
-        estimate = LpmFull(band=(1.0, 15.0)).estimate(trials)
-        error = (shown.impedance(estimate.f) - TARGET.impedance(estimate.f))[0, 0]
-        true = np.linalg.norm(error) / np.linalg.norm(TARGET.impedance(estimate.f)[0, 0])
-        value, low, high = scores.realisation(estimate, TARGET).T
-        held += list((low <= true) & (true <= high))
-        found += list(value)
-    assert 0.88 <= np.mean(held) <= 1.0
-    assert closest <= np.mean(found) <= furthest
 
 
 def test_coherence_is_the_share_of_common_power() -> None:

@@ -13,8 +13,6 @@ from armimp_estimation.signal_quality import (
     dropouts,
     judge_signals,
     lost_motion,
-    rounding_lead,
-    speed_of,
     sticking,
     unseen_share,
 )
@@ -45,14 +43,6 @@ def test_a_signal_that_turns_where_it_likes_is_neither_clipped_nor_stuck(
 def test_a_clipped_signal_tells_where(limit: float, step: float) -> None:
     found = clipping(np.clip(motion(1, step), -10.0, limit))
     assert [value for value, _ in found] == [pytest.approx(limit)]
-
-
-def test_a_joint_of_few_counts_that_was_interpolated_is_not_clipped() -> None:
-    noise = np.random.default_rng(1).standard_normal(50_000)
-    chatter = sosfilt(butter(1, 50.0, fs=RATE, output="sos"), noise)
-    counts = np.round(0.3 * chatter / chatter.std())
-    k = np.arange(counts.size)
-    assert clipping(np.interp(1.00005 * k, k, counts)) == []
 
 
 @pytest.mark.parametrize("step", [1e-4, 1e-2])
@@ -150,46 +140,6 @@ def trials_of(locked: np.ndarray) -> list[TrialRecord]:
         )
         for k in range(2)
     ]
-
-
-@pytest.mark.parametrize(("dither", "share"), [(0.4, 0.16), (0.5, 0.018), (1.0, 0.0)])
-def test_what_encoders_miss_of_a_dithered_joint_follows_from_its_readings(
-    dither: float, share: float
-) -> None:
-    noise = np.random.default_rng(4).standard_normal(50_000)
-    records = trials_of(np.round(dither * noise))
-    assert unseen_share(records)[0, 1] == pytest.approx(share, rel=0.4, abs=1e-3)
-    assert unseen_share(records)[0, 0] == 0.0
-
-
-def held(step: float, lock: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Motion of a joint that is pushed and held by what its encoder shows, in counts, and that."""
-    pushes = motion(seed, 1e-9, 25_000.0) * step
-    shown = np.zeros(pushes.size)
-    angle, speed, seen, last = np.zeros(pushes.size), 0.0, 0.0, 0.0
-    for tick, push in enumerate(pushes[:-1].tolist()):
-        reading = round(angle[tick] / step) * step
-        seen += 0.4 * ((reading - last) * RATE - seen)
-        last = shown[tick] = reading
-        gained = (push - lock**2 * reading - 2.0 * lock * seen) / RATE
-        angle[tick + 1] = angle[tick] + (speed + 0.5 * gained) / RATE
-        speed += gained
-    return np.rint(shown / step)[:-1], angle[:-1] / step
-
-
-@pytest.mark.parametrize("lock", [100.0, 150.0])
-@pytest.mark.parametrize("seed", [3, 4])
-def test_where_a_law_throws_a_joint_back_its_readings_lead_by_about_what_is_stated(
-    lock: float, seed: int
-) -> None:
-    shown, angle = held(6e-5, lock, seed)
-    records = trials_of(np.concatenate((shown, shown[-1:])))
-    stated = rounding_lead(records, 15.0)
-    speed = speed_of(angle, RATE, 15.0)
-    lead = np.mean((shown - angle) * speed) / np.mean(speed**2)
-    assert 0.5 < lead / stated[1, 0] < 2.5
-    fine = rounding_lead(trials_of(motion(3, 1.0, 30.0)), 15.0)
-    assert fine[1, 0] < 0.02 * stated[1, 0]
 
 
 def test_a_joint_that_rests_within_a_step_may_move_unseen() -> None:

@@ -120,15 +120,3 @@ def test_once_closed_nothing_more_is_taken_and_what_waits_is_kept() -> None:
     post.synchronizer.close()
     assert post.synchronizer.take() == {topic: [b"1"] * 9 for topic in DATA_STREAMS}
     assert post.told == []
-
-
-@pytest.mark.parametrize("topic", DATA_STREAMS)
-def test_once_opened_it_begins_anew(topic: str) -> None:
-    post = filled(others=3)
-    post.synchronizer.take()
-    post.deliver[topic](b"1")
-
-    post.synchronizer.open()
-
-    assert post.synchronizer.take(incomplete=True) == {topic: [] for topic in DATA_STREAMS}
-    assert post.synchronizer.samples == 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 
 import numpy as np
@@ -10,7 +9,6 @@ import pytest
 from numpy.typing import NDArray
 
 from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
-from armimp_estimation.estimators.welch import WelchFull
 from armimp_estimation.fit import fit_mbk
 from armimp_estimation.hold_correction import update_jump
 from armimp_estimation.mbk import MBK
@@ -63,29 +61,6 @@ def test_what_sampling_folds_back_is_the_sum_over_the_images(reading: TorqueRead
     np.testing.assert_allclose(bend, images(reading, 2), atol=1e-6)
 
 
-def test_prompt_readings_lack_what_the_formula_of_euler_and_maclaurin_says() -> None:
-    x = 2.0 * np.pi * F / RATE
-    edge, bend = TorqueReading().folded(F, RATE)
-    np.testing.assert_allclose(edge, 0.5 - 1j * x / 12.0, atol=2e-6)
-    np.testing.assert_allclose(bend, 1.0 / 12.0, atol=1e-4)
-
-
-@late
-def test_the_skew_is_what_is_folded_back_at_low_frequency(reading: TorqueReading) -> None:
-    edge, _ = reading.folded(np.array([1e-3]), RATE)
-    assert reading.skew(RATE) == pytest.approx(edge[0].real, abs=1e-7)
-
-
-@late
-def test_without_the_poles_of_the_filter_a_step_is_there_after_as_many_readings(
-    reading: TorqueReading,
-) -> None:
-    weights = reading.whitening(RATE)
-    steps = np.convolve(reading.answers(RATE, 12)[0], weights)[:12]
-    assert np.sum(weights) == pytest.approx(1.0)
-    np.testing.assert_allclose(steps[weights.size - 1 :], 1.0, atol=1e-12)
-
-
 def fitted(records: list[TrialRecord], reading: TorqueReading) -> MBK:
     data = [TrialData.of(record, reading=reading) for record in records]
     return fit_mbk(LpmFull(config=LpmConfig(reading=reading)).estimate(data)).mbk
@@ -121,15 +96,6 @@ def test_known_delay_and_filter_leave_no_error_and_unknown_ones_do(reading: Torq
         assert (error < 3.5 * getattr(fit, f"{name}_se")).all() or (fit.lack > 2.0).any()
 
 
-@latest
-def test_without_commands_the_skew_alone_leaves_little(reading: TorqueReading) -> None:
-    records = [dataclasses.replace(rig_record(joint, reading), command=None) for joint in range(2)]
-    left = errors(fitted(records, reading))
-    assert left["M"] < 0.005
-    assert left["B"] < 0.025
-    assert left["K"] < 0.015
-
-
 def test_spectra_are_corrected_for_delay_and_filter_and_coherences_stay() -> None:
     reading = TorqueReading(delay=0.003, cutoff=50.0)
     prompt, slow = (rig_record(0, one) for one in (TorqueReading(), reading))
@@ -152,19 +118,6 @@ def test_spectra_are_corrected_for_delay_and_filter_and_coherences_stay() -> Non
     np.testing.assert_allclose(coherence(corrected), coherence(raw), rtol=1e-10)
 
 
-def test_averaged_spectra_give_the_right_mass_through_a_filter_that_is_known() -> None:
-    reading = TorqueReading(delay=0.003, cutoff=50.0)
-    records = [rig_record(joint, reading) for joint in range(2)]
-
-    def mass_error(known: TorqueReading | None) -> float:
-        data = [TrialData.of(record, reading=known) for record in records]
-        found = fit_mbk(WelchFull().estimate(data)).mbk.M
-        return float(np.max(np.abs(found / ARM.M - 1.0)))
-
-    assert mass_error(reading) < 0.02
-    assert mass_error(None) > 0.03
-
-
 def test_metadata_tell_all_of_it_and_parameters_prevail() -> None:
     metadata = {
         "torque_timing": '"interval_mean"',
@@ -182,13 +135,3 @@ def test_metadata_tell_all_of_it_and_parameters_prevail() -> None:
     ).bag_metadata()
     assert Metadata.of(given).reading == expected.model_copy(update={"delay": 0.004})
     assert Metadata.of(EstimatorParameters().bag_metadata()).reading == TorqueReading()
-
-
-def test_summary_and_sentence_tell_what_was_corrected() -> None:
-    timing = TorqueTiming.BEFORE_UPDATE
-    reading = TorqueReading(timing=timing, delay=0.0023, cutoff=200.0, order=2)
-    assert TorqueReading.model_validate_json(reading.model_dump_json()) == reading
-    assert reading.sentence == (
-        "just before each command takes effect, 2.3 ms late, "
-        "through a Butterworth low-pass of order 2, 200 Hz"
-    )

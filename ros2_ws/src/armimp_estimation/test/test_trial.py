@@ -31,14 +31,6 @@ def record(**changes: Any) -> TrialRecord:
     return TrialRecord(**(values | changes))
 
 
-def test_arrays_of_any_layout_become_contiguous_float64_with_the_same_values() -> None:
-    values = np.arange(10, dtype=np.float32).reshape(5, 2).T
-    made = record(position=values)
-    assert made.position.flags.c_contiguous
-    assert made.position.dtype == np.float64
-    np.testing.assert_array_equal(made.position, values)
-
-
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("name", ["perturbation", "position", "torque", "command"])
 def test_when_a_sample_is_not_finite_expect_its_joint_and_place_in_the_error(
