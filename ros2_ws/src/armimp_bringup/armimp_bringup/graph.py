@@ -51,13 +51,11 @@ class DomainClaim:
 
     Parameters
     ----------
-    domain_id
-        The id to claim; None takes any that is free.
+    domain_id : the id to claim; None takes any that is free
 
     Attributes
     ----------
-    domain_id : int
-        The claimed id.
+    domain_id : the claimed id
 
     Raises
     ------
@@ -143,8 +141,7 @@ class GraphContext:
 
     Parameters
     ----------
-    domain_id : int or None
-        The domain; None takes a free one.
+    domain_id : the domain; None takes a free one
 
     Raises
     ------

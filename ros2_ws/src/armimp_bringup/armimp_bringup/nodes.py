@@ -162,8 +162,7 @@ class ComposedNodes(NodeGroup):
     Parameters
     ----------
     context, spinner : where they live
-    parameters : Path
-        ROS parameter file for all of them.
+    parameters : ROS parameter file for all of them
     names : which nodes
     """
 
@@ -212,10 +211,8 @@ class SeparateNodes(NodeGroup):
 
     Parameters
     ----------
-    parameters : Path
-        ROS parameter file for all of them.
-    log_directory : Path
-        Where their output goes, one file for each.
+    parameters : ROS parameter file for all of them
+    log_directory : where their output goes, one file for each
     modules : module of each node, with the first arguments of its process
 
     Raises
@@ -320,10 +317,8 @@ class ExternalNodes(NodeGroup):
 
     Parameters
     ----------
-    supervisor : Node
-        The node that asks and watches.
-    parameters : AskedParameters
-        Parameters that the nodes are given.
+    supervisor : the node that asks and watches
+    parameters : parameters that the nodes are given
     """
 
     def __init__(self, supervisor: Node, parameters: AskedParameters) -> None:

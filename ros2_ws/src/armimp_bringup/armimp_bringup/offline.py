@@ -18,10 +18,9 @@ from armimp_common.compiled import compiled_entry
 from armimp_common.errors import DataError
 from armimp_common.status import Phase
 from armimp_common.topics import NS_PER_S, PERIOD_NS
-from armimp_control.laws import MEMORY_ROWS, NO_JOINT, TARE
-from armimp_control.laws.law import control_tick
+from armimp_control.laws import NO_JOINT
+from armimp_control.laws.law import Controller, packed_size, packed_tick
 from armimp_control.perturbation import perturbation
-from armimp_control.safety_limiter import FAULT, JOURNAL, LIMITER_ROWS, fault_of
 from armimp_control.sequence import Segment, timetable
 from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.estimators.registry import IdentifyConfig
@@ -53,65 +52,31 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     position: NDArray[np.float64],
     torque: NDArray[np.float64],
     laws: NDArray[np.int64],
-    roles: NDArray[np.float64],
-    targets: NDArray[np.float64],
-    models: NDArray[np.float64],
-    scalars: NDArray[np.float64],
-    rules: NDArray[np.float64],
-    memory: NDArray[np.float64],
-    limiters: NDArray[np.float64],
-    journals: NDArray[np.float64],
+    controllers: NDArray[np.float64],
     tau_delta: NDArray[np.float64],
     voluntary: NDArray[np.float64],
     noise: NDArray[np.float64],
     record: NDArray[np.float64],
 ) -> float:
-    """Run the ticks of a segment.
+    """Run the ticks of a segment, and return the worst h·σ0|v|/g(v), NaN if a lane went astray.
 
-    Parameters
-    ----------
-    batch, joints, width : the batch, as in :mod:`armimp_sim.dynamics`
-    substeps, step, interval_mean, real, resolutions : as for
-        :func:`armimp_sim.plant.tick`
-    position, torque : (lanes, n) readings of the first sample, updated, rad and N·m
-    laws : (lanes,) kinds of the laws
-    roles : (lanes, ROLE_ROWS, n) from the configurations of the laws
-    targets, models : (lanes, n) θ_rd, rad, and (lanes, MODEL_ROWS, n, n) from the configurations
-    scalars : (lanes, 2) Γ, rad/s; L, s
-    rules : (lanes, RULE_ROWS, n) of the safety limiters
-    memory : (lanes, MEMORY_ROWS, n) of the law, updated
-    limiters, journals : (lanes, LIMITER_ROWS, n), (lanes, JOURNAL) of the safety limiters, updated
-    tau_delta, voluntary : (ticks, lanes, n) N·m
-    noise : (ticks or 1, lanes, 2, n) of readings, rad and N·m; the last row holds on
-    record : (3, lanes, n, ticks), written: positions, torques, commands
-
-    Returns
-    -------
-    float
-        The worst h·σ0|v|/g(v), NaN if a lane went astray.
+    Plant and readings are as for :func:`armimp_sim.plant.tick`, laws (lanes,) and controllers
+    (lanes, packed_size(n)) as for :func:`armimp_control.laws.law.packed_tick`. Perturbation and
+    voluntary torque are (ticks, lanes, n), noise (ticks or 1, lanes, 2, n), of which the last row
+    holds on, and the record (3, lanes, n, ticks): positions, torques, commands.
     """
     m, n = position.shape
     command = np.zeros((m, n))
     worst = 0.0
     for k in range(tau_delta.shape[0]):
         for lane in range(m):
-            control_tick(
-                laws[lane],
-                position[lane],
-                torque[lane],
-                tau_delta[k, lane],
-                roles[lane],
-                targets[lane],
-                models[lane],
-                scalars[lane, 0],
-                scalars[lane, 1],
-                rules[lane],
-                memory[lane],
-                limiters[lane],
-                journals[lane],
-                command[lane],
-            )
+            w = controllers[lane]
             for i in range(n):
+                w[i], w[n + i] = position[lane, i], torque[lane, i]
+                w[2 * n + i] = tau_delta[k, lane, i]
+            packed_tick(laws[lane], n, w)
+            for i in range(n):
+                command[lane, i] = w[3 * n + i]
                 record[0, lane, i, k] = position[lane, i]
                 record[1, lane, i, k] = torque[lane, i]
                 record[2, lane, i, k] = command[lane, i]
@@ -200,31 +165,22 @@ def run_segments(
         raise DataError("offline run: all rigs must have the same trial sequence")
     plant = Plant([rig.plant for rig in rigs])
     n, lanes = first.plant.joints, len(rigs)
-    memory = np.zeros((lanes, MEMORY_ROWS, n))
-    configs = [rig.controller for rig in rigs]
-    laws = np.array([law.kind for law in configs])
-    targets = np.array([law.target_posture for law in configs])
-    scalars = np.array([(law.gamma, law.period) for law in configs])
-    rules = np.array(
-        [
-            rig.safety.rules(law.target_posture, law.period)
-            for law, rig in zip(configs, rigs, strict=True)
-        ]
-    )
-    limiters, journals = np.zeros((lanes, LIMITER_ROWS, n)), np.zeros((lanes, JOURNAL))
+    laws = np.array([rig.controller.kind for rig in rigs])
+    packed = np.zeros((lanes, packed_size(n)))
+    controllers = [
+        Controller(rig.controller, safety=rig.safety, storage=own)
+        for rig, own in zip(rigs, packed, strict=True)
+    ]
     streams = [
         VoluntaryTorque(rig.voluntary, joints=n, period=rig.plant.period, seed=rig.seed)
         for rig in rigs
     ]
     noises = [ReadingNoise(rig.plant.sensors, joints=n, seed=rig.seed) for rig in rigs]
     trials: list[list[TrialRecord]] = [[] for _ in rigs]
-    tares = np.zeros((lanes, n))
     for segment in segments:
         tau_delta, yielding = signals(segment)
-        role = NO_JOINT if segment.tare else yielding
-        roles = np.array([law.role(role) for law in configs])
-        models = np.array([law.model(role) for law in configs])
-        roles[:, TARE] = tares
+        for controller in controllers:
+            controller.perturb_joint(NO_JOINT if segment.tare else yielding)
         record = np.empty((3, lanes, n, segment.ticks))
         worst = _run_segment(
             plant.batch,
@@ -238,14 +194,7 @@ def run_segments(
             plant.position,
             plant.torque,
             laws,
-            roles,
-            targets,
-            models,
-            scalars,
-            rules,
-            memory,
-            limiters,
-            journals,
+            packed,
             tau_delta,
             np.stack([stream.take(segment.ticks) for stream in streams], axis=1),
             # An ideal rig has none in any tick.
@@ -253,14 +202,14 @@ def run_segments(
             record,
         )
         check_ratio(worst, plant.config.step)
-        for journal, rule in zip(journals, rules, strict=True):
-            if fault := fault_of(journal, FAULT, rule)[1]:
+        for controller in controllers:
+            if fault := controller.fault[1]:
                 raise DataError(
                     f"offline run: the safety limiter stopped in trial {segment.trial}: {fault}"
                 )
         if segment.tare:
-            for lane, rig in enumerate(rigs):
-                tares[lane] = _tare(rig, record[1, lane])
+            for lane, (rig, controller) in enumerate(zip(rigs, controllers, strict=True)):
+                controller.tare(_tare(rig, record[1, lane]))
         if segment.phase is not Phase.PERTURB:
             continue
         for lane, rig in enumerate(rigs):

@@ -39,16 +39,11 @@ def estimate_bags(
 
     Parameters
     ----------
-    bags : sequence of Path
-        Any bags that the reader takes.
-    estimators : sequence of str or Estimator
-        Names, or estimators of one's own; empty for the defaults.
-    namespace : str, optional
-        Namespace of the topics.
-    allow_gaps : bool
-        Use the intact parts of trials that lost samples.
-    declared : Declared, optional
-        What is known in the place of what the bags say.
+    bags : any bags that the reader takes
+    estimators : names, or estimators of one's own; empty for the defaults
+    namespace : namespace of the topics
+    allow_gaps : use the intact parts of trials that lost samples
+    declared : what is known in the place of what the bags say
 
     Returns
     -------

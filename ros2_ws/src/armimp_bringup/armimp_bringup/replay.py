@@ -147,16 +147,11 @@ def replay_bags(
 
     Parameters
     ----------
-    bags : sequence of Path
-        One trial for each joint among them.
-    estimators : tuple of str
-        Names; empty for the defaults.
-    directory : Path or None
-        New directory for the results; None keeps no files.
-    allow_gaps : bool
-        Use the intact parts of trials that lost samples.
-    domain_id, on_progress, interrupted
-        As for :func:`armimp_bringup.orchestrator.run_experiment`.
+    bags : one trial for each joint among them
+    estimators : names; empty for the defaults
+    directory : new directory for the results; None keeps no files
+    allow_gaps : use the intact parts of trials that lost samples
+    domain_id, on_progress, interrupted : as for :func:`armimp_bringup.orchestrator.run_experiment`
 
     Raises
     ------

@@ -17,7 +17,7 @@ def test_in_real_time_both_nodes_are_told_and_each_gets_a_process() -> None:
     parameters = node_parameters(config, None)
     assert config.processes == "separate"
     for node in (parameters.simulator, parameters.controller):
-        assert (node.mode, node.realtime.priority, node.realtime.cpu) == ("realtime", 20, -1)
+        assert (node.mode, node.realtime.priority) == ("realtime", 20)
 
 
 @pytest.mark.parametrize(
@@ -32,10 +32,10 @@ def test_a_rig_that_is_known_to_lag_gets_the_slower_law_and_a_known_arm_does_not
 
 
 def test_parameters_of_single_nodes_prevail() -> None:
-    overrides: Overrides = {"realtime": {"priority": 7, "cpu": 1}}
+    overrides: Overrides = {"realtime": {"priority": 7}}
     config = ExperimentConfig(mode="realtime", priority=20, arm_sim=overrides)
     parameters = node_parameters(config, None)
-    assert (parameters.simulator.realtime.priority, parameters.simulator.realtime.cpu) == (7, 1)
+    assert parameters.simulator.realtime.priority == 7
     assert parameters.controller.realtime.priority == 20
 
 
@@ -47,7 +47,6 @@ def test_parameters_of_single_nodes_prevail() -> None:
             {"mode": "realtime", "imbic_controller": {"mode": "lockstep"}},
             "arm_sim: parameter 'mode' is 'realtime', that of imbic_controller 'lockstep'",
         ),
-        ({"mode": "realtime", "arm_sim": {"realtime.spin": 0.1}}, "realtime.spin"),
     ],
 )
 def test_what_does_not_fit_together_is_refused_in_one_line(

@@ -46,16 +46,13 @@ class CdrReader:
 
     Parameters
     ----------
-    data
-        The whole message, encapsulation header included.
-    what
-        Name of the message type, for error messages.
+    data : the whole message, encapsulation header included
+    what : name of the message type, for error messages
 
     Attributes
     ----------
-    constants
-        Spans of everything read through `count` and `string`: what two messages must have in
-        common to share a layout. Padding and surplus are not among them, as senders leave
+    constants : spans of everything read through `count` and `string`: what two messages must have
+        in common to share a layout. Padding and surplus are not among them, as senders leave
         arbitrary bytes there.
 
     Raises
@@ -237,12 +234,9 @@ class JointStateEncoder:
 
     Parameters
     ----------
-    names
-        Joint names, in the order of the values to encode.
-    field
-        The array that takes the numbers; the two others stay empty.
-    frame_id
-        ``header.frame_id``.
+    names : joint names, in the order of the values to encode
+    field : the array that takes the numbers; the two others stay empty
+    frame_id : ``header.frame_id``
 
     Raises
     ------
@@ -291,12 +285,9 @@ class JointStateDecoder(_Decoder):
 
     Parameters
     ----------
-    names
-        The joints that every message must have, no more and no less.
-    field
-        The array that carries the numbers; others may be filled and are ignored.
-    others
-        Whether messages may have further joints, which are ignored.
+    names : the joints that every message must have, no more and no less
+    field : the array that carries the numbers; others may be filled and are ignored
+    others : whether messages may have further joints, which are ignored
 
     Raises
     ------
@@ -387,8 +378,7 @@ class CommandEncoder:
 
     Parameters
     ----------
-    n
-        Number of joints.
+    n : number of joints
 
     Raises
     ------
@@ -438,8 +428,7 @@ class CommandDecoder(_Decoder):
 
     Parameters
     ----------
-    n
-        Number of joints, and so of numbers in every message.
+    n : number of joints, and so of numbers in every message
 
     Raises
     ------

@@ -9,10 +9,8 @@ class ArmimpError(Exception):
 
     Parameters
     ----------
-    message
-        One line.
-    code
-        Kind of problem that it makes of a result, if another than its class tells.
+    message : one line
+    code : kind of problem that it makes of a result, if another than its class tells
     """
 
     def __init__(self, message: str, code: str = "") -> None:

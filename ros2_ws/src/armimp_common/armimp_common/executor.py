@@ -97,14 +97,10 @@ def steady_timer(
 
     Parameters
     ----------
-    node
-        Its executor calls back; ``node.destroy_timer`` ends it.
-    period
-        Time between two calls (s).
-    callback
-        What is called.
-    autostart
-        Whether it runs at once; else from ``reset()`` on.
+    node : its executor calls back; ``node.destroy_timer`` ends it
+    period : time between two calls (s)
+    callback : what is called
+    autostart : whether it runs at once; else from ``reset()`` on
     """
     clock = Clock(clock_type=ClockType.STEADY_TIME)
     return node.create_timer(period, callback, clock=clock, autostart=autostart)
@@ -136,10 +132,8 @@ class Spinner:
 
     Parameters
     ----------
-    nodes
-        Nodes to execute; more can be added.
-    context
-        Context of the nodes; by default that of the first node.
+    nodes : nodes to execute; more can be added
+    context : context of the nodes; by default that of the first node
     """
 
     def __init__(self, nodes: Iterable[Node] = (), *, context: Context | None = None) -> None:
@@ -183,8 +177,7 @@ class Spinner:
 
         Parameters
         ----------
-        should_stop
-            Asked every `period` (s); it need not be cheap.
+        should_stop : asked every `period` (s); it need not be cheap
 
         Raises
         ------
@@ -303,12 +296,9 @@ def run_node(
 
     Parameters
     ----------
-    factory
-        Makes the node; called with ``context=``.
-    args
-        Command line with the program name first, ``sys.argv`` by default.
-    until
-        Tells from the node that it has finished; by default only signals end it.
+    factory : makes the node; called with ``context=``
+    args : command line with the program name first, ``sys.argv`` by default
+    until : tells from the node that it has finished; by default only signals end it
 
     Returns
     -------

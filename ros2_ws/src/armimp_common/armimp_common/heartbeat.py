@@ -58,8 +58,7 @@ class Presence(Enum):
         ----------
         alive, silent
             Numbers of publishers whose lease is renewed, and of those whose lease has run out.
-        process_lives
-            Whether the process of the node exists; None if that is not known.
+        process_lives : whether the process of the node exists; None if that is not known
         """
         if alive or silent:
             if process_lives is False:
@@ -78,10 +77,8 @@ class Heartbeat:
 
     Parameters
     ----------
-    node
-        Its namespace counts.
-    name
-        Name among the topics, which remapping of the node's own name leaves as it is.
+    node : its namespace counts
+    name : name among the topics, which remapping of the node's own name leaves as it is
     """
 
     def __init__(self, node: Node, name: str) -> None:
@@ -94,19 +91,14 @@ class HeartbeatMonitor:
 
     Parameters
     ----------
-    node
-        The node that listens; callbacks run in its executor.
-    name
-        Name of the other node, as for `Heartbeat`.
-    on_change
-        Called with the monitor when `presence` has changed.
+    node : the node that listens; callbacks run in its executor
+    name : name of the other node, as for `Heartbeat`
+    on_change : called with the monitor when `presence` has changed
 
     Attributes
     ----------
-    presence : Presence
-        As last heard. It stays unknown for a node that offers no heartbeat.
-    checked : float
-        When the process was last looked up (monotonic, s).
+    presence : as last heard. It stays unknown for a node that offers no heartbeat.
+    checked : when the process was last looked up (monotonic, s)
     """
 
     def __init__(

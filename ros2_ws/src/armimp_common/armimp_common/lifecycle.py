@@ -93,18 +93,13 @@ class LifecycleManager:
 
     Parameters
     ----------
-    node
-        A node to ask through; it must be spun by `spin_until`.
-    names
-        Names of the managed nodes, absolute or relative to the namespace of `node`.
-    spin_until
-        Spins until a future is done or a time (s) is over, and tells whether it is done;
+    node : a node to ask through; it must be spun by `spin_until`
+    names : names of the managed nodes, absolute or relative to the namespace of `node`
+    spin_until : spins until a future is done or a time (s) is over, and tells whether it is done;
         usually `armimp_common.executor.Spinner.spin_until`. If managed nodes are in the same
         process it must spin them too.
-    timeout
-        For each answer (s); discovery and a slow configuration count.
-    check
-        Called often while something is waited for; what it raises ends the waiting. To be used
+    timeout : for each answer (s); discovery and a slow configuration count
+    check : called often while something is waited for; what it raises ends the waiting. To be used
         for what makes waiting vain, like the death of a process.
     """
 

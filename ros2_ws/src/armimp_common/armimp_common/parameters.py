@@ -43,12 +43,9 @@ def declare(node: Node, model: type[ModelT], default: ModelT | None = None) -> M
 
     Parameters
     ----------
-    node
-        The node; a node has one schema.
-    model
-        The schema.
-    default
-        Values to use instead of the defaults of the schema.
+    node : the node; a node has one schema
+    model : the schema
+    default : values to use instead of the defaults of the schema
 
     Returns
     -------
@@ -136,10 +133,8 @@ def guard(
 
     Parameters
     ----------
-    node
-        A node whose parameters were declared with `declare`.
-    is_locked
-        Returns why nothing may be changed now, or None if changes are welcome.
+    node : a node whose parameters were declared with `declare`
+    is_locked : returns why nothing may be changed now, or None if changes are welcome
 
     Returns
     -------

@@ -134,7 +134,6 @@ class Protection(TorqueLatch):
     Parameters
     ----------
     joints : how many
-    limits : ProtectionLimits
     """
 
     def __init__(self, joints: int, limits: ProtectionLimits) -> None:

@@ -31,12 +31,9 @@ class RawPublisher:
 
     Parameters
     ----------
-    node, topic
-        Where to publish.
-    message_type
-        Message class of the topic.
-    profile
-        Quality of service.
+    node, topic : where to publish
+    message_type : message class of the topic
+    profile : quality of service
 
     Attributes
     ----------
@@ -146,12 +143,9 @@ def subscribe_joint_states(
 
     Parameters
     ----------
-    node, topic
-        Where to listen.
-    names, field
-        As for `armimp_common.cdr.JointStateDecoder`.
-    callback
-        Called with the stamp (ns) and the values; NaN and infinities are passed on.
+    node, topic : where to listen
+    names, field : as for `armimp_common.cdr.JointStateDecoder`
+    callback : called with the stamp (ns) and the values; NaN and infinities are passed on
     on_malformed
         Called instead for a message that cannot be decoded. Without it the error is raised and
         arrives at whoever spins, since dropping such a message silently would not be safe.
@@ -173,8 +167,7 @@ def subscribe_commands(
 
     Parameters
     ----------
-    on_number
-        Called before `callback` with the number of the command, 0 if it has none.
+    on_number : called before `callback` with the number of the command, 0 if it has none
     """
 
     def on_command(number: int, values: tuple[float, ...]) -> None:
@@ -302,13 +295,10 @@ def wait_until_known_to(node: Node, names: Iterable[str], *, timeout_s: float) -
 
     Parameters
     ----------
-    node
-        Whose subscriptions are to be known.
-    names
-        Nodes by their names among the topics. Those that offer no heartbeat, as drivers of others
-        may not, are not waited for.
-    timeout_s
-        How long to wait (s).
+    node : whose subscriptions are to be known
+    names : nodes by their names among the topics. Those that offer no heartbeat, as drivers of
+        others may not, are not waited for.
+    timeout_s : how long to wait (s)
 
     Raises
     ------
@@ -343,10 +333,8 @@ def wait_for_partners(
 
     Parameters
     ----------
-    node
-        The node; to be called in a callback of it.
-    publishers, subscriptions
-        What has to have a peer.
+    node : the node; to be called in a callback of it
+    publishers, subscriptions : what has to have a peer
     monitors
         Nodes that have to know of this one, if they offer a heartbeat; see `wait_until_known_to`.
 

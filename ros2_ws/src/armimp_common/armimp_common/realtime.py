@@ -12,7 +12,7 @@ import threading
 import time
 from array import array
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
@@ -46,26 +46,19 @@ class Pacer:
 
     Parameters
     ----------
-    period_ns : int
-        Distance of two deadlines, ns.
-    spin_ns : int
-        The last part of each wait that is spent asking the clock over and over instead of asleep.
-        It costs that share of a processor core, and saves the time that waking up takes.
-    now : callable
-        Tells the time, ns, on any monotonic clock.
-    sleep : callable
-        Sleeps for a time, s; 0 lets others run.
+    period_ns : distance of two deadlines, ns
+    now : tells the time, ns, on any monotonic clock
+    sleep : sleeps for a time, s
     """
 
     def __init__(
         self,
         period_ns: int,
         *,
-        spin_ns: int = 0,
         now: Callable[[], int] = time.monotonic_ns,
         sleep: Callable[[float], object] = time.sleep,
     ) -> None:
-        self._period_ns, self._spin_ns, self._sleep = period_ns, spin_ns, sleep
+        self._period_ns, self._sleep = period_ns, sleep
         self._start_ns = 0
         self.now = now
 
@@ -81,7 +74,7 @@ class Pacer:
         """Return at the deadline of a tick, or at once if it has passed; never before it."""
         deadline_ns = self.deadline_ns(tick)
         while (left_ns := deadline_ns - self.now()) > 0:
-            self._sleep(max(left_ns - self._spin_ns, 0) / NS_PER_S)
+            self._sleep(left_ns / NS_PER_S)
 
 
 class Durations:
@@ -173,69 +166,53 @@ class SchedulingParameters(Schema):
 
     priority: int = Field(default=0, ge=0, le=99)
     """SCHED_FIFO priority of the process in mode realtime; 0: ordinary scheduling."""
-    cpu: int = Field(default=-1, ge=-1, le=1023)
-    """Processor core that the process stays on in mode realtime; -1: any."""
 
 
 class RealtimeScheduling:
-    """Gives the whole process precedence, until :meth:`give_back`.
+    """Gives the whole process precedence, from :meth:`take` until :meth:`give_back`.
 
     Python's garbage collector rests meanwhile: a collection in the wrong moment takes milliseconds.
     All threads count, those of the middleware too, since each of them carries a message on.
-
-    Parameters
-    ----------
-    parameters : SchedulingParameters
-
-    Raises
-    ------
-    GraphError
-        If the system does not permit what is asked.
     """
 
-    def __init__(self, parameters: SchedulingParameters) -> None:
-        self._collecting = gc.isenabled()
-        self._interval = sys.getswitchinterval()
-        self._before: dict[int, tuple[int, os.sched_param, set[int]]] = {}
-        for thread in _threads():
+    def __init__(self) -> None:
+        self._undo = ExitStack()
+
+    def take(self, priority: int) -> None:
+        """Take precedence, with a SCHED_FIFO priority or 0.
+
+        Raises
+        ------
+        GraphError
+            If the system does not permit that.
+        """
+        for thread in _threads() if priority else []:
             with suppress(ProcessLookupError):  # ended just now
-                self._raise(thread, parameters)
+                before = os.sched_getscheduler(thread), os.sched_getparam(thread)
+                try:
+                    os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
+                except PermissionError:
+                    self.give_back()
+                    text = f"parameter 'realtime.priority' = {priority}: {_REFUSAL}"
+                    raise GraphError(text) from None
+                self._undo.callback(_reschedule, thread, *before)
         gc.collect()
         gc.freeze()
-        gc.disable()
+        self._undo.callback(gc.unfreeze)
+        if gc.isenabled():
+            gc.disable()
+            self._undo.callback(gc.enable)
+        self._undo.callback(sys.setswitchinterval, sys.getswitchinterval())
         sys.setswitchinterval(_SWITCH_INTERVAL)
 
-    def _raise(self, thread: int, parameters: SchedulingParameters) -> None:
-        policy, param = os.sched_getscheduler(thread), os.sched_getparam(thread)
-        self._before[thread] = policy, param, os.sched_getaffinity(thread)
-        name, value = "cpu", parameters.cpu
-        try:
-            if value >= 0:
-                os.sched_setaffinity(thread, {value})
-            name, value = "priority", parameters.priority
-            if value:
-                os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(value))
-        except ProcessLookupError:
-            raise
-        except OSError as error:
-            self._restore()
-            reason = _REFUSAL if name == "priority" else error.strerror
-            raise GraphError(f"parameter 'realtime.{name}' = {value}: {reason}") from None
-
     def give_back(self) -> None:
-        """Restore the scheduling that the process had before."""
-        self._restore()
-        sys.setswitchinterval(self._interval)
-        if self._collecting:
-            gc.unfreeze()
-            gc.enable()
+        """Restore the scheduling that the process had before; harmless if it took nothing."""
+        self._undo.close()
 
-    def _restore(self) -> None:
-        for thread, (policy, param, cores) in self._before.items():
-            with suppress(OSError):
-                os.sched_setscheduler(thread, policy, param)
-                os.sched_setaffinity(thread, cores)
-        self._before.clear()
+
+def _reschedule(thread: int, policy: int, param: os.sched_param) -> None:
+    with suppress(OSError):
+        os.sched_setscheduler(thread, policy, param)
 
 
 def require_precedence(priority: int) -> None:

@@ -285,8 +285,7 @@ def to_params_yaml(models: Mapping[str, BaseModel]) -> str:
 
     Parameters
     ----------
-    models
-        Node name, with its namespace if it has one, to values.
+    models : node name, with its namespace if it has one, to values
     """
     content = {
         node: {"ros__parameters": model.model_dump(mode="json")} for node, model in models.items()
@@ -300,13 +299,11 @@ def load_yaml(text: str, loader: Any = Loader, *, aliases: bool = False) -> Any:
 
     Parameters
     ----------
-    text : str
-        The document.
+    text : the document
     loader : type
         A loader of PyYAML.
-    aliases : bool
-        Whether a part may stand for itself in several places: what a few lines unfold to may be
-        larger than any memory, for a loader that merges or for whoever walks through it.
+    aliases : whether a part may stand for itself in several places: what a few lines unfold to may
+        be larger than any memory, for a loader that merges or for whoever walks through it
 
     Raises
     ------

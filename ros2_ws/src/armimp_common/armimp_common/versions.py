@@ -41,8 +41,7 @@ def git_revision(directory: Path | None = None) -> str:
 
     Parameters
     ----------
-    directory
-        Where to ask; by default where this package's sources are.
+    directory : where to ask; by default where this package's sources are
 
     Returns
     -------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -76,7 +77,7 @@ class ImbicControllerNode(ManagedNode):
         self._supervisor = HeartbeatMonitor(self, topics.SUPERVISOR_NODE, self._on_supervisor)
         self._recorded = False
         self._fault = ""
-        self._scheduling: RealtimeScheduling | None = None
+        self._scheduling = RealtimeScheduling()
         self._reported_clips = 0
         self._stamp_ns = 0
         self._diagnostics: Publisher | None = None
@@ -106,13 +107,10 @@ class ImbicControllerNode(ManagedNode):
                 topic,
                 names,
                 topics.VALUE_FIELD[topic],
-                on_reading,
+                partial(self._on_reading, kind),
                 on_malformed=self._on_malformed,
             )
-            for topic, on_reading in (
-                (topics.JOINT_STATES, self._on_position),
-                (topics.TORQUE_SENSORS, self._on_torque),
-            )
+            for kind, topic in enumerate((topics.JOINT_STATES, topics.TORQUE_SENSORS))
         ]
         period = _WATCHDOG_PERIODS[parameters.mode]
         self._timer = steady_timer(self, period, self._on_watchdog, autostart=False)
@@ -140,7 +138,7 @@ class ImbicControllerNode(ManagedNode):
         self._watchdog = Watchdog(self._settings.safety, slowest_tick=self._settings.slowest_tick)
         self._lockstep = self._settings.mode == "lockstep"
         if not self._lockstep:
-            self._scheduling = RealtimeScheduling(self._settings.realtime)
+            self._scheduling.take(self._settings.realtime.priority)
         self._active = True
         self._timer.reset()
         return super().on_activate(state)
@@ -195,9 +193,7 @@ class ImbicControllerNode(ManagedNode):
         self._active = self._lockstep = False
         self._timer.cancel()
         self._ramp.cancel()
-        if self._scheduling is not None:
-            self._scheduling.give_back()
-            self._scheduling = None
+        self._scheduling.give_back()
         if sequencer is not None and not sequencer.at_rest:
             self._abort(sequencer, Cause.NODE_ENDED, reason)
 
@@ -221,23 +217,16 @@ class ImbicControllerNode(ManagedNode):
 
     # Samples.
 
-    def _on_position(self, stamp_ns: int, theta: Reading) -> None:
-        tau_h = self._pairs.with_position(stamp_ns, theta)
-        if tau_h is not None:
+    def _on_reading(self, kind: int, stamp_ns: int, values: Reading) -> None:
+        other = self._pairs.other(kind, stamp_ns, values)
+        if other is not None:
+            theta, tau_h = (other, values) if kind else (values, other)
             self._answer(stamp_ns, theta, tau_h)
-        elif (bad := first_bad(theta)) is not None:
-            self._refuse_reading("position", bad, theta)
-
-    def _on_torque(self, stamp_ns: int, tau_h: Reading) -> None:
-        theta = self._pairs.with_torque(stamp_ns, tau_h)
-        if theta is not None:
-            self._answer(stamp_ns, theta, tau_h)
-        elif (bad := first_bad(tau_h)) is not None:
-            self._refuse_reading("torque reading", bad, tau_h)
-
-    def _refuse_reading(self, what: str, bad: int, values: Reading) -> None:
-        """Nonsense is a fault already while its partner is still to come, which may be never."""
-        if self._sequencer is not None and not self._sequencer.at_rest:
+        elif (bad := first_bad(values)) is not None and (
+            self._sequencer is not None and not self._sequencer.at_rest
+        ):
+            # A fault already while its partner is still to come, which may be never.
+            what = "torque reading" if kind else "position"
             self._refuse(f"{what} of joint {bad + 1} is not finite: {values[bad]}")
 
     def _on_malformed(self, error: ArmimpError) -> None:

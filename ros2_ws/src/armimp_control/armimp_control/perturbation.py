@@ -123,7 +123,6 @@ def perturbation(
 
     Parameters
     ----------
-    parameters : PerturbationParameters
     joint : perturbed joint, 0-based; chooses the peak
     trial : trial number, chooses an independent random stream
     ticks : number of samples
@@ -277,7 +276,6 @@ def multisine_lines(
 
     Parameters
     ----------
-    parameters : PerturbationParameters
     ticks : number of samples of the trial
     seed : of the experiment, not negative
 

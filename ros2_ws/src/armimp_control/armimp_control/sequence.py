@@ -28,25 +28,6 @@ class Tare:
     error: tuple[float, ...]
     """Standard error of each, N·m."""
 
-    @classmethod
-    def of(cls, torque: NDArray[np.float64]) -> Tare:
-        """Mean readings at rest, and how sure they are.
-
-        The readings are cut into four parts of equal length. Of each the mean is taken with a Hann
-        window, which the dither of held joints and mains hum do not pass. The tare is the mean of
-        these; its standard error comes from their scatter, so it also shows slow unrest and drift.
-
-        Parameters
-        ----------
-        torque : (n, ticks) N·m
-        """
-        length = torque.shape[1] // _PARTS
-        parts = torque[:, torque.shape[1] - _PARTS * length :].reshape(len(torque), _PARTS, length)
-        window = 0.5 - 0.5 * np.cos(2.0 * np.pi * (np.arange(length) + 0.5) / length)
-        means = np.sum(parts * window, axis=2) / np.sum(window)
-        error = np.std(means, axis=1, ddof=1) / np.sqrt(_PARTS)
-        return cls(offset=tuple(means.mean(axis=1).tolist()), error=tuple(error.tolist()))
-
 
 class TareParameters(Schema):
     """Tare of the torque transducers before each trial.
@@ -80,8 +61,20 @@ class TareParameters(Schema):
         return round((self.wait + self.duration) / PERIOD) if self.duration else 0
 
     def of(self, torque: NDArray[np.float64]) -> Tare:
-        """Tare from the torques (n, ticks) since all joints are held, N·m."""
-        return Tare.of(torque[:, round(self.wait / PERIOD) :])
+        """Tare from the torques (n, ticks) since all joints are held, N·m.
+
+        The readings after the wait are cut into four parts of equal length. Of each the mean is
+        taken with a Hann window, which the dither of held joints and mains hum do not pass. The
+        tare is the mean of these; its standard error comes from their scatter, so it also shows
+        slow unrest and drift.
+        """
+        torque = torque[:, round(self.wait / PERIOD) :]
+        length = torque.shape[1] // _PARTS
+        parts = torque[:, torque.shape[1] - _PARTS * length :].reshape(len(torque), _PARTS, length)
+        window = 0.5 - 0.5 * np.cos(2.0 * np.pi * (np.arange(length) + 0.5) / length)
+        means = np.sum(parts * window, axis=2) / np.sum(window)
+        error = np.std(means, axis=1, ddof=1) / np.sqrt(_PARTS)
+        return Tare(offset=tuple(means.mean(axis=1).tolist()), error=tuple(error.tolist()))
 
     def refusal(self, tare: Tare, names: Sequence[str]) -> str:
         """Why no trial may begin with a tare, in words; else empty."""
@@ -143,7 +136,6 @@ def timetable(
 
     Parameters
     ----------
-    sequence : SequenceParameters
     joints : number of joints n, and so of trials
     tare : TareParameters, by default there is none
     """

@@ -27,7 +27,6 @@ class TrialSequencer:
 
     Parameters
     ----------
-    parameters : ControllerParameters
     announce : called with every new status, before the command that it concerns
 
     Attributes
@@ -300,30 +299,20 @@ class SamplePairs:
     """The two readings of a sample, which come as messages of their own: pairing by stamp."""
 
     def __init__(self) -> None:
-        self._positions: dict[int, Reading] = {}
-        self._torques: dict[int, Reading] = {}
+        self._waiting: tuple[dict[int, Reading], dict[int, Reading]] = ({}, {})
 
-    def with_position(self, stamp_ns: int, theta: Reading) -> Reading | None:
-        """Take a position; the torque of the same stamp (ns), or None until that comes."""
-        return _other(self._torques, self._positions, stamp_ns, theta)
-
-    def with_torque(self, stamp_ns: int, tau_h: Reading) -> Reading | None:
-        """Take a torque; the position of the same stamp (ns), or None until that comes."""
-        return _other(self._positions, self._torques, stamp_ns, tau_h)
-
-
-def _other(
-    waiting: dict[int, Reading], own: dict[int, Reading], stamp_ns: int, values: Reading
-) -> Reading | None:
-    other = waiting.pop(stamp_ns, None)
-    if other is None:
-        own[stamp_ns] = values
-    elif waiting or own:
-        # Older readings without a partner are lost samples, which the sequencer counts.
-        for readings in (waiting, own):
-            for old in [stamp for stamp in readings if stamp < stamp_ns]:
-                del readings[old]
-    return other
+    def other(self, kind: int, stamp_ns: int, values: Reading) -> Reading | None:
+        """Take a position (kind 0) or torque (1); the other of that stamp (ns), or None as yet."""
+        own, others = self._waiting[kind], self._waiting[1 - kind]
+        other = others.pop(stamp_ns, None)
+        if other is None:
+            own[stamp_ns] = values
+        elif others or own:
+            # Older readings without a partner are lost samples, which the sequencer counts.
+            for readings in self._waiting:
+                for old in [stamp for stamp in readings if stamp < stamp_ns]:
+                    del readings[old]
+        return other
 
 
 def first_bad(values: Sequence[float]) -> int | None:
@@ -340,7 +329,6 @@ class Watchdog:
 
     Parameters
     ----------
-    safety : SafetyParameters
     slowest_tick : longest wall time that may count as one period, s
     """
 

@@ -61,8 +61,8 @@ def test_when_a_sample_comes_after_a_stall_before_anyone_looked_expect_an_abort_
     under_torque(controller, driver, spinner)
     # Nothing is spun: the process is held up, and finds timer and sample waiting afterwards.
     clock.now += 0.02
-    controller._on_position(driver.stamp_ns, OFF)
-    controller._on_torque(driver.stamp_ns, (0.0, 0.0))
+    controller._on_reading(0, driver.stamp_ns, OFF)
+    controller._on_reading(1, driver.stamp_ns, (0.0, 0.0))
 
     eventually(spinner, lambda: driver.has_said(Phase.ABORTED), "an abort")
 

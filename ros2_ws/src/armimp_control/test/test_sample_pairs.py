@@ -15,8 +15,7 @@ def test_in_any_order_readings_meet_only_those_of_their_stamp_and_the_latest_alw
     pairs = SamplePairs()
     met: list[int] = []
     for what, stamp in order:
-        take = pairs.with_position if what == "p" else pairs.with_torque
-        other = take(stamp, (float(stamp), 0.0))
+        other = pairs.other("pt".index(what), stamp, (float(stamp), 0.0))
         if other is not None:
             assert other == (float(stamp), 0.0)
             met.append(stamp)
@@ -26,13 +25,13 @@ def test_in_any_order_readings_meet_only_those_of_their_stamp_and_the_latest_alw
 
 def test_a_reading_whose_partner_was_lost_is_given_up_with_the_next_pair() -> None:
     pairs = SamplePairs()
-    assert pairs.with_position(1, (1.0,)) is None
-    assert pairs.with_torque(2, (2.0,)) is None
-    assert pairs.with_position(4, (4.0,)) is None
-    assert pairs.with_position(3, (3.0,)) is None
+    assert pairs.other(0, 1, (1.0,)) is None
+    assert pairs.other(1, 2, (2.0,)) is None
+    assert pairs.other(0, 4, (4.0,)) is None
+    assert pairs.other(0, 3, (3.0,)) is None
 
-    assert pairs.with_torque(3, (0.0,)) == (3.0,)
+    assert pairs.other(1, 3, (0.0,)) == (3.0,)
 
-    assert pairs.with_torque(1, (0.0,)) is None
-    assert pairs.with_position(2, (0.0,)) is None
-    assert pairs.with_torque(4, (0.0,)) == (4.0,), "it was not older"
+    assert pairs.other(1, 1, (0.0,)) is None
+    assert pairs.other(0, 2, (0.0,)) is None
+    assert pairs.other(1, 4, (0.0,)) == (4.0,), "it was not older"

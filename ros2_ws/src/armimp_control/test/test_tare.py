@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from armimp_common.status import Phase, TrialStatus
-from armimp_control.sequence import Tare, TareParameters
+from armimp_control.sequence import TareParameters
 from support.controller import SequencerBench, controller_parameters
 
 WAIT, READ, SETTLE, PERTURB, REST = 100, 400, 50, 200, 60
@@ -20,18 +20,18 @@ TRIAL = WAIT + READ + SETTLE + PERTURB + REST
 def test_dither_and_mains_hum_do_not_reach_the_tare(ticks: int, left: float) -> None:
     t = 1e-3 * np.arange(ticks)
     hum = sum(np.sin(2.0 * np.pi * f * t + f) for f in (35.0, 54.25, 50.0))
-    found = Tare.of(np.array([0.7 + 2.0 * hum, -0.3 - hum]))
+    found = TareParameters(wait=0.0).of(np.array([0.7 + 2.0 * hum, -0.3 - hum]))
     assert found.offset == pytest.approx((0.7, -0.3), abs=left)
     assert max(found.error) < left
 
 
 def test_the_standard_error_covers_noise_and_shows_unrest() -> None:
     rng = np.random.default_rng(3)
-    found = [Tare.of(rng.standard_normal((1, 1000))) for _ in range(400)]
+    found = [TareParameters(wait=0.0).of(rng.standard_normal((1, 1000))) for _ in range(400)]
     scatter = np.std([one.offset[0] for one in found])
     assert np.sqrt(np.mean([one.error[0] ** 2 for one in found])) == pytest.approx(scatter, rel=0.1)
     slow = np.sin(2.0 * np.pi * np.arange(1000) * 1e-3)
-    assert Tare.of(slow[None]).error[0] > 0.2
+    assert TareParameters(wait=0.0).of(slow[None]).error[0] > 0.2
 
 
 def tared(**values: Any) -> SequencerBench:

@@ -28,9 +28,7 @@ class MockDevice:
 
     Parameters
     ----------
-    parameters : DriverParameters
-    pacer : Pacer, optional
-        Keeps the time in real time.
+    pacer : keeps the time in real time
 
     Attributes
     ----------

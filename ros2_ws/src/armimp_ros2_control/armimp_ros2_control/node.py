@@ -37,7 +37,7 @@ class Ros2ControlBridge(ProtectedDriver):
 
     def __init__(self, **kwargs: Any) -> None:
         self._listened = 0
-        self._scheduling: RealtimeScheduling | None = None
+        self._scheduling = RealtimeScheduling()
         super().__init__(BridgeParameters(), "the drives are on", **kwargs)
 
     @reported
@@ -60,7 +60,7 @@ class Ros2ControlBridge(ProtectedDriver):
         """Begin to pass samples and commands on, once both sides are there."""
         require_unchanged(self)
         self.wait_for_controller([self._efforts], [self._states])
-        self._scheduling = RealtimeScheduling(self._settings.realtime)
+        self._scheduling.take(self._settings.realtime.priority)
         self._stamps = Stamps()
         self._heard = self._heard_before = 0
         # Last, as robots publish always: what piled up meanwhile would come as one burst.
@@ -155,9 +155,7 @@ class Ros2ControlBridge(ProtectedDriver):
         self.limiter.rest()
         if self.context.ok():
             self.torque_was_taken()
-        if self._scheduling is not None:
-            self._scheduling.give_back()
-            self._scheduling = None
+        self._scheduling.give_back()
 
 
 def main() -> int:

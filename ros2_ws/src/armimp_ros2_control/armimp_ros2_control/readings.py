@@ -22,8 +22,7 @@ class Readings:
 
     Parameters
     ----------
-    parameters : BridgeParameters
-        With nothing left empty.
+    parameters : with nothing left empty
     """
 
     def __init__(self, parameters: BridgeParameters) -> None:

@@ -35,7 +35,7 @@ class ArmSimNode(DriverBase[SimulatedRig]):
 
     def __init__(self, **kwargs: Any) -> None:
         self._simulator: RealtimeSimulator | None = None
-        self._scheduling: RealtimeScheduling | None = None
+        self._scheduling = RealtimeScheduling()
         self._holding = False
         self._told_tick = self._told_timing = 0
         self._flow = FlowControl()
@@ -79,12 +79,10 @@ class ArmSimNode(DriverBase[SimulatedRig]):
         return super().on_activate(state)
 
     def _pace(self, rig: SimulatedRig) -> None:
-        realtime = self._settings.realtime
-        pacer = Pacer(topics.PERIOD_NS, spin_ns=round(realtime.spin * topics.NS_PER_S))
-        patience = self._settings.watchdog_ticks
+        pacer, patience = Pacer(topics.PERIOD_NS), self._settings.watchdog_ticks
         self._simulator = RealtimeSimulator(rig, self._send, pacer, watchdog_ticks=patience)
         try:
-            self._scheduling = RealtimeScheduling(realtime)
+            self._scheduling.take(self._settings.realtime.priority)
         except GraphError:
             self.active, self._simulator = False, None
             raise
@@ -120,9 +118,7 @@ class ArmSimNode(DriverBase[SimulatedRig]):
             if self.context.ok():
                 self._report_timing(self._simulator)
             self._simulator = None
-        if self._scheduling is not None:
-            self._scheduling.give_back()
-            self._scheduling = None
+        self._scheduling.give_back()
         if active and self.limiter is not None:
             self.limiter.rest()
             self.report()

@@ -66,14 +66,6 @@ class FrictionParameters(Schema):
     """Stribeck velocity vs of each joint (rad/s)."""
 
 
-class RealtimeParameters(SchedulingParameters):
-    """What counts in mode realtime only."""
-
-    spin: float = Field(default=0.0, ge=0.0, le=0.001)
-    """Last part of each wait for a deadline in mode realtime in which the clock is asked over and
-    over (s)."""
-
-
 class SimulatorParameters(Schema):
     """All parameters of the node ``arm_sim``."""
 
@@ -83,7 +75,7 @@ class SimulatorParameters(Schema):
     """Seed of voluntary torque, tremor, and noise of the sensors."""
     mode: Literal["lockstep", "realtime"] = "lockstep"
     """lockstep: one step for each command received; realtime: one each millisecond."""
-    realtime: RealtimeParameters = RealtimeParameters()
+    realtime: SchedulingParameters = SchedulingParameters()
     watchdog_ticks: int = Field(default=WATCHDOG_TICKS, ge=1, le=100)
     """Control periods without a command, or by which commands are behind, after which the drives
     take the torque away in mode realtime."""

@@ -256,8 +256,7 @@ def exp_minus(y: float) -> float:
 
     Parameters
     ----------
-    y : float
-        Not negative. From 700 on the result stays at exp(−700) ≈ 1e-304, also for NaN.
+    y : not negative. From 700 on the result stays at exp(−700) ≈ 1e-304, also for NaN.
 
     Returns
     -------
@@ -330,8 +329,7 @@ def sine_cosine(x: float) -> tuple[float, float]:
 
     Parameters
     ----------
-    x : float
-        Angle, rad; |x| up to about 1e5.
+    x : angle, rad; |x| up to about 1e5
 
     Returns
     -------

@@ -31,10 +31,6 @@ _PATIENCE = 2.0
 class SimulatedRig(TorqueLatch):
     """Arm, exoskeleton, friction and sensors, advanced by one control period per command.
 
-    Parameters
-    ----------
-    parameters : SimulatorParameters
-
     Attributes
     ----------
     position : (n,) encoder readings, rad; valid until the next step
@@ -114,10 +110,7 @@ class RealtimeSimulator:
 
     Parameters
     ----------
-    rig : SimulatedRig
-    send : callable
-        Sends the present sample; called in the thread.
-    pacer : Pacer
+    send : sends the present sample; called in the thread
     watchdog_ticks : int
         Periods after which the rig takes the torque away: without any command, or by which commands
         that come are behind. A controller that works through old samples is none any more.

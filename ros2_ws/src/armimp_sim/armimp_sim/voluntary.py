@@ -121,7 +121,6 @@ class VoluntaryTorque:
 
     Parameters
     ----------
-    config : VoluntaryParameters
     joints : number of joints n
     period : s, between ticks
     seed : of the experiment, not negative
@@ -146,7 +145,6 @@ class ReadingNoise:
 
     Parameters
     ----------
-    sensors : SensorParameters
     joints : number of joints n
     seed : of the experiment, not negative
     """

@@ -62,11 +62,9 @@ def select_conditions(only: Sequence[str], seeds: str) -> tuple[Condition, ...]:
 
     Parameters
     ----------
-    only : sequence of str
-        Selections such as ``friction=0+3,resolution=0``; their union is taken. None: all 48
+    only : selections such as ``friction=0+3,resolution=0``; their union is taken. None: all 48
         combinations.
-    seeds : str
-        As for `parse_seeds`.
+    seeds : as for `parse_seeds`
 
     Raises
     ------

@@ -51,10 +51,8 @@ def split_evenly(conditions: Sequence[Condition], workers: int) -> list[tuple[Co
 
     Parameters
     ----------
-    conditions : sequence of Condition
-        What is to be done.
-    workers : int
-        Batches that run at the same time.
+    conditions : what is to be done
+    workers : batches that run at the same time
     """
     total = len(conditions)
     batches = min(total, workers * -(-total // (workers * WIDTH)))
@@ -150,10 +148,8 @@ class Threads:
 
     Parameters
     ----------
-    workers : int
-        Number of threads.
-    work : callable
-        What to do with a batch.
+    workers : number of threads
+    work : what to do with a batch
     """
 
     def __init__(self, workers: int, work: Callable[[Batch], Results] = run_batch) -> None:
@@ -175,8 +171,7 @@ class Dask:
 
     Parameters
     ----------
-    address : str
-        Of the scheduler, such as ``tcp://host:8786``.
+    address : of the scheduler, such as ``tcp://host:8786``
 
     Raises
     ------

@@ -77,10 +77,8 @@ def levels_chart(table: Table, scores: Sequence[Score]) -> Chart:
 
     Parameters
     ----------
-    table : ndarray, shape (n_conditions, n, n)
-        Results of one estimator.
-    scores : sequence of Score
-        One row each.
+    table : (n_conditions, n, n) results of one estimator
+    scores : one row each
     """
     strokes = {stroke.name: stroke for stroke in level_marks(table, scores)}
     places: dict[str, float] = {}
@@ -133,12 +131,9 @@ def overlay_chart(
 
     Parameters
     ----------
-    curves : mapping of Condition to mapping of str to ImpedanceCurve
-        By condition and estimator.
-    truth : MBK
-        True matrices.
-    i, k : int
-        Element, 0-based.
+    curves : by condition and estimator
+    truth : true matrices
+    i, k : element, 0-based
     """
     lines: list[Line] = []
     for condition, found in curves.items():
@@ -212,16 +207,11 @@ def write_figures(
 
     Parameters
     ----------
-    directory : Path
-        Where to.
-    conditions : sequence of Condition
-        At least one. Figure 2 shows those with the first seed.
-    table : ndarray, shape (n_conditions, n_estimators, n, n)
-        Their results.
-    truth : MBK
-        True matrices.
-    curves : callable
-        Gives the curves of a condition.
+    directory : where to
+    conditions : at least one. Figure 2 shows those with the first seed.
+    table : (n_conditions, n_estimators, n, n) their results
+    truth : true matrices
+    curves : gives the curves of a condition
 
     Returns
     -------
@@ -280,10 +270,8 @@ def impedance_figure(curves: Mapping[Condition, ImpedanceCurve], truth: MBK) -> 
 
     Parameters
     ----------
-    curves : mapping of Condition to ImpedanceCurve
-        Of one perturbation level, seed and estimator; all are overlaid.
-    truth : MBK
-        True matrices.
+    curves : of one perturbation level, seed and estimator; all are overlaid
+    truth : true matrices
 
     Returns
     -------
@@ -312,10 +300,8 @@ def levels_figure(table: Table, scores: Sequence[Score]) -> Figure:
 
     Parameters
     ----------
-    table : ndarray, shape (n_conditions, n, n)
-        Results of one estimator.
-    scores : sequence of Score
-        One axis each.
+    table : (n_conditions, n, n) results of one estimator
+    scores : one axis each
     """
     legend = level_marks(table, scores)
     return matrix_figure([[levels_chart(table, scores)]], [[""]], legend, row_height=1.6)

@@ -56,8 +56,7 @@ def results_table(entries: Sequence[StudyEntry]) -> Table:
 
     Parameters
     ----------
-    entries : sequence of StudyEntry
-        Results with the same estimators and number of joints, at least one.
+    entries : results with the same estimators and number of joints, at least one
 
     Returns
     -------
@@ -101,12 +100,9 @@ def torque_in_counts(entry: StudyEntry, truth: MBK, f: FloatArray) -> FloatArray
 
     Parameters
     ----------
-    entry : StudyEntry
-        Result with its configuration.
-    truth : MBK
-        True matrices.
-    f : ndarray
-        Frequencies, Hz; zero alone gives the largest static torque of the stiffness.
+    entry : result with its configuration
+    truth : true matrices
+    f : frequencies, Hz; zero alone gives the largest static torque of the stiffness
 
     Returns
     -------
@@ -211,10 +207,8 @@ class Score:
 
         Parameters
         ----------
-        table : ndarray, shape (n_conditions, n, n)
-            Results of the estimator.
-        judged : bool
-            Whether only elements count that are resolved.
+        table : (n_conditions, n, n) results of the estimator
+        judged : whether only elements count that are resolved
         """
         values = self.values(table)
         badness = self.badness(values)
@@ -230,8 +224,7 @@ class Score:
 
         Parameters
         ----------
-        table : ndarray, shape (n_conditions, n, n)
-            Results of one estimator.
+        table : (n_conditions, n, n) results of one estimator
         """
         values, n = table[self.fields[0]], table.shape[-1]
         if self.fields == ("coherence_motion",):
@@ -358,10 +351,8 @@ def judge(entries: Sequence[StudyEntry], table: Table) -> StudyVerdict:
 
     Parameters
     ----------
-    entries : sequence of StudyEntry
-        Results with the same estimators and number of joints, at least one.
-    table : ndarray
-        Their numbers.
+    entries : results with the same estimators and number of joints, at least one
+    table : their numbers
     """
     worst = [
         _worst(of_estimator, score) for of_estimator in np.moveaxis(table, 1, 0) for score in SCORES

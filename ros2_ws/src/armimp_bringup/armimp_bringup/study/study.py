@@ -84,18 +84,12 @@ def run_study(
 
     Parameters
     ----------
-    base : ExperimentConfig
-        Everything but the levels and the seed.
-    conditions : sequence of Condition
-        What the study consists of, each once.
-    directory : Path
-        New or empty.
-    backend : Backend
-        Runs it.
-    figures : bool
-        Whether to draw those for print; the report is written in any case.
-    origin : OriginSummary, optional
-        Command line and date, for the report.
+    base : everything but the levels and the seed
+    conditions : what the study consists of, each once
+    directory : new or empty
+    backend : runs it
+    figures : whether to draw those for print; the report is written in any case
+    origin : command line and date, for the report
 
     Returns
     -------

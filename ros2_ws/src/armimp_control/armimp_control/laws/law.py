@@ -116,15 +116,7 @@ Arrays: TypeAlias = NDArray[np.float64]
 def _unpacked(
     w: Arrays, n: int
 ) -> tuple[Arrays, Arrays, Arrays, Arrays, Arrays, Arrays, Arrays, Arrays, Arrays]:
-    """Views of what a controller of n joints works on, all of it in one array.
-
-    Returns
-    -------
-    sample : (3, n) θ, τ_h, τ_Δ
-    posture : (2, n) command and target
-    role, rules, memory, limiter, model, journal : as for :func:`control_tick`
-    scalars : (2,) Γ and L
-    """
+    """Views of what a controller works on: sample, command and target, role, rules and so on."""
     a = 3 * n
     b = a + 2 * n
     c = b + ROLE_ROWS * n
@@ -146,18 +138,21 @@ def _unpacked(
     )
 
 
-def _packed(n: int) -> Arrays:
-    """Zeros for :func:`_unpacked`."""
+def packed_size(n: int) -> int:
+    """Numbers of a controller of n joints."""
     rows = 5 + ROLE_ROWS + RULE_ROWS + MEMORY_ROWS + LIMITER_ROWS + MODEL_ROWS * n
-    return np.zeros(rows * n + JOURNAL + 2)
+    return rows * n + JOURNAL + 2
 
 
 _views = inlined(_unpacked)
 
 
-@compiled_entry
-def _packed_tick(law: int, n: int, w: Arrays) -> int:
-    """:func:`control_tick` of one array: each one that is passed takes as long as the law."""
+@compiled
+def packed_tick(law: int, n: int, w: Arrays) -> int:
+    """:func:`control_tick` of a controller in one array, see :func:`_unpacked`.
+
+    The sample comes first: θ, τ_h and τ_Δ; then the command.
+    """
     sample, posture, role, rules, memory, limiter, model, journal, scalars = _views(w, n)
     return control_tick(
         law,
@@ -177,6 +172,12 @@ def _packed_tick(law: int, n: int, w: Arrays) -> int:
     )
 
 
+@compiled_entry
+def _tick(law: int, n: int, w: Arrays) -> int:
+    """:func:`packed_tick` for Python: each array that is passed takes as long as the law."""
+    return packed_tick(law, n, w)
+
+
 class Controller:
     """A law and its safety limiter with their memory, for use tick by tick.
 
@@ -185,7 +186,7 @@ class Controller:
     Parameters
     ----------
     config : ImbicConfig or PdConfig
-    safety : SafetyParameters
+    storage : (packed_size(n),) zeros for all that it works on, if it is to be there
 
     Attributes
     ----------
@@ -198,10 +199,13 @@ class Controller:
         If the limits do not fit the joints.
     """
 
-    def __init__(self, config: LawConfig, *, safety: SafetyParameters) -> None:
+    def __init__(
+        self, config: LawConfig, *, safety: SafetyParameters, storage: Arrays | None = None
+    ) -> None:
         self.config = config
         n = config.joints
-        self._law, self._joints, self._all = config.kind, n, _packed(n)
+        self._law, self._joints = config.kind, n
+        self._all = np.zeros(packed_size(n)) if storage is None else storage
         views = _unpacked(self._all, n)
         self.sample, posture, self.role, self.rules, self.memory, self._limiter = views[:6]
         self.model, self._journal, scalars = views[6:]
@@ -237,8 +241,8 @@ class Controller:
         """Number of clipped joint commands for each limit."""
         return {limit: int(self._journal[CLIPPED + i]) for i, limit in enumerate(Limit)}
 
-    def perturb_joint(self, joint: int) -> None:
-        """Make ``joint`` (0-based) the compliant one and lock the others, without a jump."""
+    def perturb_joint(self, joint: int | None) -> None:
+        """Make ``joint`` (0-based; None: all) compliant and lock the others, without a jump."""
         self.role[:], self.model[:] = self.config.role(joint), self.config.model(joint)
         self.role[TARE] = self._tare
 
@@ -300,4 +304,4 @@ class Controller:
 
     def compute(self) -> int:
         """:meth:`tick` of what was written into :attr:`sample`."""
-        return _packed_tick(self._law, self._joints, self._all)
+        return _tick(self._law, self._joints, self._all)
