@@ -1,11 +1,9 @@
 """The context of a graph: a domain of its own, and an environment that is given back."""
 
 import os
-import re
 import subprocess
 import sys
 from pathlib import Path
-from xml.etree import ElementTree
 
 import pytest
 
@@ -133,33 +131,6 @@ def test_nothing_is_shared_in_memory_which_a_killed_process_could_leave_locked(
 
     assert "libfastrtps" in maps
     assert "/dev/shm/fastrtps" not in maps
-
-
-def test_both_profiles_are_the_same_but_for_how_far_they_reach() -> None:
-    def read(profile: Path) -> ElementTree.Element:
-        # Without the name space, for shorter paths.
-        text = re.sub(r' xmlns="[^"]+"', "", profile.read_text(encoding="utf-8"))
-        return ElementTree.fromstring(text)
-
-    loopback, plain = read(LOOPBACK), read(OPEN)
-    for place, names in {
-        "profiles/transport_descriptors/transport_descriptor": [
-            "interfaceWhiteList",
-            "maxInitialPeersRange",
-        ],
-        "profiles/participant/rtps/builtin": ["metatrafficUnicastLocatorList", "initialPeersList"],
-    }.items():
-        parent = loopback.find(place)
-        assert parent is not None
-        for name in names:
-            child = parent.find(name)
-            assert child is not None
-            parent.remove(child)
-    for tree in (loopback, plain):
-        for transport in tree.iter("transport_id"):
-            transport.text = "the same"
-        ElementTree.indent(tree)
-    assert ElementTree.tostring(loopback) == ElementTree.tostring(plain)
 
 
 def test_when_security_is_enforced_without_a_keystore_expect_one_line_and_no_graph(

@@ -40,17 +40,6 @@ def test_when_figures_cannot_be_drawn_expect_one_line_and_everything_else(
     assert "report.html" in names(directory)
 
 
-@pytest.mark.slow
-def test_when_the_report_cannot_be_written_expect_the_figures_all_the_same(
-    directory: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (directory / "report.html").mkdir()
-    assert present(load_result(directory), directory, as_json=True) == 1
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"armimp: {directory / 'report.html'}: cannot be written: ")
-    assert {"impedance.png", "impedance.pdf"} <= names(directory)
-
-
 def test_wall_times_and_origin_become_part_of_the_summary_and_change_nothing_else(
     directory: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -181,19 +181,6 @@ def test_cluster_gives_the_same_files_as_threads(distributed: Any, tmp_path: Pat
 
 
 @pytest.mark.filterwarnings("default")
-def test_error_on_a_cluster_arrives_as_it_is_and_an_empty_one_is_refused(distributed: Any) -> None:
-    wrong = BASE.model_copy(update={"estimators": ("guess",)})
-    batch = Batch(base=wrong, conditions=CONDITIONS[:1])
-    with _cluster(distributed, 1) as cluster, pytest.raises(ConfigurationError, match="guess"):
-        list(Dask(cluster.scheduler_address).run([batch]))
-    with (
-        _cluster(distributed, 0) as cluster,
-        pytest.raises(DataError, match="the cluster has no workers"),
-    ):
-        _ = Dask(cluster.scheduler_address).workers
-
-
-@pytest.mark.filterwarnings("default")
 @pytest.mark.parametrize(
     ("address", "error", "complaint"),
     [

@@ -236,7 +236,6 @@ class JointStateEncoder:
     ----------
     names : joint names, in the order of the values to encode
     field : the array that takes the numbers; the two others stay empty
-    frame_id : ``header.frame_id``
 
     Raises
     ------
@@ -244,11 +243,10 @@ class JointStateEncoder:
         If a name is empty, doubled or not encodable, or the field is not known.
     """
 
-    def __init__(self, names: Sequence[str], field: ValueField, frame_id: str = "") -> None:
+    def __init__(self, names: Sequence[str], field: ValueField) -> None:
         _check(names, field)
         count = len(names)
-        before = bytearray(_string(frame_id))
-        before += struct.pack("<I", count)
+        before = bytearray(_string("") + struct.pack("<I", count))
         for name in names:
             before += _string(name)
         if field == "effort":

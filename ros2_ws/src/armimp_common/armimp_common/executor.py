@@ -63,18 +63,6 @@ _REFUSAL: Final = (
 _refusing: WeakSet[Node] = WeakSet()
 
 
-class WallClock:
-    """Finds out whether somebody has set the wall clock."""
-
-    def __init__(self) -> None:
-        self._ahead = _ahead()
-
-    def was_set(self) -> bool:
-        """Whether it was since this was asked last."""
-        before, self._ahead = self._ahead, _ahead()
-        return not abs(self._ahead - before) < _STEP
-
-
 def _ahead() -> float:
     """By how much the wall clock is ahead of the steady one (s)."""
     # A thread may be held up between the two: the quickest of some looks counts.
@@ -216,10 +204,11 @@ class Spinner:
             self._done.set_result(None)
 
     def _look_at_clock(self) -> None:
-        clock = WallClock()
+        now = _ahead()
         while not self._closed.is_set():
             time.sleep(_RESOLUTION)  # `Event.wait` may itself wait by the wall clock
-            if clock.was_set() and not self._closed.is_set():
+            before, now = now, _ahead()
+            if not abs(now - before) < _STEP and not self._closed.is_set():
                 self.executor.create_task(self._begin_anew)
 
     def _begin_anew(self) -> None:

@@ -29,12 +29,6 @@ _PATIENCE = 10.0
 class RawPublisher:
     """Publisher of serialised messages.
 
-    Parameters
-    ----------
-    node, topic : where to publish
-    message_type : message class of the topic
-    profile : quality of service
-
     Attributes
     ----------
     send
@@ -66,10 +60,7 @@ class JointStatePublisher(RawPublisher):
     def publish(self, stamp_ns: int, values: Sequence[float] | NDArray[np.float64]) -> bytes:
         """Publish (n,) values with this stamp (ns), and return the bytes sent.
 
-        Raises
-        ------
-        MalformedMessageError
-            If the number of values is wrong.
+        MalformedMessageError if their number is wrong.
         """
         data = self._encode(stamp_ns, values)
         self.send(data)
@@ -87,10 +78,7 @@ class CommandPublisher(RawPublisher):
     def publish(self, values: Sequence[float] | NDArray[np.float64]) -> bytes:
         """Publish (n,) torques (N·m), and return the bytes sent.
 
-        Raises
-        ------
-        MalformedMessageError
-            If the number of values is wrong.
+        MalformedMessageError if their number is wrong.
         """
         number = cdr.next_number(self._number)
         data = self._encode(values, number)

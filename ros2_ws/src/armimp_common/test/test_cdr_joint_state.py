@@ -92,14 +92,13 @@ def outcome(decoder: JointStateDecoder, data: bytes) -> tuple[int, bytes] | str:
 
 
 @pytest.mark.parametrize("field", FIELDS)
-@pytest.mark.parametrize("frame", FRAMES)
-def test_encoded_bytes_are_those_of_rclpy_with_zero_padding(frame: str, field: ValueField) -> None:
+def test_encoded_bytes_are_those_of_rclpy_with_zero_padding(field: ValueField) -> None:
     for names in NAME_LISTS:
         values = [0.1 * (index + 1) for index in range(len(names))]
-        message = joint_state(names, frame, **{str(field): values})
+        message = joint_state(names, "", **{str(field): values})
         expected = written(message)
 
-        data = JointStateEncoder(names, field, frame).encode(STAMP, values)
+        data = JointStateEncoder(names, field).encode(STAMP, values)
 
         assert data == bytes(expected.data)
         # serialize_message leaves garbage in the padding and up to eight bytes of it at the end.
@@ -225,9 +224,11 @@ def test_when_names_are_unusable_expect_configuration_error(names: list[str]) ->
 def test_decode_many_agrees_with_decode(length: int, order: list[int], frames: list[str]) -> None:
     names = ["a", "b", "c"]
     ordered = [names[index] for index in order]
-    encoders = [JointStateEncoder(ordered, "effort", frame) for frame in frames]
-    numbers = np.random.default_rng(length).normal(size=(length, 3))
-    messages = [encoders[k % len(frames)].encode(STAMP + k, row) for k, row in enumerate(numbers)]
+    numbers = np.random.default_rng(length).normal(size=(length, 3)).tolist()
+    messages = [
+        bytes(written(joint_state(ordered, frames[k % len(frames)], effort=row)).data)
+        for k, row in enumerate(numbers)
+    ]
     decoder = JointStateDecoder(names, "effort")
 
     stamps_many, values_many = decoder.decode_many(messages)

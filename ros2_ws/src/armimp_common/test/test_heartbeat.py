@@ -17,18 +17,13 @@ from armimp_common.heartbeat import Heartbeat, HeartbeatMonitor, Presence
 from support.graph import eventually
 
 OTHER = """
-import ctypes, sys
 from armimp_common.heartbeat import Heartbeat
 from armimp_common.executor import run_node
 from rclpy.node import Node
 
 def make(*, context):
-    name = "another" if "another" in sys.argv else "other"
-    node = Node(name, context=context)
-    node.sign = Heartbeat(node, name)
-    if "busy" in sys.argv:
-        # PyDLL keeps the interpreter lock, unlike CDLL: no Python code of this process runs.
-        node.create_timer(0.1, lambda: ctypes.PyDLL(None).usleep(900_000))
+    node = Node("other", context=context)
+    node.sign = Heartbeat(node, "other")
     return node
 
 raise SystemExit(run_node(make, ["other"]))
@@ -36,8 +31,8 @@ raise SystemExit(run_node(make, ["other"]))
 
 
 @contextmanager
-def other_process(*arguments: str) -> "Iterator[subprocess.Popen[bytes]]":
-    process = subprocess.Popen([sys.executable, "-c", OTHER, *arguments])
+def other_process() -> "Iterator[subprocess.Popen[bytes]]":
+    process = subprocess.Popen([sys.executable, "-c", OTHER])
     try:
         yield process
     finally:

@@ -32,23 +32,6 @@ NAMES = ["shoulder", "elbow"]
 PROFILE = QoSProfile(depth=10)
 
 
-def test_joint_states_arrive_in_the_order_asked_for(node: Node, spinner: Spinner) -> None:
-    received: list[tuple[int, tuple[float, ...]]] = []
-    publisher = JointStatePublisher(node, "topic", NAMES, "effort")
-    subscription = subscribe_joint_states(
-        node, "topic", NAMES[::-1], "effort", lambda *sample: received.append(sample)
-    )
-    assert not wait_until_matched(
-        node, publishers=[publisher], subscriptions=[subscription], timeout_s=PATIENCE
-    )
-
-    for k in range(100):
-        publisher.publish(k, (1.0 + k, 2.0))
-    eventually(spinner, lambda: len(received) == 100, "what was sent")
-
-    assert received == [(k, (2.0, 1.0 + k)) for k in range(100)]
-
-
 def test_a_count_that_cannot_be_read_is_dropped(node: Node, spinner: Spinner) -> None:
     good: list[int] = []
     publisher = node.create_publisher(UInt64, "topic", qos.LATCHED)

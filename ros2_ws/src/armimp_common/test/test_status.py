@@ -108,10 +108,6 @@ def test_the_level_of_a_trial_tells_whether_it_is_valid(
     assert statuses.status_message(replace(STATUS, phase=phase, valid=valid)).level == level
 
 
-def test_joints_count_from_one_on_the_wire() -> None:
-    assert (STATUS.joint, STATUS.to_values()["joint"]) == (1, "2")
-
-
 @pytest.mark.parametrize(
     ("record", "key"), [(record, key) for record in RECORDS for key in record.to_values()]
 )

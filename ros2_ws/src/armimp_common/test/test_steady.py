@@ -66,16 +66,6 @@ def test_when_the_clock_is_set_expect_timers_to_go_on(node: Node, step: float) -
     assert timer.clock.clock_type is ClockType.STEADY_TIME
 
 
-def test_timer_starts_when_it_is_told_to(node: Node) -> None:
-    ticks: list[int] = []
-    timer = steady_timer(node, 0.005, lambda: ticks.append(1), autostart=False)
-    with Spinner([node]) as spinner:
-        spinner.spin_until(Future(), 0.05)
-        assert not ticks
-        timer.reset()
-        eventually(spinner, lambda: len(ticks) > 1, "ticks")
-
-
 @stepped
 @pytest.mark.timeout(60)
 def test_when_the_clock_is_set_expect_stop_conditions_of_a_busy_node_to_be_looked_at(

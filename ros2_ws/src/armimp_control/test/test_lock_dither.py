@@ -37,16 +37,6 @@ def _target(config: ImbicConfig, hertz: float) -> complex:
     return (s**2 + 2.0 * config.lock_damping_ratio * omega * s + omega**2) / omega**2
 
 
-def _delay(config: ImbicConfig, hertz: float) -> complex:
-    """What the lag of the time-delay estimation adds to it, ``(I/M̄) L s⁴/((s + Γ) ω²)``.
-
-    Time-delay estimation leaves ``θ̈ − u = Γ (v_id − θ̇) − (I/M̄) L s θ̈`` to first order in sL.
-    """
-    s = 2j * np.pi * hertz
-    share = INERTIA / config.model_inertia[0, 0]
-    return complex(share * PERIOD * s**4 / ((s + config.gamma) * config.lock_frequency**2))
-
-
 def _sampled(config: ImbicConfig, hertz: float) -> complex:
     """From the target of a locked joint to its motion, exactly, for pure inertia.
 
@@ -107,16 +97,3 @@ def test_joint_moves_by_the_sampled_response_to_its_target(model: float, frequen
     asked = config.role(1)[DITHER, 0]
     expected = [asked * abs(_sampled(config, hertz)) for hertz in TONES]
     assert _amplitudes(_motion(config, 4000)) == pytest.approx(expected, rel=1e-5)
-
-
-@pytest.mark.parametrize("model", [0.6 * INERTIA, INERTIA])
-def test_joint_moves_by_what_was_asked_but_for_the_lag_of_the_estimation(model: float) -> None:
-    config = _config(model=model)
-    moved = _amplitudes(_motion(config, 4000))
-    between = abs(_target(config, float(np.sqrt(TONES[0] * TONES[1]))))
-    for hertz, amplitude in zip(TONES, moved, strict=True):
-        target, lag = abs(_target(config, hertz)), abs(_delay(config, hertz))
-        # A low-pass makes more of the lower tone and less of the higher one.
-        assert lag < target
-        ideal = AMPLITUDE * between / target
-        assert ideal / (1.0 + lag / target) <= amplitude <= ideal / (1.0 - lag / target)

@@ -12,14 +12,12 @@ from armimp_common.errors import ConfigurationError
 from armimp_driver_template.conversion import (
     BITS,
     Calibration,
-    Drive,
     Encoders,
     Wiring,
 )
 from armimp_driver_template.parameters import (
     DriveParameters,
     DriverParameters,
-    MockParameters,
     SensorParameters,
 )
 
@@ -59,17 +57,6 @@ def test_angles_follow_any_path_whatever_the_calibration(
     for step in path:
         count += step
         assert encoder.angles([count % (1 << BITS)]) == (calibration.value(count),)
-
-
-@given(
-    drive=st.builds(Drive, sign=st.sampled_from((1, -1)), gear=st.floats(0.1, 200.0)),
-    torque=st.floats(-100.0, 100.0),
-)
-def test_the_torque_of_a_drive_is_that_of_the_joint_through_its_gear(
-    drive: Drive, torque: float
-) -> None:
-    assert drive.joint(drive.torque(torque)) == pytest.approx(torque, rel=1e-12, abs=1e-300)
-    assert Drive(sign=-1, gear=50.0).torque(5.0) == -0.1
 
 
 @given(data=st.data(), names=st.lists(st.text(min_size=1), min_size=1, max_size=7, unique=True))
@@ -122,11 +109,3 @@ def test_parameters_that_do_not_fit_the_joints_are_refused(
 ) -> None:
     with pytest.raises(ConfigurationError, match=words):
         parameters.check()
-
-
-def test_the_mock_takes_names_that_the_driver_knows_only() -> None:
-    from armimp_driver_template.mock import MockDevice
-
-    wrong = DriverParameters(mode="lockstep", mock=MockParameters(names=("left", "right")))
-    with pytest.raises(ConfigurationError, match="the device has left, right"):
-        MockDevice(wrong)

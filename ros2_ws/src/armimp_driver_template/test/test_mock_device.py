@@ -73,12 +73,6 @@ def test_lost_frames_leave_a_gap_in_the_counter() -> None:
     assert [i for i, frame in enumerate(frames) if frame is not None] == counters
 
 
-def test_in_lockstep_nothing_comes_without_a_command() -> None:
-    device = make()
-    assert device.receive(0.0) is not None
-    assert device.receive(0.01) is None
-
-
 def test_readings_and_commands_survive_any_wiring_signs_and_gears() -> None:
     """The device has its joints the other way round, turns backwards, and has gears."""
     plain = DriverParameters(mode="lockstep")

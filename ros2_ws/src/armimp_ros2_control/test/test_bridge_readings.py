@@ -69,12 +69,6 @@ def steps(stamps_ms: list[float]) -> tuple[list[int], Stamps]:
     return [rule.step(round(1e6 * stamp)) for stamp in stamps_ms], rule
 
 
-def test_stamps_with_jitter_below_half_a_period_all_count_as_one() -> None:
-    found, rule = steps([7.0, 8.2, 8.9, 10.1, 11.3, 12.0])
-    assert found == [1] * 6
-    assert (rule.left_out, rule.lost) == (0, 0)
-
-
 def test_a_late_sample_leaves_a_gap_and_the_next_is_left_out_so_that_the_count_is_right() -> None:
     found, rule = steps([0.0, 1.7, 2.0, 3.0, 4.0])
     assert found == [1, 2, 0, 1, 1]
@@ -112,8 +106,3 @@ def test_when_the_rate_is_another_one_expect_a_refusal_within_a_second(period: f
 def test_when_the_clock_is_set_expect_a_refusal_at_once(jump: float, words: str) -> None:
     with pytest.raises(MalformedMessageError, match=words):
         steps([3e4, 3e4 + 1.0, 3e4 + 2.0, 3e4 + 2.0 + 1e3 * jump])
-
-
-def test_a_clock_that_runs_fast_by_as_much_as_is_allowed_is_followed_for_minutes() -> None:
-    found, _ = steps([1.0002 * i for i in range(200_000)])
-    assert set(found) == {1}

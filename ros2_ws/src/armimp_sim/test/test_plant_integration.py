@@ -101,17 +101,6 @@ def test_speed_beyond_the_stability_of_the_bristles_is_reported_instead_of_blowi
     assert isinstance(caught.value, ArmimpError)
 
 
-def test_one_diverging_lane_is_reported_beside_a_sound_one() -> None:
-    plant = Plant([study_plant(level) for level in (0, 1, 2, 3, 1)])
-    command = np.zeros((5, 2))
-    for bad_lane in range(5):
-        command[:] = 0.0
-        command[bad_lane, 0] = np.nan
-        with pytest.raises(IntegrationError, match="not finite"):
-            plant.tick(command, np.zeros((5, 2)))
-        plant.set_state(np.zeros((5, 3, 2)))
-
-
 @pytest.mark.parametrize("shape", [(2,), (1, 3), (1, 1), (2, 2)])
 def test_inputs_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
     plant, good = Plant([study_plant()]), np.zeros((1, 2))

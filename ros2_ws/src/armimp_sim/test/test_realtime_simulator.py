@@ -99,18 +99,6 @@ class TestCommands:
         assert bench.missed == 2
         assert bench.sent == in_lockstep([a, a, a, b])
 
-    def test_when_a_command_comes_late_expect_it_to_act_from_the_next_sample_on(
-        self, bench: Bench
-    ) -> None:
-        a, b, c = some_commands(3)
-        bench.command(*a)
-        bench.next(2)
-        bench.command(*b, after_us=200)  # for the sample before
-        bench.command(*c, after_us=500)
-        bench.next()
-        assert bench.sent == in_lockstep([a, a, c])
-        assert bench.missed == 1
-
 
 class TestWatchdog:
     def test_when_commands_stay_away_expect_a_straight_ramp_to_zero_within_fifty_milliseconds(
