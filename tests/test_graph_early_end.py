@@ -9,7 +9,7 @@ import pytest
 from armimp_bringup.cli import main
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import run_experiment
-from armimp_common.status import Phase, Progress
+from armimp_common.status import Phase
 from armimp_estimation.bags import read_bag
 from armimp_estimation.summary import Summary
 from support.runs import FinishedRun, Run
@@ -27,12 +27,10 @@ OPTIONS = {
 
 
 @pytest.fixture(scope="module")
-def early(
-    environment: None, seen: list[Progress], tmp_path_factory: pytest.TempPathFactory
-) -> FinishedRun:
+def early(environment: None, tmp_path_factory: pytest.TempPathFactory) -> FinishedRun:
     directory = tmp_path_factory.mktemp("early") / "out"
     config = ExperimentConfig.model_validate(OPTIONS)
-    summary = run_experiment(config, directory, on_progress=seen.append).summary
+    summary = run_experiment(config, directory).summary
     return FinishedRun(directory=directory, summary=summary)
 
 

@@ -6,6 +6,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -34,7 +35,7 @@ from armimp_common.topics import (
     VALUE_FIELD,
 )
 from armimp_estimation.alignment.assemble import Trial, assemble_trials
-from armimp_estimation.alignment.streams import Stream, Streams, stamps_in_step
+from armimp_estimation.alignment.streams import Streams, stamps_in_step
 from armimp_estimation.bags import BagWriter, require_free_space
 from armimp_estimation.bags.reader import BAGS
 from armimp_estimation.estimators.lpm import FittedColumn, LpmConfig, LpmFull
@@ -42,13 +43,13 @@ from armimp_estimation.metadata import RECORD_KEY, Timing
 from armimp_estimation.problems import Problem, ProblemCode
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.scores import coherence
-from armimp_estimation.spectra import SpectralAccumulator, WelchConfig
-from armimp_estimation.trial import channels
+from armimp_estimation.spectra import WelchConfig
+from armimp_estimation.trial import TrialData
 
 _RATE = NS_PER_S / PERIOD_NS
 _ROUND = 1000
-_COLUMN_PERIOD = 1.0
-"""Wall time between two estimates of the running column (s); each takes some 20 ms."""
+_SEEN_EVERY = 1.0
+"""Wall time between two estimates from the running trial (s); each takes some 20 ms."""
 _ORDER = (JOINT_STATES, TORQUE_SENSORS, PERTURBATION, COMMANDS)
 """Messages of a tick in the order in which they are recorded."""
 _KEPT_BETWEEN = 3000
@@ -131,10 +132,10 @@ class TrialRecorder:
         """Messages of the present bag with stamps before the trial."""
         self._newest_ns = dict.fromkeys(VALUE_FIELD, -1)
         self._log_ns = dict.fromkeys(DATA_STREAMS, -1)
-        self._began = self._column_at = 0.0
-        self._running: RunningTrial | None = None
+        self._began = self._seen_at = 0.0
         self._rule: StoppingRule | None = None
         self._column: FittedColumn | None = None
+        self._coherence: tuple[float, float] | None = None
 
     @property
     def status(self) -> TrialStatus | None:
@@ -200,9 +201,12 @@ class TrialRecorder:
         """Tell how far the recording is, and what the samples show so far; None between trials."""
         if (status := self.status) is None:
             return None
-        motion, torque = self.coherence() or (None, None)
+        lacking = self._coherence is None or self._column is None
+        if lacking or time.monotonic() - self._seen_at >= _SEEN_EVERY:
+            self._look()
+        motion, torque = self._coherence or (None, None)
         so_far: dict[str, Any] = {}
-        if (column := self.column()) is not None:
+        if (column := self._column) is not None:
             for letter, found, errors in zip("MBK", column.values, column.errors, strict=True):
                 so_far |= {letter: tuple(found.tolist()), f"{letter}_se": tuple(errors.tolist())}
             so_far["largest_error"] = largest_error(column)[0]
@@ -220,16 +224,16 @@ class TrialRecorder:
             **so_far,
         )
 
-    def coherence(self) -> tuple[float, float] | None:
-        """Running coherence (motion, torque) of the present trial, see `RunningTrial`."""
-        return None if self._running is None else self._running.coherence()
-
-    def column(self) -> FittedColumn | None:
-        """Column k as the present trial gives it so far, made anew at most once a second."""
-        if time.monotonic() - self._column_at >= _COLUMN_PERIOD:
-            # Round numbers: the Fourier transform of others may take several times as long.
-            self._column_of(self.samples // _ROUND * _ROUND)
-        return self._column
+    def _look(self) -> None:
+        """Estimate from the samples of the present trial so far."""
+        status, samples = self._statuses[-1], self.samples
+        record = record_so_far(self._streams, status, samples)
+        if record is not None:
+            with suppress(DataError):  # too few samples
+                welch = WelchConfig.for_samples(status.ticks)
+                self._coherence = mean_coherences(TrialData.of(record, welch=welch))
+        # Round numbers: the Fourier transform of others may take several times as long.
+        self._column_of(samples // _ROUND * _ROUND)
 
     def decide(self) -> StoppingDecision | None:
         """Decide whether the present trial has lasted long enough, if it is time."""
@@ -247,11 +251,14 @@ class TrialRecorder:
         return self._rule.decide(self.samples, self._column_of)
 
     def _column_of(self, samples: int) -> FittedColumn | None:
-        if self._running is not None:
-            self._column = self._running.column(samples)
-            if self._column is not None:
-                # Counted from the end of the estimate, which leaves a slow machine time for others.
-                self._column_at = time.monotonic()
+        """Column k as the first so many samples give it, which is shown from now on."""
+        self._column = None
+        record = record_so_far(self._streams, self._statuses[-1], samples)
+        if record is not None:
+            with suppress(DataError):  # too few samples
+                self._column = self._lpm.column(record, self._past)
+                # From the end of the estimate on, which leaves a slow machine time for others.
+                self._seen_at = time.monotonic()
         return self._column
 
     def stop(self) -> None:
@@ -305,7 +312,6 @@ class TrialRecorder:
     def _begin(self, status: TrialStatus, start_ns: int) -> None:
         """Begin with the samples of a trial, and keep what came before."""
         self._start_ns, self._began = start_ns, time.monotonic()
-        self._running = RunningTrial(self._streams, status, lpm=self._lpm, others=self._past)
         stamps = np.array([_stamp(message) for message in self._between[PERTURBATION]])
         first = _last_step_back(stamps, start_ns)
         waiting = {topic: list(raws)[first:] for topic, raws in self._between.items()}
@@ -422,111 +428,39 @@ class TrialRecorder:
         return replace(trial, bag=self._bag or None, rtf=rtf)
 
 
-class RunningTrial:
-    """Estimates from the samples so far, for people who watch and for the stopping rule.
-
-    Streams grow; the status of the trial is one from the beginning of its perturbation on; the
-    column is that of ``lpm``, which takes other trials, before this one, into account.
-    """
-
-    def __init__(
-        self,
-        streams: Streams,
-        status: TrialStatus,
-        *,
-        lpm: LpmFull | None = None,
-        others: Sequence[TrialRecord] = (),
-    ) -> None:
-        self._streams, self._status, self._others = streams, status, others
-        self._start_ns = status.start_ns or 0
-        self._lpm = lpm if lpm is not None else LpmFull()
-        self._accumulator = SpectralAccumulator(
-            2 * len(streams.joint_names) + 1, _RATE, WelchConfig.for_samples(status.ticks)
-        )
-        self._used = 0
-        self._in_step = True
-
-    def coherence(self) -> tuple[float, float] | None:
-        """Band means of γ²(τΔ, θ_k) and γ²(τΔ, τ_k).
-
-        There are none until there are two segments, and after a sample that cannot be used, which
-        becomes a problem of the trial.
-        """
-        try:
-            self._take()
-            if self._accumulator.segments < 2:
-                return None
-            spectra = self._accumulator.result()
-        except DataError:
+def record_so_far(streams: Streams, status: TrialStatus, samples: int) -> TrialRecord | None:
+    """The first so many samples of a running trial; None where one is missing or can't be used."""
+    starts, values, stamps = [], [], []
+    for topic in (PERTURBATION, JOINT_STATES, TORQUE_SENSORS):
+        stream = streams.decode().stamped[topic]
+        if stream.malformed:
             return None
-        joint, n = self._status.joint, len(self._streams.joint_names)
-        shown = 1 + joint, 1 + n + joint
-        motion, torque = (float(np.mean(coherence(spectra, 0, one))) for one in shown)
-        return motion, torque
-
-    def column(self, samples: int | None = None) -> FittedColumn | None:
-        """Column k of M, B and K with standard errors, as :meth:`LpmFull.column` gives it.
-
-        It is of the first so many samples, by default of all that are there. There is none where
-        they are too few, or one is missing or cannot be used.
-        """
-        try:
-            self._take()
-            count = self._used if samples is None else samples
-            if not self._in_step or not 0 < count <= self._used:
-                return None
-            perturbation, position, torque = (
-                stream.values[:, first : first + count] for first, stream in self._parts()
-            )
-            (first, _), *_ = self._parts()
-            commands = self._streams.commands
-            known = commands.count >= first + count and not commands.defect
-            return self._lpm.column(
-                TrialRecord(
-                    trial=self._status.trial,
-                    perturbed_joint=self._status.joint,
-                    rate=_RATE,
-                    joint_names=self._streams.joint_names,
-                    perturbation=perturbation,
-                    position=position,
-                    torque=torque,
-                    start_ns=self._start_ns,
-                    seed=None,
-                    command=commands.values[:, first : first + count] if known else None,
-                ),
-                self._others,
-            )
-        except DataError:
-            return None
-
-    def _parts(self) -> list[tuple[int, Stream]]:
-        """Return perturbation, angles and torques, each with the place of its first sample."""
-        streams = [
-            self._streams.stamped[topic] for topic in (PERTURBATION, JOINT_STATES, TORQUE_SENSORS)
-        ]
-        return [(int((one.stamps < self._start_ns).sum()), one) for one in streams]
-
-    def _take(self) -> None:
-        """Take in what has come since the last call."""
-        self._streams.decode()
-        parts = self._parts()
-        if any(stream.malformed for _, stream in parts):
-            raise DataError("a message cannot be decoded")
-        available = min(stream.count - first for first, stream in parts)
-        if available <= self._used:
-            return
-        new = slice(self._used, available)
-        self._accumulator.push(
-            channels(
-                self._status.joint, *(stream.values[:, first:][:, new] for first, stream in parts)
-            )
+        starts.append(int((stream.stamps < (status.start_ns or 0)).sum()))
+        chosen = slice(starts[-1], starts[-1] + samples)
+        values.append(stream.values[:, chosen])
+        stamps.append(stream.stamps[chosen])
+    steady = (np.abs(np.diff(stamps[0]) - PERIOD_NS) < PERIOD_NS // 2).all()
+    same = all(np.array_equal(stamps[0], other) for other in stamps[1:])
+    if not (steady and same and 0 < samples == stamps[0].size):
+        return None
+    answered = slice(starts[0], starts[0] + samples)
+    known = streams.commands.count >= answered.stop and not streams.commands.defect
+    perturbation, position, torque = values
+    try:
+        return TrialRecord(
+            trial=status.trial,
+            perturbed_joint=status.joint,
+            rate=_RATE,
+            joint_names=streams.joint_names,
+            perturbation=perturbation,
+            position=position,
+            torque=torque,
+            start_ns=status.start_ns or 0,
+            seed=None,
+            command=streams.commands.values[:, answered] if known else None,
         )
-        # Whether a sample is missing, doubled or out of order on any stream.
-        leading, *others = (stream.stamps[first:] for first, stream in parts)
-        steps = np.diff(leading[max(self._used - 1, 0) : available])
-        self._in_step &= all(np.array_equal(leading[new], other[new]) for other in others)
-        self._in_step &= bool((np.abs(steps - PERIOD_NS) < PERIOD_NS // 2).all())
-        self._used = available
+    except DataError:  # a number that is none
+        return None
 
 
 class StoppingRule:
@@ -595,6 +529,14 @@ class StoppingRule:
             largest=largest,
             element=element,
         )
+
+
+def mean_coherences(trial: TrialData) -> tuple[float, float]:
+    """Band means of γ²(τΔ, θ_k) and γ²(τΔ, τ_k)."""
+    joint, spectra = trial.joint, trial.spectra
+    shown = trial.position_channel(joint), trial.torque_channel(joint)
+    motion, torque = (float(np.mean(coherence(spectra, 0, one))) for one in shown)
+    return motion, torque
 
 
 def largest_error(column: FittedColumn) -> tuple[float, str]:

@@ -30,17 +30,14 @@ from armimp_common.topics import (
     TRIAL,
     VALUE_FIELD,
 )
-from armimp_estimation import scores
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.alignment.streams import Streams
 from armimp_estimation.bags import read_bag
-from armimp_estimation.estimators.lpm import FittedColumn, LpmConfig, LpmFull
+from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
 from armimp_estimation.problems import Problem, ProblemCode
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.recorder import RunningTrial, TrialRecorder, largest_error
-from armimp_estimation.spectra import WelchConfig
+from armimp_estimation.recorder import TrialRecorder, largest_error, record_so_far
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
-from armimp_estimation.trial import TrialData
 from support.bag_files import iterate_messages
 from support.streams import record
 from support.synthetic_bags import Message, recorded_arm, synthetic_recording
@@ -55,7 +52,6 @@ BAG_NAMES = ("trial_1_joint_1", "trial_2_joint_2")
 ARM_RECORDING = recorded_arm()
 ARM_NAMES = ARM_RECORDING.records[0].joint_names
 SAMPLES = ARM_RECORDING.records[0].samples
-WELCH = WelchConfig.for_samples(SAMPLES)
 STREAMS = (PERTURBATION, JOINT_STATES, TORQUE_SENSORS)
 
 
@@ -325,66 +321,42 @@ def cut(record: TrialRecord, samples: int, *, commands: bool = False) -> TrialRe
     return replace(record, **parts, command=parts["perturbation"] if commands else None)
 
 
-def messages_of(joint: int, names: tuple[str, ...] = ARM_NAMES) -> dict[str, list[bytes]]:
-    """Messages of a trial, with the joints in this order."""
-    record = ARM_RECORDING.records[joint]
-    order = [ARM_NAMES.index(name) for name in names]
-    rows = (record.perturbation[order], record.position[order], record.torque[order])
-    return {
-        topic: [encoder.encode(k * PERIOD_NS, values[:, k]) for k in range(SAMPLES)]
-        for topic, values, encoder in (
-            (topic, values, JointStateEncoder(names, VALUE_FIELD[topic]))
-            for topic, values in zip(STREAMS, rows, strict=True)
-        )
-    }
-
-
-TRIALS = [messages_of(joint) for joint in range(2)]
-
-
-class Run:
-    """A running trial whose streams have come up to a sample."""
-
-    def __init__(self, joint: int, planned: int = SAMPLES) -> None:
-        self.streams = Streams(ARM_NAMES)
-        perturb = decode_trial_status(MADE_UP.by_topic()[TRIAL][1])
-        status = replace(perturb, joint=joint, ticks=planned, tick=0, start_ns=0)
-        self.trial = RunningTrial(self.streams, status)
-
-    def come(self, messages: dict[str, list[bytes]], upto: int = SAMPLES) -> RunningTrial:
+def so_far(
+    messages: Mapping[str, list[bytes]], samples: int, stops: Iterable[int] = ()
+) -> TrialRecord | None:
+    """The first so many samples of a trial of the first joint, whose messages came in parts."""
+    streams = Streams(ARM_NAMES)
+    for stop in (*sorted(stops), SAMPLES):
         for topic, raws in messages.items():
-            self.streams.add(topic, raws[self.streams.count(topic) : upto])
-        return self.trial
+            streams.add(topic, raws[streams.count(topic) : stop])
+    perturb = decode_trial_status(MADE_UP.by_topic()[TRIAL][1])
+    return record_so_far(streams, replace(perturb, joint=0, start_ns=0), samples)
 
 
-def final(joint: int) -> tuple[float, float]:
-    trial = TrialData.of(ARM_RECORDING.records[joint], welch=WELCH)
-    motion = scores.coherence(trial.spectra, 0, trial.position_channel(joint))
-    torque = scores.coherence(trial.spectra, 0, trial.torque_channel(joint))
-    return float(np.mean(motion)), float(np.mean(torque))
+def arm_messages() -> dict[str, list[bytes]]:
+    record, encode = ARM_RECORDING.records[0], CommandEncoder(len(ARM_NAMES)).encode
+    rows = (record.perturbation, record.position, record.torque)
+    made = {COMMANDS: [encode(record.perturbation[:, k]) for k in range(SAMPLES)]}
+    for topic, values in zip(STREAMS, rows, strict=True):
+        encoder = JointStateEncoder(ARM_NAMES, VALUE_FIELD[topic])
+        made[topic] = [encoder.encode(k * PERIOD_NS, values[:, k]) for k in range(SAMPLES)]
+    return made
 
 
-def assert_same(found: FittedColumn | None, expected: FittedColumn) -> None:
-    assert found is not None
-    assert found.joint == expected.joint
-    assert found.values.tobytes() == expected.values.tobytes()
-    assert found.errors.tobytes() == expected.errors.tobytes()
+ARM_MESSAGES = arm_messages()
 
 
-@pytest.mark.parametrize("joint", [0, 1])
 @settings(max_examples=8, deadline=None)
-@given(stops=st.lists(st.integers(0, SAMPLES), max_size=8), samples=st.integers(3000, SAMPLES))
-def test_figures_depend_on_the_samples_alone_however_they_arrived(
-    joint: int, stops: list[int], samples: int
+@given(stops=st.lists(st.integers(0, SAMPLES), max_size=8), samples=st.integers(1, SAMPLES))
+def test_first_samples_of_a_running_trial_are_the_same_however_they_arrived(
+    stops: list[int], samples: int
 ) -> None:
-    run = Run(joint)
-    for stop in sorted(stops):
-        run.come(TRIALS[joint], stop).coherence()
-    trial = run.come(TRIALS[joint])
-    assert trial.coherence() == final(joint)
-    record = ARM_RECORDING.records[joint]
-    assert_same(trial.column(samples), LpmFull().column(cut(record, samples)))
-    assert_same(trial.column(), LpmFull().column(cut(record, SAMPLES)))
+    found = so_far(ARM_MESSAGES, samples, stops)
+    assert found is not None
+    expected = cut(ARM_RECORDING.records[0], samples, commands=True)
+    assert_equal(found, replace(expected, start_ns=0))
+    np.testing.assert_array_equal(found.command, expected.command)
+    assert so_far(ARM_MESSAGES, SAMPLES + 1) is None
 
 
 @pytest.mark.parametrize(
@@ -393,40 +365,23 @@ def test_figures_depend_on_the_samples_alone_however_they_arrived(
         b"rubbish",
         JointStateEncoder(("a",), "effort").encode(0, (1.0,)),
         JointStateEncoder(ARM_NAMES, "effort").encode(0, (float("nan"), 0.0)),
+        None,
     ],
 )
-def test_when_a_message_cannot_be_used_expect_silence(bad: bytes) -> None:
-    run = Run(0)
-    half = SAMPLES // 2
-    spoiled = [*TRIALS[0][TORQUE_SENSORS][:half], bad, *TRIALS[0][TORQUE_SENSORS][half + 1 :]]
-    messages = {**TRIALS[0], TORQUE_SENSORS: spoiled}
-    assert run.come(messages, half).coherence() is not None
-    for _ in range(2):
-        assert run.come(messages).coherence() is None
-        assert run.trial.column() is None
-
-
-@pytest.mark.parametrize("spoiled", [False, True])
-def test_commands_take_part_in_the_column_unless_one_cannot_be_decoded(spoiled: bool) -> None:
-    encode, values = CommandEncoder(len(ARM_NAMES)).encode, ARM_RECORDING.records[0].perturbation
-    commands = [encode(values[:, k]) for k in range(SAMPLES)]
-    if spoiled:
-        commands[10] = b"rubbish"
-    found = Run(0).come({**TRIALS[0], COMMANDS: commands}).column(8000)
-    record = cut(ARM_RECORDING.records[0], 8000, commands=not spoiled)
-    assert_same(found, LpmFull().column(record))
-
-
-@pytest.mark.parametrize("topics", [*((topic,) for topic in STREAMS), STREAMS])
-def test_when_a_sample_is_missing_expect_no_column_but_the_coherence(
-    topics: tuple[str, ...],
+@pytest.mark.parametrize("topic", STREAMS)
+def test_when_a_sample_is_missing_or_cannot_be_used_expect_silence(
+    topic: str, bad: bytes | None
 ) -> None:
-    messages = dict(TRIALS[0])
-    for topic in topics:
-        messages[topic] = [*messages[topic][:100], *messages[topic][101:]]
-    trial = Run(0).come(messages)
-    assert trial.coherence() is not None
-    assert trial.column() is None
+    spoiled = list(ARM_MESSAGES[topic])
+    spoiled[100:101] = [] if bad is None else [bad]
+    assert so_far({**ARM_MESSAGES, topic: spoiled}, 5000) is None
+
+
+def test_without_its_commands_a_running_trial_has_none() -> None:
+    commands = [*ARM_MESSAGES[COMMANDS][:10], b"rubbish", *ARM_MESSAGES[COMMANDS][11:]]
+    found = so_far({**ARM_MESSAGES, COMMANDS: commands}, 5000)
+    assert found is not None
+    assert found.command is None
 
 
 def test_the_last_trial_accounts_for_motion_of_locked_joints_and_the_first_says_so() -> None:
