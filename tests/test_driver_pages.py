@@ -12,6 +12,7 @@ from armimp_bringup.driver_check import Ending, Moves, Record
 from armimp_bringup.driver_check.command import report
 from armimp_bringup.driver_check.rules import judge
 from armimp_common.schema import build, dotted, flatten, leaves
+from armimp_driver_template.conversion import Drives, Sensors
 from armimp_driver_template.parameters import DriverParameters
 from armimp_ros2_control.parameters import BridgeParameters
 from support.pages import markdown_tables
@@ -72,11 +73,9 @@ def test_the_example_of_a_calibration_is_one() -> None:
     values = dotted(yaml.safe_load(block)["arm_sim"]["ros__parameters"])
     parameters = build(DriverParameters, {**flatten(DriverParameters()), **values})
 
-    parameters.check()
-
     assert parameters.names_at_device() == ("axis_2", "axis_1")
-    first, second = parameters.encoders()
+    encoders, drives = Sensors("encoder", parameters.encoder, 2), Drives(parameters.drive, 2)
     # A turn of the motor is 1/80 of a turn of the shoulder, 1/50 of one of the elbow.
-    assert first.value(12011 + 4096) == pytest.approx(2.0 * np.pi / 80.0)
-    assert second.value(3077 + 4096) == pytest.approx(-2.0 * np.pi / 50.0)
-    assert parameters.drives()[1].torque(5.0) == pytest.approx(-0.1)
+    turned = encoders.values((12011 + 4096, 3077 + 4096))
+    assert turned == pytest.approx((2.0 * np.pi / 80.0, -2.0 * np.pi / 50.0))
+    assert drives.of_drives((0.0, 5.0))[1] == pytest.approx(-0.1)

@@ -209,6 +209,19 @@ def vector(name: str, values: Sequence[float], n: int) -> NDArray[np.float64]:
     return np.array(values)
 
 
+def each(name: str, values: Sequence[Any], n: int) -> NDArray[Any]:
+    """Return the values (n,) of a parameter with one for all of `n` joints, or one for each.
+
+    Raises
+    ------
+    ConfigurationError
+        If there are not so many.
+    """
+    if len(values) not in {1, n}:
+        raise ConfigurationError(f"parameter '{name}' has {len(values)} values for {n} joints")
+    return np.resize(np.array(values), n)
+
+
 def matrix(name: str, values: Sequence[float], n: int) -> NDArray[np.float64]:
     """Return the values of a parameter that is a matrix row by row, (n, n).
 

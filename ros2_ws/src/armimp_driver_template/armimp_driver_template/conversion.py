@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal, TypeVar
+from typing import TypeVar
 
-from pydantic import Field
+import numpy as np
+from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
-from armimp_common.schema import Schema
+from armimp_common.schema import each
+from armimp_driver_template.parameters import DriveParameters, SensorParameters
 
 BITS = 16
 """Width of the encoders' counters."""
@@ -16,83 +18,81 @@ BITS = 16
 Item = TypeVar("Item")
 
 
-class Calibration(Schema):
-    """One sensor of one joint: ``value = sign · (count − zero) · resolution / gear``."""
+class Sensors:
+    """One kind of sensor, by joint: ``value = sign · (count − zero) · resolution / gear``.
 
-    resolution: float = Field(gt=0.0)
-    """In rad or N·m per count, on the side of the sensor."""
-    zero: int = 0
-    """Count at zero."""
-    sign: Literal[1, -1] = 1
-    """1, or −1 where the sensor counts against the direction of the joint."""
-    gear: float = Field(default=1.0, gt=0.0)
-    """What the sensor sees for 1 rad or 1 N·m of the joint: turns of an encoder's shaft for one
-    turn of the joint; for a transducer the share of the torque that passes it, or its gain."""
-
-    def value(self, count: int) -> float:
-        """Value of the joint, rad or N·m."""
-        return self.sign * (count - self.zero) * self.resolution / self.gear
-
-    def count(self, value: float) -> int:
-        """Nearest count, without a wrap: what the sensor shows."""
-        return self.sign * round(value * self.gear / self.resolution) + self.zero
-
-
-class Drive(Schema):
-    """One drive: its torque is ``sign · τ / gear`` for a torque τ of the joint."""
-
-    sign: Literal[1, -1] = 1
-    """1, or −1 where it turns against the direction of the joint."""
-    gear: float = Field(default=1.0, gt=0.0)
-    """Its turns for one turn of the joint."""
-
-    def torque(self, joint: float) -> float:
-        """Torque of the drive for that of the joint, N·m."""
-        return self.sign * joint / self.gear
-
-    def joint(self, torque: float) -> float:
-        """Torque of the joint for that of the drive, N·m."""
-        return self.sign * torque * self.gear
-
-
-class Encoders:
-    """Angles from counters that wrap.
-
-    Parameters
-    ----------
-    calibration : of each joint
+    Raises
+    ------
+    ConfigurationError
+        If there are not as many values as joints; ``name`` is in the message.
     """
 
-    def __init__(self, calibration: Sequence[Calibration]) -> None:
-        self._calibration = tuple(calibration)
-        self._counts: list[int] | None = None
+    def __init__(self, name: str, parameters: SensorParameters, joints: int) -> None:
+        self._zero, self._sign, self._resolution, self._gear = (
+            each(f"{name}.{field}", getattr(parameters, field), joints)
+            for field in ("zero", "sign", "resolution", "gear")
+        )
+
+    @property
+    def count(self) -> float:
+        """What a count is at the joint, rad or N·m; 0 if joints differ."""
+        found = set((self._resolution / self._gear).tolist())
+        return found.pop() if len(found) == 1 else 0.0
+
+    def values(self, counts: Sequence[int] | NDArray[np.int64]) -> tuple[float, ...]:
+        """Values of the joints (n,), rad or N·m."""
+        values = self._sign * (np.array(counts) - self._zero) * self._resolution / self._gear
+        return tuple(values.tolist())
+
+    def counts(self, values: Sequence[float]) -> tuple[int, ...]:
+        """Nearest counts (n,), without a wrap: what the sensors show."""
+        steps = np.rint(np.array(values) * self._gear / self._resolution)
+        return tuple((self._sign * steps + self._zero).astype(np.int64).tolist())
+
+
+class Encoders(Sensors):
+    """Angles from counters that wrap."""
+
+    def __init__(self, name: str, parameters: SensorParameters, joints: int) -> None:
+        super().__init__(name, parameters, joints)
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget the last angles."""
+        self._unwrapped = self._zero
 
     def angles(self, raw: Sequence[int]) -> tuple[float, ...]:
         """Return angles (n,), rad; the first ones lie within half the counters' range of zero.
 
         Counters wrap, angles do not: a change by more than half the range is a wrap.
         """
-        zero = [one.zero for one in self._calibration]
-        before = zero if self._counts is None else self._counts
-        self._counts = [old + _wrapped(new - old) for old, new in zip(before, raw, strict=True)]
-        return _values(self._calibration, self._counts)
+        half = 1 << (BITS - 1)
+        change = (np.array(raw) - self._unwrapped + half) % (2 * half) - half
+        self._unwrapped = self._unwrapped + change
+        return self.values(self._unwrapped)
 
 
-class Transducers:
-    """Torques from the counts of transducers.
+class Drives:
+    """The drives, by joint: a drive has ``sign · τ / gear`` for a torque τ of its joint.
 
-    Parameters
-    ----------
-    calibration : of each joint; the zero is the count without load, as measured before somebody is
-        strapped in
+    Raises
+    ------
+    ConfigurationError
+        If there are not as many values as joints.
     """
 
-    def __init__(self, calibration: Sequence[Calibration]) -> None:
-        self._calibration = tuple(calibration)
+    def __init__(self, parameters: DriveParameters, joints: int) -> None:
+        self._sign, self._gear = (
+            each(f"drive.{field}", getattr(parameters, field), joints) for field in ("sign", "gear")
+        )
 
-    def torques(self, raw: Sequence[int]) -> tuple[float, ...]:
-        """Return torques (n,), N·m."""
-        return _values(self._calibration, raw)
+    def of_drives(self, torques: Sequence[float]) -> tuple[float, ...]:
+        """Torques of the drives (n,) for those of the joints, N·m."""
+        return tuple((self._sign * np.array(torques) / self._gear).tolist())
+
+    def of_joints(self, torques: Sequence[float]) -> tuple[float, ...]:
+        """Torques of the joints (n,) for those of the drives, N·m."""
+        return tuple((self._sign * np.array(torques) * self._gear).tolist())
 
 
 class Wiring:
@@ -125,12 +125,3 @@ class Wiring:
     def to_device(self, values: Sequence[Item]) -> tuple[Item, ...]:
         """The other way round."""
         return tuple(values[place] for place in self._to)
-
-
-def _values(calibration: Sequence[Calibration], counts: Sequence[int]) -> tuple[float, ...]:
-    return tuple(one.value(count) for one, count in zip(calibration, counts, strict=True))
-
-
-def _wrapped(change: int) -> int:
-    half = 1 << (BITS - 1)
-    return (change + half) % (2 * half) - half

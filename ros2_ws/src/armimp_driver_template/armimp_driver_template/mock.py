@@ -8,9 +8,12 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
 from armimp_common.realtime import Pacer
 from armimp_common.topics import PERIOD_NS
-from armimp_driver_template.conversion import BITS, Calibration, Wiring
+from armimp_driver_template.conversion import BITS, Drives, Sensors, Wiring
 from armimp_driver_template.device import Frame
 from armimp_driver_template.parameters import DriverParameters
 from armimp_sim.model.robot import ActuatorParameters
@@ -41,12 +44,12 @@ class MockDevice:
         self._options = parameters.mock
         joints = parameters.names_at_device()
         self.names = parameters.mock.names or joints
-        wiring = Wiring(self.names, joints)
-        # In the order of the joints of the rig, from the shoulder outwards: that of its frames.
-        self._encoders = wiring.to_device(parameters.encoders())
-        self._transducers = wiring.to_device(parameters.transducers())
-        self._drives = wiring.to_device(parameters.drives())
-        self._rig = SimulatedRig(_rig_parameters(parameters))
+        # The order of the joints of the rig, from the shoulder outwards, is that of the frames.
+        self._wiring, n = Wiring(self.names, joints), len(joints)
+        self._encoders = Sensors("encoder", parameters.encoder, n)
+        self._transducers = Sensors("transducer", parameters.transducer, n)
+        self._drives = Drives(parameters.drive, n)
+        self._rig = SimulatedRig(self._rig_parameters(parameters))
         self._pacer = pacer or Pacer(PERIOD_NS)
         self._random = random.Random(self._options.seed)
         self._commanded = threading.Semaphore(0)
@@ -84,42 +87,34 @@ class MockDevice:
             if not self.paced:
                 self._commanded.release()  # nobody will answer what nobody has heard
             return None
-        return Frame(self._tick, self._encoder(), self._transducer())
+        encoder = self._shown(self._encoders, self._rig.position)
+        wrapped = tuple(count % (1 << BITS) for count in encoder)
+        return Frame(self._tick, wrapped, self._shown(self._transducers, self._rig.torque))
 
     def send(self, torque: Sequence[float]) -> None:
         """Command torques of the drives (n,), N·m."""
-        pairs = zip(self._drives, torque, strict=True)
-        self._torque = tuple(drive.joint(value) for drive, value in pairs)
+        torques = self._drives.of_joints(self._wiring.to_joints(torque))
+        self._torque = self._wiring.to_device(torques)
         self._commanded.release()
 
-    def _encoder(self) -> tuple[int, ...]:
-        pairs = zip(self._encoders, self._rig.position.tolist(), strict=True)
-        return tuple(sensor.count(angle) % (1 << BITS) for sensor, angle in pairs)
+    def _shown(self, sensors: Sensors, values: NDArray[np.float64]) -> tuple[int, ...]:
+        """Counts in the order of the frames."""
+        return self._wiring.to_device(sensors.counts(self._wiring.to_joints(values.tolist())))
 
-    def _transducer(self) -> tuple[int, ...]:
-        pairs = zip(self._transducers, self._rig.torque.tolist(), strict=True)
-        return tuple(sensor.count(torque) for sensor, torque in pairs)
-
-
-def _rig_parameters(parameters: DriverParameters) -> SimulatorParameters:
-    options = parameters.mock
-    rig = SimulatorParameters.preset(joints=len(parameters.joints), friction=options.friction)
-    # The counts round; where all joints have the same, the rig can do it.
-    sensors = SensorParameters(
-        position=ReadingParameters(resolution=_common(parameters.encoders())),
-        torque=ReadingParameters(
-            resolution=_common(parameters.transducers()),
-            offset=options.offset,
-            drift=options.drift,
-            delay=options.delay,
-            cutoff=options.cutoff,
-        ),
-    )
-    actuators = ActuatorParameters(bandwidth=0.5 / math.pi / options.lag if options.lag else 0.0)
-    return rig.model_copy(update={"sensors": sensors, "actuators": actuators})
-
-
-def _common(calibration: tuple[Calibration, ...]) -> float:
-    """Resolution of all joints; 0 if they differ."""
-    found = {one.resolution / one.gear for one in calibration}
-    return found.pop() if len(found) == 1 else 0.0
+    def _rig_parameters(self, parameters: DriverParameters) -> SimulatorParameters:
+        options = parameters.mock
+        rig = SimulatorParameters.preset(joints=len(parameters.joints), friction=options.friction)
+        # The counts round; where all joints have the same, the rig can do it.
+        sensors = SensorParameters(
+            position=ReadingParameters(resolution=self._encoders.count),
+            torque=ReadingParameters(
+                resolution=self._transducers.count,
+                offset=options.offset,
+                drift=options.drift,
+                delay=options.delay,
+                cutoff=options.cutoff,
+            ),
+        )
+        lag = options.lag
+        actuators = ActuatorParameters(bandwidth=0.5 / math.pi / lag if lag else 0.0)
+        return rig.model_copy(update={"sensors": sensors, "actuators": actuators})

@@ -24,7 +24,7 @@ from armimp_common.protection import Protection
 from armimp_common.pubsub import subscribe_counts
 from armimp_common.realtime import wake_up_exactly
 from armimp_common.topics import PERIOD_NS
-from armimp_driver_template.conversion import Encoders, Transducers, Wiring
+from armimp_driver_template.conversion import Drives, Encoders, Sensors, Wiring
 from armimp_driver_template.device import Device, Frame
 from armimp_driver_template.mock import MockDevice
 from armimp_driver_template.parameters import DriverParameters
@@ -57,13 +57,15 @@ class ExoDriver(ProtectedDriver):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Make the device and the topics."""
         parameters = self._settings = load(self, DriverParameters)
-        parameters.check()
+        joints = len(parameters.joints)
         self._device = make_device(parameters)
         if parameters.mode == "lockstep" and self._device.paced:
             raise GraphError("mode lockstep is for a device that can wait")
         self._wiring = Wiring(self._device.names, parameters.names_at_device())
-        self._drives = parameters.drives()
-        protection = Protection(len(parameters.joints), parameters.limits)
+        self._encoders = Encoders("encoder", parameters.encoder, joints)
+        self._transducers = Sensors("transducer", parameters.transducer, joints)
+        self._drives = Drives(parameters.drive, joints)
+        protection = Protection(joints, parameters.limits)
         self.set_up(protection, parameters.joints, self.on_command, self._on_malformed)
         self._flow = FlowControl()
         received = subscribe_counts(self, topics.RECEIVED, self._flow.acknowledge)
@@ -76,8 +78,7 @@ class ExoDriver(ProtectedDriver):
         """Start the thread that listens to the device."""
         require_unchanged(self)
         self.wait_for_controller()
-        self._encoders = Encoders(self._settings.encoders())
-        self._transducers = Transducers(self._settings.transducers())
+        self._encoders.begin()
         self._lost = 0
         self._device.open()
         self.active = True
@@ -107,7 +108,7 @@ class ExoDriver(ProtectedDriver):
     # Step 5: a sample. Counts become radians and newton metres, and both messages get one stamp.
     def _publish(self, frame: Frame) -> None:
         angles = self._encoders.angles(self._wiring.to_joints(frame.encoder))
-        torques = self._transducers.torques(self._wiring.to_joints(frame.transducer))
+        torques = self._transducers.values(self._wiring.to_joints(frame.transducer))
         with self._lock:
             self.check_sample(angles, periods=1 if self._device.paced else 0)
         while self._flow.full and self._running.is_set():
@@ -119,8 +120,7 @@ class ExoDriver(ProtectedDriver):
     # Step 6: a command. It passes the driver's own protection before the drives get it.
     def drive(self, torque: Sequence[float]) -> None:
         """Give the drives torques of the joints (n,), N·m, in the device's order and directions."""
-        pairs = zip(self._drives, torque, strict=True)
-        raw = self._wiring.to_device([drive.torque(value) for drive, value in pairs])
+        raw = self._wiring.to_device(self._drives.of_drives(torque))
         try:
             self._device.send(raw)
         except Exception as error:  # noqa: BLE001 (of whatever kind: the drives are out of hand)

@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Literal, TypeVar
+from typing import Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field, field_validator, model_validator
 
-from armimp_common.errors import ConfigurationError
 from armimp_common.protection import ProtectionLimits
-from armimp_common.schema import Schema, explain
-from armimp_driver_template.conversion import Calibration, Drive
+from armimp_common.schema import Schema
 
-Kind = TypeVar("Kind")
+
+def _all_positive(values: tuple[float, ...]) -> tuple[float, ...]:
+    if not all(value > 0.0 for value in values):
+        raise ValueError("must be positive")
+    return values
+
+
+def _one_or_minus_one(values: tuple[int, ...]) -> tuple[int, ...]:
+    if not all(abs(value) == 1 for value in values):
+        raise ValueError("must be 1 or -1")
+    return values
 
 
 class SensorParameters(Schema):
@@ -27,15 +35,8 @@ class SensorParameters(Schema):
     gear: tuple[float, ...] = (1.0,)
     """What the sensor sees for 1 rad or 1 N·m of the joint."""
 
-    def calibration(self, name: str, joints: int) -> tuple[Calibration, ...]:
-        """The calibration of each joint.
-
-        Raises
-        ------
-        ConfigurationError
-            If there are not enough values, or one is out of range; ``name`` is in the message.
-        """
-        return _of_joints(Calibration, name, joints, self)
+    _positive = field_validator("resolution", "gear")(_all_positive)
+    _direction = field_validator("sign")(_one_or_minus_one)
 
 
 class DriveParameters(Schema):
@@ -46,9 +47,8 @@ class DriveParameters(Schema):
     gear: tuple[float, ...] = (1.0,)
     """Turns of the drive for one of the joint."""
 
-    def drives(self, joints: int) -> tuple[Drive, ...]:
-        """The drive of each joint; raises as :meth:`SensorParameters.calibration`."""
-        return _of_joints(Drive, "drive", joints, self)
+    _positive = field_validator("gear")(_all_positive)
+    _direction = field_validator("sign")(_one_or_minus_one)
 
 
 class MockParameters(Schema):
@@ -91,52 +91,12 @@ class DriverParameters(Schema):
     limits: ProtectionLimits = ProtectionLimits()
     mock: MockParameters = MockParameters()
 
+    @model_validator(mode="after")
+    def _as_many_names(self) -> DriverParameters:
+        if len(self.names_at_device()) != len(self.joints):
+            raise ValueError(f"{len(self.device_names)} device_names for {len(self.joints)} joints")
+        return self
+
     def names_at_device(self) -> tuple[str, ...]:
         """The device's name of each joint."""
         return self.device_names or self.joints
-
-    def encoders(self) -> tuple[Calibration, ...]:
-        """Calibration of the encoders, by joint."""
-        return self.encoder.calibration("encoder", len(self.joints))
-
-    def transducers(self) -> tuple[Calibration, ...]:
-        """Calibration of the transducers, by joint."""
-        return self.transducer.calibration("transducer", len(self.joints))
-
-    def drives(self) -> tuple[Drive, ...]:
-        """The drives, by joint."""
-        return self.drive.drives(len(self.joints))
-
-    def check(self) -> None:
-        """Check what concerns several parameters.
-
-        Raises
-        ------
-        ConfigurationError
-            If numbers of values do not fit the joints, or a value is out of range.
-        """
-        self.encoders()
-        self.transducers()
-        self.drives()
-        if len(self.names_at_device()) != len(self.joints):
-            raise ConfigurationError(
-                f"parameter 'device_names' has {len(self.device_names)} values"
-                f" for {len(self.joints)} joints"
-            )
-
-
-def _of_joints(kind: type[Kind], name: str, joints: int, values: Schema) -> tuple[Kind, ...]:
-    """One object of a kind for each joint, from fields with one value or as many as joints."""
-    fields: dict[str, Any] = dict(values)
-    for field, given in fields.items():
-        if len(given) not in (1, joints):
-            raise ConfigurationError(
-                f"parameter '{name}.{field}' has {len(given)} values for {joints} joints"
-            )
-    try:
-        return tuple(
-            kind(**{f: given[0] if len(given) == 1 else given[i] for f, given in fields.items()})
-            for i in range(joints)
-        )
-    except ValidationError as error:
-        raise ConfigurationError(f"{name}: {explain(error)}") from None

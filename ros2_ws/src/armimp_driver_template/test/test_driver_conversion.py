@@ -6,57 +6,47 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
 from armimp_common.errors import ConfigurationError
-from armimp_driver_template.conversion import (
-    BITS,
-    Calibration,
-    Encoders,
-    Wiring,
-)
-from armimp_driver_template.parameters import (
-    DriveParameters,
-    DriverParameters,
-    SensorParameters,
-)
+from armimp_common.schema import build, flatten
+from armimp_driver_template.conversion import BITS, Encoders, Sensors, Wiring
+from armimp_driver_template.parameters import DriverParameters, SensorParameters
 
 COUNT = 2.0 * math.pi / 51200
 
 
-def encoders(*zeros: int, **options: Any) -> Encoders:
-    return Encoders([Calibration(resolution=COUNT, zero=zero, **options) for zero in zeros])
+def encoders(**calibration: Any) -> Encoders:
+    return Encoders("encoder", SensorParameters.model_validate(calibration), 1)
 
 
 def test_angles_go_on_where_counters_wrap() -> None:
-    one = encoders(60000)
+    one = encoders(resolution=(COUNT,), zero=(60000,))
     raw = [65530, 65535, 3, 65534, 65000]
     counts = [5530, 5535, 5539, 5534, 5000]
     assert [one.angles([value]) for value in raw] == [(count * COUNT,) for count in counts]
 
 
-@st.composite
-def calibrations(draw: st.DrawFn) -> Calibration:
-    return Calibration(
-        resolution=draw(st.floats(1e-5, 0.1)),
-        zero=draw(st.integers(-40_000, 40_000)),
-        sign=draw(st.sampled_from((1, -1))),
-        gear=draw(st.floats(0.1, 200.0)),
-    )
-
-
 @given(
-    calibration=calibrations(),
+    calibration=st.fixed_dictionaries(
+        {
+            "resolution": st.floats(1e-5, 0.1),
+            "zero": st.integers(-40_000, 40_000),
+            "sign": st.sampled_from((1, -1)),
+            "gear": st.floats(0.1, 200.0),
+        }
+    ),
     path=st.lists(st.integers(-30_000, 30_000), min_size=1, max_size=30),
 )
 def test_angles_follow_any_path_whatever_the_calibration(
-    calibration: Calibration, path: list[int]
+    calibration: dict[str, Any], path: list[int]
 ) -> None:
     """Steps of less than half the range, through counters that wrap."""
-    encoder, count = Encoders([calibration]), calibration.zero
+    encoder = encoders(**{name: (value,) for name, value in calibration.items()})
+    count = calibration["zero"]
     for step in path:
         count += step
-        assert encoder.angles([count % (1 << BITS)]) == (calibration.value(count),)
+        assert encoder.angles([count % (1 << BITS)]) == encoder.values([count])
+        assert encoder.counts(encoder.values([count])) == (count,)
 
 
 @given(data=st.data(), names=st.lists(st.text(min_size=1), min_size=1, max_size=7, unique=True))
@@ -77,35 +67,21 @@ def test_joints_that_the_device_does_not_have_are_refused(joints: tuple[str, ...
 
 
 @pytest.mark.parametrize(
-    ("values", "name"),
+    ("values", "words"),
     [
-        ({"resolution": -0.02}, "resolution"),
-        ({"resolution": 0.02, "gear": 0.0}, "gear"),
-        ({"resolution": 0.02, "gear": math.inf}, "gear"),
-        ({"resolution": 0.02, "sign": 0}, "sign"),
+        ({"encoder.resolution": [-0.02]}, "'encoder.resolution' = .*: must be positive"),
+        ({"encoder.gear": [0.0]}, "'encoder.gear' = .*: must be positive"),
+        ({"encoder.gear": [math.inf]}, "'encoder.gear.*' = inf"),
+        ({"drive.sign": [1, 2]}, "'drive.sign' = .*: must be 1 or -1"),
+        ({"device_names": ["m1"]}, "1 device_names for 2 joints"),
     ],
 )
-def test_an_impossible_calibration_is_refused(values: dict[str, Any], name: str) -> None:
-    with pytest.raises(ValidationError, match=name):
-        Calibration(**values)
-
-
-@pytest.mark.parametrize(
-    ("parameters", "words"),
-    [
-        (
-            DriverParameters(transducer=SensorParameters(resolution=(0.02,), zero=(1, 2, 3))),
-            "'transducer.zero' has 3 values for 2 joints",
-        ),
-        (
-            DriverParameters(drive=DriveParameters(sign=(1, 2))),
-            "drive: parameter 'sign' = 2: input should be 1 or -1",
-        ),
-        (DriverParameters(device_names=("m1",)), "'device_names' has 1 values for 2 joints"),
-    ],
-)
-def test_parameters_that_do_not_fit_the_joints_are_refused(
-    parameters: DriverParameters, words: str
-) -> None:
+def test_an_impossible_calibration_is_refused(values: dict[str, Any], words: str) -> None:
     with pytest.raises(ConfigurationError, match=words):
-        parameters.check()
+        build(DriverParameters, {**flatten(DriverParameters()), **values})
+
+
+def test_calibrations_that_do_not_fit_the_joints_are_refused() -> None:
+    three = SensorParameters(resolution=(0.02,), zero=(1, 2, 3))
+    with pytest.raises(ConfigurationError, match=r"'transducer\.zero' has 3 values for 2 joints"):
+        Sensors("transducer", three, 2)

@@ -8,7 +8,7 @@ import pytest
 
 from armimp_common.realtime import Pacer
 from armimp_common.topics import PERIOD_NS
-from armimp_driver_template.conversion import Encoders, Transducers, Wiring
+from armimp_driver_template.conversion import Drives, Encoders, Sensors, Wiring
 from armimp_driver_template.device import Frame
 from armimp_driver_template.mock import MockDevice
 from armimp_driver_template.parameters import (
@@ -45,15 +45,15 @@ def answers(device: MockDevice, script: list[tuple[float, float]]) -> list[Frame
 
 def test_converted_counts_are_the_readings_of_the_simulated_rig_to_the_last_bit() -> None:
     parameters = DriverParameters()
-    encoders = Encoders(parameters.encoders())
-    transducers = Transducers(parameters.transducers())
+    encoders = Encoders("encoder", parameters.encoder, 2)
+    transducers = Sensors("transducer", parameters.transducer, 2)
     rig, script = SimulatedRig(SimulatorParameters.preset()), commands(300)
 
     for number, frame in enumerate(answers(make(), script)):
         assert frame is not None
         assert frame.counter == number
         assert encoders.angles(frame.encoder) == tuple(rig.position.tolist())
-        assert transducers.torques(frame.transducer) == tuple(rig.torque.tolist())
+        assert transducers.values(frame.transducer) == tuple(rig.torque.tolist())
         if number < len(script):
             rig.step(script[number])
 
@@ -88,20 +88,17 @@ def test_readings_and_commands_survive_any_wiring_signs_and_gears() -> None:
     )
     seen = []
     for parameters in (plain, twisted):
-        device, drives = mock(parameters), parameters.drives()
+        device, drives = mock(parameters), Drives(parameters.drive, 2)
         wiring = Wiring(device.names, parameters.names_at_device())
-        encoders, transducers = (
-            Encoders(parameters.encoders()),
-            Transducers(parameters.transducers()),
-        )
+        encoders = Encoders("encoder", parameters.encoder, 2)
+        transducers = Sensors("transducer", parameters.transducer, 2)
         found = []
         for torque in [(0.0, 0.0), *commands(200)]:
             frame = device.receive(0.1)
             assert frame is not None
             angles = encoders.angles(wiring.to_joints(frame.encoder))
-            found.append((*angles, *transducers.torques(wiring.to_joints(frame.transducer))))
-            given = [drive.torque(value) for drive, value in zip(drives, torque, strict=True)]
-            device.send(wiring.to_device(given))
+            found.append((*angles, *transducers.values(wiring.to_joints(frame.transducer))))
+            device.send(wiring.to_device(drives.of_drives(torque)))
         seen.append(np.array(found))
     assert seen[1] == pytest.approx(seen[0], abs=1e-9)
 

@@ -24,7 +24,7 @@ from typing_extensions import Self
 from armimp_common.errors import ArmimpError, ConfigurationError, DataError
 from armimp_common.realtime import LATE_NS, TimingLimits
 from armimp_common.status import TimingFigures
-from armimp_common.topics import CONTROLLER_NODE
+from armimp_common.topics import CONTROLLER_NODE, NS_PER_S, PERIOD_NS
 from armimp_estimation.arm_models import AUTO, require_model
 from armimp_estimation.estimators.lpm import LpmConfig
 from armimp_estimation.estimators.registry import IdentifyConfig
@@ -198,6 +198,13 @@ class Metadata(BaseModel):
         known = {name: getattr(self, key) for key, name in READING_KEYS.items()}
         given = {name: value for name, value in known.items() if value is not None}
         return TorqueReading(timing=self.torque_timing, **given)
+
+    @property
+    def planned_rate(self) -> float | None:
+        """Samples per second that a recording was made for, Hz, if that is known."""
+        if self.sampling_rate is None and CONTROLLER_NODE in self.config:
+            return NS_PER_S / PERIOD_NS  # the only one at which that controller works
+        return self.sampling_rate
 
     @property
     def lpm(self) -> LpmConfig:

@@ -253,6 +253,8 @@ class Deviation:
             return term.likely * float(np.mean(np.square(term.sizes))), 0.0
         if not term.likely or not self._errors > 0.0:
             return 0.0, 0.0
+        if self.name == "friction" and not self.held:
+            return 0.0, 0.0  # so little of it is the robot's
         told = abs(self.share)
         error = told / self._errors
         return hidden_square(told, error, term.likely, sizes=term.sizes, elsewhere=elsewhere)

@@ -163,7 +163,7 @@ def problems_of(
 ) -> list[Problem]:
     """What is wrong with a recording, before anything is estimated; options as of `conclude`."""
     found = [] if known.timing is None else known.timing.problems
-    declared = known.sampling_rate
+    declared = known.planned_rate
     for trial in trials:
         judged = trial.judged(allow_gaps=allow_gaps, most_excluded=most_excluded)
         if declared is not None:

@@ -15,7 +15,7 @@ from armimp_common.cdr import decode_trial_status, encode_trial_status
 from armimp_common.errors import DataError
 from armimp_common.realtime import TimingLimits
 from armimp_common.status import Cause, Phase, TimingFigures
-from armimp_common.topics import JOINT_STATES, PERIOD_NS, TRIAL
+from armimp_common.topics import CONTROLLER_NODE, JOINT_STATES, PERIOD_NS, TRIAL
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.bags import read_bag
 from armimp_estimation.estimators.registry import IdentifyConfig
@@ -187,6 +187,19 @@ def test_a_problem_that_is_known_beforehand_is_not_told_twice() -> None:
     trials = recorded(cause=Cause.LIMIT)
     known = trials[0].problems[0]
     assert codes(result_of(trials, problems=[known])) == [ProblemCode.TRIAL_SPOILED] * 2
+
+
+def test_trials_of_another_rate_are_refused_where_the_controller_that_made_them_has_its_own() -> (
+    None
+):
+    faster = [
+        replace(one, segments=tuple(replace(part, rate=2000.0) for part in one.segments))
+        for one in LIVE
+    ]
+    known = {"config": json.dumps({CONTROLLER_NODE: {}})}
+    assert ProblemCode.RATE_UNPLANNED not in codes(result_of(faster, {}))
+    assert ProblemCode.RATE_UNPLANNED not in codes(result_of(LIVE, known))
+    assert codes(result_of(faster, known)).count(ProblemCode.RATE_UNPLANNED) == 2
 
 
 def test_notes_and_problems_of_an_estimator_that_decides_nothing_leave_the_result_valid() -> None:

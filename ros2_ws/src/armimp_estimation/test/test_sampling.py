@@ -15,10 +15,10 @@ def stamps(rate: float, count: int = 4000) -> np.ndarray:
     return made
 
 
-def codes(values: np.ndarray, planned: float | None = None) -> list[ProblemCode]:
+def codes(values: np.ndarray) -> list[ProblemCode]:
     streams = {"joint_states": values}
     period = sampling_period(streams)
-    return [one.code for one in judge_stamps(streams, period, trial=1, planned=planned)]
+    return [one.code for one in judge_stamps(streams, period, trial=1)]
 
 
 @pytest.mark.parametrize("rate", [200.0, 333.333333, 500.0, 512.0, 800.0, 1000.0, 2000.0, 4000.0])
@@ -32,7 +32,6 @@ def test_a_customary_rate_is_found_and_taken(rate: float) -> None:
 def test_when_a_rate_is_not_customary_expect_a_problem_with_it(rate: float) -> None:
     assert not is_customary(rate)
     assert codes(stamps(rate)) == [ProblemCode.RATE_UNCUSTOMARY]
-    assert codes(stamps(rate), planned=1000.0) == [ProblemCode.RATE_UNPLANNED]
 
 
 def test_when_a_clock_runs_faster_and_faster_expect_a_problem() -> None:
@@ -55,7 +54,7 @@ def test_when_stamps_scatter_by_a_third_of_a_period_expect_a_problem_and_not_by_
 def test_when_streams_have_different_rates_expect_the_one_that_differs() -> None:
     streams = {name: stamps(1000.0) for name in ("a", "b")} | {"c": stamps(995.0)}
     period = sampling_period(streams)
-    found = judge_stamps(streams, period, trial=1, planned=None)
+    found = judge_stamps(streams, period, trial=1)
     assert [(one.code, one.values["stream"]) for one in found] == [
         (ProblemCode.STREAM_RATES_DIFFER, "c")
     ]

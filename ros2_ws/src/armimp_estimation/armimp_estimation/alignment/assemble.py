@@ -28,7 +28,6 @@ from armimp_common.topics import (
     DATA_STREAMS,
     JOINT_STATES,
     NS_PER_S,
-    PERIOD_NS,
     PERTURBATION,
     TORQUE_SENSORS,
 )
@@ -252,8 +251,6 @@ def assemble_trials(
     received = perturbation.count
     if (announced := sum(window.ticks for window in windows)) > MOST_TICKS + 2 * received:
         raise DataError(f"trials of {announced} samples are announced, and there are {received}")
-    # The controller, which tells of its trials, works at the rate of the contract.
-    planned = NS_PER_S / PERIOD_NS if statuses else None
     stamped = [one.stamps for one in streams.stamped.values() if one.count]
     began_ns = min((int(stamps.min()) for stamps in stamped), default=0)
     trials: list[Trial] = []
@@ -261,16 +258,14 @@ def assemble_trials(
     for window in windows:
         # A latched topic repeats the statuses of trials that were over before the recording.
         if window.start_ns + window.ticks * period > began_ns:
-            trials.append(_assemble(window, streams, source, period, planned))
+            trials.append(_assemble(window, streams, source, period))
             used += sum(segment.samples for segment in trials[-1].segments)
             if used > received:
                 raise DataError(f"trial {window.trial} overlaps with others: they share samples")
     return tuple(trials)
 
 
-def _assemble(
-    window: TrialWindow, streams: Streams, source: str, period: float, planned: float | None
-) -> Trial:
+def _assemble(window: TrialWindow, streams: Streams, source: str, period: float) -> Trial:
     """Join the streams of one trial, at a sampling period in ns; other trials may be in them."""
     aligned = {t: _Aligned(one, window.start_ns, period) for t, one in streams.stamped.items()}
     stamps = _union([one.stamps for one in aligned.values()])
@@ -323,7 +318,7 @@ def _assemble(
         found.append(problem(ProblemCode.NOTHING_RECORDED))
     if not disagree:
         within = {topic: one.stamps for topic, one in aligned.items()}
-        found += judge_stamps(within, period, trial=window.trial, planned=planned)
+        found += judge_stamps(within, period, trial=window.trial)
     return Trial(
         window=window,
         segments=segments,

@@ -268,9 +268,7 @@ def is_customary(rate: float) -> bool:
     return any(abs(rate / one - 1.0) <= TOLERANCE for one in customary)
 
 
-def judge_stamps(
-    streams: Mapping[str, IntArray], period: float, *, trial: int, planned: float | None
-) -> list[Problem]:
+def judge_stamps(streams: Mapping[str, IntArray], period: float, *, trial: int) -> list[Problem]:
     """Find what is wrong with the stamps of a trial.
 
     Parameters
@@ -281,15 +279,10 @@ def judge_stamps(
         Sampling period that is used, ns.
     trial : int
         Its number, 1-based.
-    planned : float or None
-        Rate that the recording was made for, Hz, if that is known.
     """
     rate = NS_PER_S / period
     found: list[tuple[ProblemCode, dict[str, Any]]] = []
-    if planned is not None:
-        if abs(rate / planned - 1.0) > TOLERANCE:
-            found.append((ProblemCode.RATE_UNPLANNED, {"rate": rate, "planned": planned}))
-    elif not is_customary(rate):
+    if not is_customary(rate):
         found.append((ProblemCode.RATE_UNCUSTOMARY, {"rate": rate}))
     for topic, stamps in streams.items():
         own = _period(stamps)
