@@ -34,10 +34,7 @@ def replace_atomically(path: Path, write: Callable[[Path], object]) -> None:
 def write_atomically(path: Path, write: Callable[[Path], object], *, anew: bool = False) -> None:
     """Write a file as `replace_atomically` does, with one line for whatever goes wrong.
 
-    Raises
-    ------
-    DataError
-        If the file cannot be written, or exists already and is not to be made `anew`.
+    DataError if it cannot be written, or exists already and is not to be made `anew`.
     """
     try:
         if path.exists() and not anew:
@@ -56,12 +53,8 @@ def open_regular(path: Path) -> BinaryIO:
     """Open a regular file for reading; a link to one is followed.
 
     Pipes and devices are refused before anything is read, as reading them may never begin or never
-    end. So are sparse files that consist almost entirely of a hole, which could take years to read.
-
-    Raises
-    ------
-    OSError
-        If it is no regular file, or cannot be opened.
+    end. So are sparse files that consist almost entirely of a hole, which could take years to read;
+    both with OSError.
     """
     _require_regular(path, path.stat())
     # Should it become a pipe in between, opening it must not wait for a writer.

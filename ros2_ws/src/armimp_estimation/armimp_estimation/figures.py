@@ -170,12 +170,9 @@ def write_figures(directory: Path, result: Result) -> None:
 
 @rc_context(fname=_STYLE)
 def save_figure(figure: Figure, path: Path) -> list[Path]:
-    """Write a figure as PNG and PDF, at a path without suffix; equal figures give equal files.
+    """Write a figure as PNG and PDF, at a path without suffix; DataError if one can't be written.
 
-    Raises
-    ------
-    DataError
-        If one cannot be written.
+    Equal figures give equal files.
     """
     written = []
     # The time of day would make every file another one.

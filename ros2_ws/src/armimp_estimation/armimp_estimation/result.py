@@ -71,10 +71,7 @@ class Result:
     def write(self, directory: Path) -> None:
         """Write ``summary.json`` and, if there are curves, ``frf.npz``.
 
-        Raises
-        ------
-        DataError
-            If a file exists already or cannot be written.
+        DataError if a file exists already or cannot be written.
         """
         if self.curves:
             write_frf(directory / FRF_FILE, self.curves)
@@ -92,22 +89,16 @@ def conclude(
     most_excluded: float = MOST_EXCLUDED,
     problems: Sequence[Problem] = (),
 ) -> Result:
-    """Identify the impedance from the trials, and collect the problems of the result.
+    """Identify the impedance from a trial of each joint, and collect the problems of the result.
 
     Parameters
     ----------
-    trials : sequence of Trial
-        One for each joint.
     metadata : mapping of str to str
         That of the bags: configuration, seed, from a simulator the truth, and the timing of a run
         in real time.
-    joint_names : sequence of str
-        Names of the n joints.
-    estimators : sequence of str or Estimator
-        As for :func:`armimp_estimation.identify.identify`.
-    config : IdentifyConfig, optional
-        Options; by default Welch segments that suit the shortest trial, and torques read when the
-        metadata say.
+    estimators, config
+        As for :func:`armimp_estimation.identify.identify`; by default with Welch segments that suit
+        the shortest trial, and torques read when the metadata say.
     allow_gaps : bool
         Estimate from the intact parts of trials that lost samples or were aborted; else such
         trials are refused. The result of one that was aborted is not valid.

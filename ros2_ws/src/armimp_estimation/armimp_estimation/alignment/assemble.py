@@ -219,12 +219,8 @@ class Trial:
     def intact(self, *, allow_gaps: bool = False) -> tuple[TrialRecord, ...]:
         """Return the parts of the trial that an estimate may use, in their order.
 
-        A trial without gaps has one part; intervals of clipped commands divide it.
-
-        Raises
-        ------
-        DataError
-            If there are none; the message names the source and the trial.
+        A trial without gaps has one part; intervals of clipped commands divide it. DataError if
+        there are none; the message names the source and the trial.
         """
         if refusals := self.refusals(allow_gaps=allow_gaps):
             where = f"{self.source}: " if self.source else ""
@@ -240,12 +236,8 @@ def assemble_trials(
     """Assemble every trial in a recording, or in what a node has received.
 
     Without any statuses, trials are inferred from the perturbation, as `infer_windows` says. Those
-    that were over before the first sample are left out. Errors name the `source`.
-
-    Raises
-    ------
-    DataError
-        If a stream is foreign, or the trials cannot be inferred.
+    that were over before the first sample are left out. Errors name the `source`: DataError if a
+    stream is foreign, or the trials cannot be inferred.
     """
     streams.decode()
     period = sampling_period({topic: one.stamps for topic, one in streams.stamped.items()})

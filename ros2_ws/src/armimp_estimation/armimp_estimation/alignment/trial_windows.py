@@ -41,13 +41,7 @@ _GRID: Final = 51
 
 @dataclass(frozen=True, kw_only=True)
 class TrialWindow:
-    """The part of a recording that is one trial.
-
-    Raises
-    ------
-    DataError
-        If start or number of samples are beyond reason.
-    """
+    """The part of a recording that is one trial; DataError if start or length are beyond reason."""
 
     trial: int
     """Number of the trial, 1-based."""

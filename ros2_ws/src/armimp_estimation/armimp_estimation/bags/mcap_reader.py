@@ -48,11 +48,7 @@ def read_mcap(file: BinaryIO, size: int, *, name: str, into: RawMessages) -> Non
     """Read an MCAP file of so many bytes up to its end, or the last complete record before a cut.
 
     Topics, messages, metadata and a note of the cut go `into` the messages; errors have its name.
-
-    Raises
-    ------
-    BagError
-        If a record is damaged, a wanted topic is not CDR, or the file holds more than it may.
+    BagError if a record is damaged, a wanted topic is not CDR, or the file holds more than it may.
     """
     reading = _McapReading(name, into)
     position = len(file.read(len(MAGIC)))

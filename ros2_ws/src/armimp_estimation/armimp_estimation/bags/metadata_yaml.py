@@ -119,10 +119,7 @@ def write_metadata(directory: Path, information: Mapping[str, Any]) -> None:
 def read_metadata(file: Path) -> tuple[list[Path], dict[str, str]]:
     """Read storage files, in order, and ``custom_data`` of a ``metadata.yaml`` of any version.
 
-    Raises
-    ------
-    BagError
-        If the file is not the metadata of a bag.
+    BagError if it is not the metadata of a bag.
     """
     try:
         information = _information(read_text(file, _MOST_BYTES))

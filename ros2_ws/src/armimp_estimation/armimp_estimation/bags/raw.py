@@ -73,12 +73,8 @@ class RawMessages:
     def unzstd(self, data: bytes, most: int | None = None) -> bytes:
         """Decompress one frame of zstd, of at most so many bytes.
 
-        Raises
-        ------
-        BagError
-            If it holds more than the largest piece may, or than is left.
-        zstandard.ZstdError
-            If it is damaged, or holds more than `most`.
+        BagError if it holds more than the largest piece may, or than is left; ZstdError if it is
+        damaged, or holds more than `most`.
         """
         most = min(_LARGEST, self._left) if most is None else most
         # The library would make room for whatever the frame claims to hold.

@@ -73,16 +73,10 @@ def read_bag(path: Path, *, namespace: str | None = None) -> BagContent:
     """Read a bag with everything that an estimate needs.
 
     Taken are rosbag2 directories with complete, provisional or no ``metadata.yaml``, and single
-    MCAP or SQLite3 files, compressed or not, complete or cut. Topics may be under a namespace, and
-    the joints of every message in any order, with further ones in those of sensors. Where there is
-    no trial status, the trials are inferred from the perturbation, as `infer_windows` says.
-
-    Parameters
-    ----------
-    path : Path
-        Directory or file.
-    namespace : str, optional
-        Of the topics, where a bag holds those of several rigs.
+    MCAP or SQLite3 files, compressed or not, complete or cut. Topics may be under a namespace,
+    to be given where a bag holds those of several rigs, and the joints of every message in any
+    order, with further ones in those of sensors. Where there is no trial status, the trials are
+    inferred from the perturbation, as `infer_windows` says.
 
     Raises
     ------
@@ -169,24 +163,9 @@ def resolve_topics(
     A topic matches if its name ends with that of the contract, at a slash. Where several do,
     the namespace decides under which all needed topics are.
 
-    Parameters
-    ----------
-    recorded : sequence of tuple of str
-        Name and message type of each topic of the bag; the type may be empty.
-    bag : str
-        The bag for error messages.
-    namespace : str, optional
-        Accept only topics under this namespace.
-
-    Returns
-    -------
-    dict of str to int
-        Name in the contract, to index in `recorded`. Only what is there is in it.
-
-    Raises
-    ------
-    BagError
-        If the choice is not clear, or a topic has another type than it must have.
+    Given are name and message type (which may be empty) of each topic of the bag, and the bag for
+    errors; returned is the index there, by name in the contract, of those that there are. BagError
+    if the choice is not clear, or a topic has another type than it must have.
     """
     matches = {topic: _candidates(recorded, topic) for topic in topics.MESSAGE_TYPES}
     if namespace is None:
@@ -242,10 +221,7 @@ def _prefix(name: str, topic: str) -> str | None:
 def read_storage(path: Path, wanted: TopicFilter) -> RawMessages:
     """Read all messages of a bag, of topics that are wanted by name, in the order of log times.
 
-    Raises
-    ------
-    BagError
-        If the path is not a readable bag, or beyond the limits.
+    BagError if the path is not a readable bag, or beyond the limits.
     """
     custom: dict[str, str] = {}
     try:

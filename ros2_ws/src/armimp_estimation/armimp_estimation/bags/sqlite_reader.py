@@ -35,13 +35,8 @@ def read_sqlite(path: Path, *, name: str, into: RawMessages) -> None:
     SQLite wants to write then, a copy of both is opened. A rollback journal is ignored:
     the recorders of ROS 2 leave none, and it may name other files that SQLite deletes. Topics,
     messages, metadata and a note of the cut go `into` the messages; errors have the file's name.
-
-    Raises
-    ------
-    BagError
-        If the file is not a readable rosbag2 database, or holds more than it may.
-    OSError
-        If it cannot be copied.
+    BagError if the file is not a readable rosbag2 database, or holds more than it may; OSError if
+    it cannot be copied.
     """
     log = Path(f"{path}-wal")
     files = {path: path.stat().st_size}

@@ -159,11 +159,6 @@ class BagWriter:
         messages : mapping of str to sequence of bytes
             A message (CDR with its encapsulation header) for each of them, by topic of the
             contract, in the order in which those of one time are written.
-
-        Raises
-        ------
-        BagError
-            If they cannot be written: disk full, bag closed, unknown topic, bad time.
         """
         with self._one_line():
             channels = {self._channel(topic): raws for topic, raws in messages.items()}
@@ -191,12 +186,8 @@ class BagWriter:
     def close(self) -> None:
         """Finish the file and replace the provisional ``metadata.yaml``; harmless if repeated.
 
-        Where there is no room for that, the bag stays unfinished, but readable.
-
-        Raises
-        ------
-        BagError
-            If something could not be written, unless `write` or `flush` has said so before.
+        Where there is no room for that, the bag stays unfinished, but readable: BagError, unless
+        `write` or `flush` has said so before.
         """
         if self._closed:
             return

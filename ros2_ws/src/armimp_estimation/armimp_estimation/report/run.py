@@ -100,13 +100,7 @@ def report_page(result: Result) -> str:
 
 
 def write_report(directory: Path, result: Result) -> Path:
-    """Write ``report.html``, in place of one that is there, and return its path.
-
-    Raises
-    ------
-    DataError
-        If it cannot be written.
-    """
+    """Write or replace ``report.html`` and return its path; DataError if it can't be written."""
     path = directory / REPORT_FILE
     write_text(path, report_page(result))
     return path
