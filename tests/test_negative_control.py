@@ -10,7 +10,8 @@ from pydantic import JsonValue
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import simulate
 from armimp_estimation.identify import Identification
-from armimp_estimation.problems import ProblemCode, Verdict
+from armimp_estimation.problems import ProblemCode
+from armimp_estimation.verdict import Verdict
 
 pytestmark = pytest.mark.slow
 

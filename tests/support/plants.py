@@ -93,11 +93,6 @@ def coriolis_torque(robot: PlanarChain, theta: Array, velocity: Array) -> Array:
     return np.flip(np.cumsum(np.flip(absolute)))
 
 
-def kinetic_energy(robot: PlanarChain, theta: Array, velocity: Array) -> float:
-    """½ θ̇ᵀ M_r(θ) θ̇, J."""
-    return float(0.5 * velocity @ robot.mass_matrix(theta) @ velocity)
-
-
 def slopes(config: PlantConfig, state: Array, torque: Array) -> Array:
     """Derivative of θ, θ̇ and z, (3, n), under torques (n,) of drives less voluntary ones, N·m."""
     theta, v, z = state

@@ -27,7 +27,6 @@ from armimp_estimation.atomic_write import read_text, require_text
 
 Overrides = dict[str, JsonValue]
 ModelT = TypeVar("ModelT", bound=BaseModel)
-ESTIMATOR_NAMES = ("welch_siso", "welch_full", "lpm_full", "direct")
 _MOST_BYTES = 1 << 18
 _FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 

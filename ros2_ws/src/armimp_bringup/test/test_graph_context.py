@@ -18,24 +18,6 @@ VARIABLES = (
 )
 
 
-@pytest.mark.parametrize("value", [None, "77"])
-def test_the_environment_is_as_it_was_after_the_context(
-    monkeypatch: pytest.MonkeyPatch, value: str | None
-) -> None:
-    for name in VARIABLES:
-        monkeypatch.delenv(name, raising=False)
-    if value is not None:
-        monkeypatch.setenv("ROS_DOMAIN_ID", value)
-    before = dict(os.environ)
-
-    with GraphContext() as graph:
-        assert os.environ["ROS_DOMAIN_ID"] == str(graph.claim.domain_id)
-        assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SYSTEM_DEFAULT"
-        assert os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"].endswith("fastdds_loopback.xml")
-
-    assert dict(os.environ) == before
-
-
 @pytest.mark.parametrize(
     ("reach", "profiles", "expected"),
     [

@@ -199,20 +199,6 @@ def test_estimator_without_targets_is_shown_but_not_judged() -> None:
     assert (worst.worst, worst.limit, worst.met) == (3.0, None, None)
 
 
-def test_of_three_joints_scores_alone_are_judged() -> None:
-    entry = _entry(joints=3)
-    verdict = judge([entry])
-    assert verdict.met
-    scores = ("VAF", "R²", "derived coherence")
-    assert {key for key, one in _rows(verdict).items() if one.met is not None} == {
-        (name, score) for name in ("welch_siso", "lpm_full") for score in scores
-    }
-    vaf = _square(99.95, 3)
-    vaf[2][1] = 99.8
-    worst = _rows(judge([_with(entry, "lpm_full", vaf=vaf)]))["lpm_full", "VAF"]
-    assert (worst.met, worst.element) == (False, "Z32")
-
-
 def test_with_more_joints_elements_that_transducers_cannot_resolve_are_not_judged() -> None:
     target = {
         f"target.{name}": [value] * 4

@@ -9,9 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-import rclpy.experimental
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
@@ -20,7 +18,6 @@ from std_srvs.srv import Empty
 from armimp_common.errors import ArmimpError, ConfigurationError, GraphError
 from armimp_common.executor import (
     Spinner,
-    make_executor,
     run_node,
     stop_on_signals,
 )
@@ -62,17 +59,6 @@ def break_in_service(node: Node) -> None:
     client.call_async(Empty.Request())
 
 
-def test_spin_ends_when_told_to(node: Node) -> None:
-    ticks: list[int] = []
-    node.create_timer(0.005, lambda: ticks.append(1))
-    late = deadline()
-
-    spin(node, lambda: len(ticks) >= 3 or late(), period=0.01)
-
-    assert len(ticks) >= 3
-    assert not late()
-
-
 @pytest.mark.parametrize(
     "arrange", [break_in_timer, break_in_subscription, break_in_service], ids=lambda f: f.__name__
 )
@@ -100,17 +86,6 @@ def test_spin_until_returns_as_soon_as_the_future_is_done(node: Node) -> None:
         node.create_timer(0.02, lambda: None if fresh.done() else fresh.set_result(1))
         assert spinner.spin_until(fresh, PATIENCE)
         assert time.monotonic() - start < PATIENCE
-
-
-def test_when_rclpy_has_no_events_executor_expect_the_single_threaded_one(
-    context: Context, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delattr(rclpy.experimental, "EventsExecutor")
-
-    executor = make_executor(context)
-
-    assert isinstance(executor, SingleThreadedExecutor)
-    executor.shutdown()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -108,22 +108,6 @@ class TestAnswers:
         assert [status.phase for status in driver.statuses] == [Phase.SETTLE, Phase.PERTURB]
         assert driver.statuses[1].start_ns == START + SETTLE * PERIOD_NS
 
-    def test_an_answer_waits_for_both_readings_which_come_in_any_order(
-        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner
-    ) -> None:
-        bring_up(make(), driver)
-        positions, torques = driver.channels.values()
-
-        torques.publish(START, (0.0, 0.0))
-        torques.publish(START + PERIOD_NS, (0.0, 0.0))
-        a_moment(spinner)
-        assert driver.commands == []
-
-        positions.publish(START, POSTURE)
-        positions.publish(START + PERIOD_NS, POSTURE)
-        eventually(spinner, lambda: len(driver.perturbations) == 2, "two answers")
-        assert [stamp_ns for stamp_ns, _ in driver.perturbations] == [START, START + PERIOD_NS]
-
 
 def encoded(names: Sequence[str], values: Sequence[float], field: str = "position") -> bytes:
     message = JointState(name=list(names), **{field: list(values)})
@@ -378,34 +362,6 @@ class TestParameters:
 
 
 class TestLife:
-    def test_life_can_be_gone_through_again_and_starts_anew_each_time(
-        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner
-    ) -> None:
-        controller = make()
-        samples = wobble(30)
-        expected = expected_answers(30)[0]
-        for _ in range(2):
-            assert controller.trigger_configure() is SUCCESS
-            for _ in range(2):
-                assert controller.trigger_activate() is SUCCESS, controller.transition_error
-                driver.wait_for_controller()
-                driver.tick = 0
-                driver.commands.clear()
-                driver.messages.clear()
-                for theta, tau_h in samples:
-                    driver.feed(theta, tau_h)
-                eventually(spinner, lambda: len(driver.commands) >= 30, "an answer to every sample")
-                assert driver.commands == expected
-                assert controller.trigger_deactivate() is SUCCESS
-                eventually(
-                    spinner,
-                    lambda: driver.has_said(Phase.ABORTED) and driver.commands[-1] == (0.0, 0.0),
-                    "zero torque at the end",
-                )
-                assert driver.statuses[-1].reason == "the controller was deactivated"
-            assert controller.trigger_cleanup() is SUCCESS
-        assert controller.trigger_shutdown() is SUCCESS
-
     @pytest.mark.parametrize("how", ["trigger_shutdown", "destroy_node"])
     def test_when_ended_during_a_trial_expect_zero_torque_and_an_abort(
         self, make: MakeController, driver: ScriptedDriver, spinner: Spinner, how: str

@@ -147,20 +147,6 @@ def test_when_rig_or_recorder_falls_silent_in_real_time_expect_zero_torque(
     around.assert_aborted(f"{name} gave no sign of life for 6 s: it is dead or stopped")
 
 
-@pytest.mark.parametrize("mode", ["realtime"])
-def test_when_the_process_of_the_rig_is_stalled_before_the_first_sample_expect_patience(
-    around: Surroundings, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(heartbeat, "life_of", lambda _: Life.RUNNING)
-    assert around.controller.trigger_activate() is SUCCESS, around.controller.transition_error
-    around.driver.wait_for_controller()
-    around.heard(SIM_NODE, alive=1, silent=0)
-    around.heard(SIM_NODE, alive=0, silent=1)
-    a_moment(around.spinner)
-
-    assert not around.aborted()
-
-
 def test_when_the_recorder_takes_leave_expect_zero_torque(around: Surroundings) -> None:
     around.activate()
     around.received.publish(UInt64(data=0))

@@ -117,40 +117,6 @@ def test_law_is_that_of_the_design(n: int, limit: float, dither: float) -> None:
     assert (saturated == 0) if limit > 100.0 else (20 < saturated < 200 * n - 20)
 
 
-def test_delayed_torque_is_the_one_sent_so_saturation_does_not_wind_up() -> None:
-    config = _config(1)
-    controller = Controller(config, safety=torque_only(1.0))
-    posture = config.target_posture
-    # Push far into the limit, in a way that leaves no ideal velocity behind.
-    for push in (500.0, 500.0, -500.0, -500.0):
-        controller.tick(posture, np.zeros(1), np.array([push]))
-    assert controller.command[0] == -1.0
-    controller.tick(posture, np.zeros(1), np.array([0.5]))
-    # From the limit itself the next small change counts at once.
-    u = 0.5 / config.target_inertia[0]
-    change = config.model_inertia[0, 0] * u * (1.0 + GAMMA * PERIOD)
-    assert controller.command[0] == pytest.approx(-1.0 + change, rel=1e-9)
-
-
-@pytest.mark.parametrize("perturbed", [0, 1, 2])
-def test_locked_joints_ignore_the_torque_transducers(perturbed: int) -> None:
-    config = _config(3)
-    deaf, hearing = (Controller(config, safety=torque_only(1e9)) for _ in range(2))
-    deaf.perturb_joint(perturbed)
-    hearing.perturb_joint(perturbed)
-    random = np.random.default_rng(4)
-    only_perturbed = np.where(np.arange(3) == perturbed, 1.0, 0.0)
-    for _ in range(20):
-        theta = config.target_posture + 1e-4 * random.normal(size=3)
-        tau_h = random.uniform(-5.0, 5.0, 3)
-        deaf.tick(theta, tau_h * only_perturbed, np.zeros(3))
-        hearing.tick(theta, tau_h, np.zeros(3))
-        assert np.array_equal(deaf.command, hearing.command)
-    hearing.tick(theta, tau_h + only_perturbed, np.zeros(3))
-    deaf.tick(theta, tau_h, np.zeros(3))
-    assert not np.array_equal(deaf.command, hearing.command)
-
-
 def test_roles_hold_the_soft_target_for_one_joint_and_the_stiff_one_for_the_others() -> None:
     config = _config(3)
     rows = config.role(1)

@@ -19,7 +19,6 @@ SETTLE, PERTURB, REST = 50, 600, 50
 JUDGED = 20
 END = JUDGED + NOTICE_TICKS
 PARAMETERS = controller_parameters(SETTLE, PERTURB, REST)
-ON_A_RIG: dict[str, Value] = {"mode": "realtime"}
 ANNOUNCED = StoppingDecision(trial=1, samples=0, enough=False, due=JUDGED, bound=0.02)
 ENOUGH = StoppingDecision(trial=1, samples=JUDGED, enough=True, due=None, bound=0.02, largest=0.01)
 NOT_YET = StoppingDecision(
@@ -96,28 +95,6 @@ def test_in_lockstep_the_sample_on_which_a_decision_decides_is_answered_after_it
 
     rest = next(status for status in driver.statuses if status.phase is Phase.REST)
     assert (rest.tick, rest.ticks, rest.valid) == (SETTLE + ticks, ticks, True)
-
-
-def test_on_a_rig_nothing_waits_and_a_late_decision_ends_the_trial_later(
-    start: Start,
-    driver: ScriptedDriver,
-    spinner: Spinner,
-    judge: Publisher,
-) -> None:
-    start(ON_A_RIG)
-    feed_up_to_the_decision(driver, spinner)
-    feed(driver, 1)
-    eventually(spinner, lambda: driver.answered, "an answer to every sample")
-    assert not driver.has_said(Phase.REST)
-
-    judge.publish(status_message(ENOUGH))
-    eventually(spinner, lambda: len(driver.statuses) == 3, "the announcement of the end")
-    feed(driver, PERTURB)
-    eventually(spinner, lambda: driver.has_said(Phase.REST), "the end of the perturbation")
-    assert [status.ticks for status in driver.statuses[1:4]] == [
-        PERTURB,
-        *[END + 1 + NOTICE_TICKS] * 2,
-    ]
 
 
 def test_when_an_announced_decision_does_not_come_expect_the_end_with_that_reason(

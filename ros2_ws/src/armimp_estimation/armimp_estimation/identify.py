@@ -23,7 +23,7 @@ from armimp_estimation.json_model import JsonModel, Number, Vector
 from armimp_estimation.mbk import MBK
 from armimp_estimation.nonlinearity import judge_linearity
 from armimp_estimation.plausibility import judge_angles
-from armimp_estimation.problems import Problem, ProblemCode, Severity, Verdict, problem
+from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.robot_balance import (
     RobotBalance,
     RobotResponses,
@@ -32,6 +32,7 @@ from armimp_estimation.robot_balance import (
 )
 from armimp_estimation.signal_quality import RESOLVED_SHARE, judge_signals, unseen_share
 from armimp_estimation.trial import TrialData
+from armimp_estimation.verdict import Verdict
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from enum import Enum
 from functools import cache
 from importlib.resources import files
@@ -183,23 +183,3 @@ def problem(
     """Return a problem with the values of its sentence; all else is as of :class:`Problem`."""
     of = {"concern": concern, "severity": severity, "trial": trial, "estimator": estimator}
     return Problem.model_validate({"code": code, "values": values, **of})
-
-
-class Verdict(JsonModel):
-    """The two verdicts: whether Z(f), and whether M, B and K, are right within their intervals."""
-
-    impedance: bool
-    parameters: bool
-
-    @classmethod
-    def of(cls, problems: Iterable[Problem], *estimators: str) -> Verdict:
-        """Judge whether the numbers of estimators can be trusted; without any they cannot.
-
-        Problems of other estimators do not count.
-        """
-        errors = [one for one in problems if one.severity is Severity.ERROR]
-        found = [one.concern for one in errors if one.estimator in ("", *estimators)]
-        trusted = bool(estimators)
-        return cls(
-            impedance=trusted and Concern.IMPEDANCE not in found, parameters=trusted and not found
-        )

@@ -20,7 +20,7 @@ from pydantic import Field, JsonValue, computed_field, model_validator
 from typing_extensions import Self
 
 from armimp_common.errors import DataError
-from armimp_estimation.alignment.assemble import StreamStatistics
+from armimp_estimation.alignment.lost_samples import StreamStatistics
 from armimp_estimation.arm_models import ModelFit, supported
 from armimp_estimation.atomic_write import open_regular, write_atomically
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
@@ -28,9 +28,10 @@ from armimp_estimation.fit import CommonDelay
 from armimp_estimation.identify import EstimatorResult, Identification, TrialScores
 from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector, read_json
 from armimp_estimation.metadata import Timing, Truth
-from armimp_estimation.problems import Problem, Severity, Verdict
+from armimp_estimation.problems import Problem, Severity
 from armimp_estimation.scores import NORMAL_95, Coherences
 from armimp_estimation.torque_timing import TorqueReading
+from armimp_estimation.verdict import Verdict
 
 SUMMARY_FILE = "summary.json"
 FRF_FILE = "frf.npz"

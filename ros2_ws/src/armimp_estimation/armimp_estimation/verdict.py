@@ -1,11 +1,14 @@
 """Judgement of an identification, from what a rig can measure (never from the truth).
 
 Noise is no problem: intervals tell of it. What would make a number wrong is. A result is valid
-where no problem is left. Names are those of the n joints; comparisons are written so that NaN
-fails.
+where no problem is left: :meth:`Verdict.of`. The problems themselves are found by the functions
+below, and by `plausibility`, `signal_quality`, `nonlinearity`, `robot_balance` and, in a recording,
+`alignment`. Names are those of the n joints; comparisons are written so that NaN fails.
 """
 
-from collections.abc import Sequence
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +17,7 @@ from armimp_common.arrays import FloatArray
 from armimp_estimation.arm_models import ModelFit, supported
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import MBKFit
+from armimp_estimation.json_model import JsonModel
 from armimp_estimation.plausibility import judge_matrices
 from armimp_estimation.problems import Concern, Problem, ProblemCode, Severity, problem
 from armimp_estimation.torque_timing import TorqueReading
@@ -37,6 +41,26 @@ SINGLE = "welch_siso"
 """The estimator that takes locked joints as still."""
 _CLEARLY = 2.0
 """Another joint moves this many times as much as the perturbed one."""
+
+
+class Verdict(JsonModel):
+    """The two verdicts: whether Z(f), and whether M, B and K, are right within their intervals."""
+
+    impedance: bool
+    parameters: bool
+
+    @classmethod
+    def of(cls, problems: Iterable[Problem], *estimators: str) -> Verdict:
+        """Judge whether the numbers of estimators can be trusted; without any they cannot.
+
+        Problems of other estimators do not count.
+        """
+        errors = [one for one in problems if one.severity is Severity.ERROR]
+        found = [one.concern for one in errors if one.estimator in ("", *estimators)]
+        trusted = bool(estimators)
+        return cls(
+            impedance=trusted and Concern.IMPEDANCE not in found, parameters=trusted and not found
+        )
 
 
 def judge_locking(

@@ -25,7 +25,8 @@ from armimp_common.topics import (
     TORQUE_SENSORS,
     TRIAL,
 )
-from armimp_estimation.alignment.assemble import StreamCount, Trial, assemble_trials
+from armimp_estimation.alignment.assemble import Trial, assemble_trials
+from armimp_estimation.alignment.lost_samples import StreamCount
 from armimp_estimation.alignment.streams import decode_streams
 from armimp_estimation.alignment.trial_windows import (
     MOST_TICKS,

@@ -7,9 +7,9 @@ from armimp_estimation.problems import (
     Problem,
     ProblemCode,
     Severity,
-    Verdict,
     kinds,
 )
+from armimp_estimation.verdict import Verdict
 
 
 def test_each_code_has_one_sentence_that_its_values_fill_and_advice() -> None:

@@ -20,7 +20,7 @@ from armimp_estimation.bags import read_bag
 from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.metadata import RECORD_KEY, Metadata, Timing, latest_metadata
-from armimp_estimation.problems import Problem, ProblemCode, Severity, Verdict, problem
+from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.recorder import TrialRecorder
 from armimp_estimation.report import report_page
@@ -34,6 +34,7 @@ from armimp_estimation.summary import (
     write_summary,
 )
 from armimp_estimation.trial import TrialData, segments_for
+from armimp_estimation.verdict import Verdict
 from support.streams import record
 from support.synthetic_bags import Message, recorded_arm
 from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial

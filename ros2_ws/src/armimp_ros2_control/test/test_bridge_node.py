@@ -146,14 +146,6 @@ def test_joint_states_are_split_in_pairs_with_the_stamps_that_came(world: World)
     assert world.torques == [(stamp, (-0.5, 0.5)) for stamp in stamps]
 
 
-def test_a_sample_that_is_too_early_is_left_out_of_both_streams(world: World) -> None:
-    for stamp in (1.0, 2.7, 3.0, 4.0):
-        world.feed(stamp)
-    eventually(world.spinner, lambda: len(world.torques) == 3, "three samples")
-    assert [stamp for stamp, _ in world.positions] == [stamp for stamp, _ in world.torques]
-    assert [stamp / PERIOD_NS for stamp, _ in world.positions] == [1.0, 2.7, 4.0]
-
-
 @pytest.mark.parametrize("clock_step", [None, *CLOCK_STEPS])
 def test_when_joint_states_stop_expect_zero_torque(
     world: World, bridge: PatientBridge, clock_step: float | None

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.compiled import compiled, compiled_entry
-from armimp_sim.simd import Tag, exp_minus, fill, load, sine_cosine, store
+from armimp_sim.model.friction import bristle_force, lugre
+from armimp_sim.simd import Tag, fill, load, sine_cosine, store
 
 WIDTH = 8
 """Lanes of a block when there are several: the widest registers have as many. Twice that is faster
@@ -89,27 +90,26 @@ def _kinematics(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> 
 @compiled
 def _bristle_force(w: NDArray[np.float64], block: int, i: int, n: int, width: Tag) -> float:
     """LuGre's g(v) of joint i."""
-    x = _get(w, block, VELOCITY * n + i, width) * _get(
-        w, block, INVERSE_STRIBECK_VELOCITY * n + i, width
+    return bristle_force(
+        _get(w, block, VELOCITY * n + i, width),
+        _get(w, block, COULOMB * n + i, width),
+        _get(w, block, STRIBECK * n + i, width),
+        _get(w, block, INVERSE_STRIBECK_VELOCITY * n + i, width),
     )
-    return _get(w, block, COULOMB * n + i, width) + _get(
-        w, block, STRIBECK * n + i, width
-    ) * exp_minus(x * x)
 
 
 @compiled
 def _friction(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
-    """LuGre: slope of the bristle deflection, and −F into the right-hand side."""
+    """Slope of the bristle deflection, and −F into the right-hand side."""
     n = len(joints)
     for i in range(n):
-        v = _get(w, block, VELOCITY * n + i, width)
-        z = _get(w, block, BRISTLE * n + i, width)
-        sigma_0 = _get(w, block, SIGMA_0 * n + i, width)
-        dz = v - sigma_0 * abs(v) * z / _bristle_force(w, block, i, n, width)
-        force = (
-            sigma_0 * z
-            + _get(w, block, SIGMA_1 * n + i, width) * dz
-            + _get(w, block, SIGMA_2 * n + i, width) * v
+        dz, force = lugre(
+            _get(w, block, VELOCITY * n + i, width),
+            _get(w, block, BRISTLE * n + i, width),
+            _bristle_force(w, block, i, n, width),
+            _get(w, block, SIGMA_0 * n + i, width),
+            _get(w, block, SIGMA_1 * n + i, width),
+            _get(w, block, SIGMA_2 * n + i, width),
         )
         _put(w, block, _SLOPE_Z * n + i, width, dz)
         _put(w, block, _RHS * n + i, width, -force)

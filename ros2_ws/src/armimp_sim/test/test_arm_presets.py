@@ -48,19 +48,3 @@ def test_sizes_of_joints_are_inertias_to_the_power_of_three_fifths(joints: int) 
     assert sizes[:known] == paper
     assert paper == pytest.approx(tuple(rule[:known]), rel=0.05)
     assert sizes[known:] == pytest.approx(tuple(rule[known:]), rel=0.03)
-
-
-@pytest.mark.parametrize("joints", [4, 5, 6, 7])
-def test_chain_is_tied_to_the_arm_and_the_robot_with_two_joints(joints: int) -> None:
-    arm, robot, two = presets.human_arm(joints), presets.robot(joints), presets.human_arm(2)
-    for name in ("inertia", "damping", "stiffness"):
-        assert getattr(arm, name)[0, 0] == pytest.approx(getattr(two, name)[0, 0], rel=1e-12)
-    assert arm.posture[0] == two.posture[0]
-    assert np.sum(arm.posture) == pytest.approx(np.sum(two.posture))
-    assert np.sum(robot.lengths) == pytest.approx(np.sum(presets.robot(2).lengths))
-    assert np.ptp(robot.lengths) == 0.0
-    robot_inertia, arm_inertia = _inertia(joints)
-    assert np.diag(robot_inertia) == pytest.approx(2.0 * np.diag(arm_inertia), rel=1e-12)
-    # Of that, the links are an eighth; the last drive is what they leave of the last column.
-    drive = robot_inertia[:, -1] - 0.25 * arm_inertia[:, -1]
-    assert drive == pytest.approx(np.full(joints, 1.75 * arm_inertia[-1, -1]), rel=1e-9)

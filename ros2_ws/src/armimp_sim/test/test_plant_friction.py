@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.integrate import trapezoid
 
 from armimp_common.errors import ConfigurationError
 from armimp_sim import presets
@@ -44,32 +43,6 @@ def test_at_constant_speed_friction_is_the_steady_state_law(speed: float, direct
     assert reached == pytest.approx(velocity, rel=1e-6)
     level = 2.0 + 0.5 * np.exp(-((speed / 0.01) ** 2))
     assert bristle == pytest.approx(direction * level / 2000.0, rel=1e-4)
-
-
-@pytest.mark.parametrize("direction", [-1.0, 1.0])
-def test_joint_sticks_below_the_static_level_and_breaks_away_above(direction: float) -> None:
-    plant = Plant([one_joint(LAW, inertia=0.05, substeps=20)])
-    below, above = 0.9 * LAW.static * direction, 1.05 * LAW.static * direction
-    _load(plant, np.linspace(0.0, below, 8000))
-    theta, _, _ = _load(plant, np.full(1000, below))
-    crept, velocity, _ = _load(plant, np.full(1000, below))
-    assert abs(velocity) < 1e-7
-    assert crept == pytest.approx(theta, abs=1e-6)
-    assert abs(theta) < 5e-3
-    _, velocity, _ = _load(plant, np.full(1000, above))
-    assert velocity * direction > 1.0
-
-
-def test_sliding_joint_left_alone_loses_its_energy_to_friction_and_comes_to_rest() -> None:
-    inertia, speed = 0.05, 2.0
-    plant = Plant([one_joint(LAW, inertia=inertia, substeps=20)])
-    plant.set_state(np.array([[[0.0], [speed], [LAW.coulomb / LAW.sigma_0]]]))
-    theta, velocity, _ = _load(plant, np.zeros(1000))
-    assert abs(velocity) < 1e-9
-    v = np.linspace(1e-9, speed, 20_001)
-    distance = trapezoid(inertia * v / _sliding(v), v)  # F dθ = −J v dv
-    # At the end the bent bristles spring back a little.
-    assert distance - LAW.static / LAW.sigma_0 < theta < distance
 
 
 @pytest.mark.parametrize(

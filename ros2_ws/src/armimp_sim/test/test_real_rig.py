@@ -160,22 +160,6 @@ def test_lanes_with_different_imperfections_give_the_bits_that_they_give_alone()
         assert np.array_equal(torques[:, lane], alone[:, 0])
 
 
-def test_a_plant_that_is_put_back_has_forgotten_its_past() -> None:
-    imperfect = config(
-        parts={"actuators": LAGGING}, delay=0.0021, offset=(0.3,), cutoff=200.0, drift=(1.0,)
-    )
-    used, fresh = Plant([imperfect]), Plant([imperfect])
-    start = used.state()
-    for command in COMMANDS[:10]:
-        used.tick(command[None], np.zeros((1, 2)))
-    used.set_state(start)
-    assert np.array_equal(used.torque, fresh.torque)
-    for command in COMMANDS[:10]:
-        for plant in (used, fresh):
-            plant.tick(command[None], np.zeros((1, 2)))
-        assert np.array_equal(used.torque, fresh.torque)
-
-
 def test_a_vector_that_does_not_fit_the_joints_is_refused() -> None:
     with pytest.raises(ConfigurationError, match=r"torque\.drift has 3 values, needs 1 or 2"):
         config(drift=(1.0, 2.0, 3.0))
@@ -254,21 +238,6 @@ def test_behind_a_cuff_the_transducers_feel_arm_and_cuff_in_series() -> None:
     assert states[:, 0, 0] - SINGLE.posture[0] == pytest.approx(expected[1:, 0], abs=1e-8)
     assert load[:, 0] == pytest.approx(expected[1:, 1], abs=1e-5)
     assert np.max(np.abs(states[:, 0, 0] - states[:, 0, 1])) > 1e-4
-
-
-def test_cuffs_of_several_joints_add_their_compliance_to_that_of_the_arm() -> None:
-    arm = presets.human_arm(2)
-    still = replace(
-        config(),
-        arm=replace(arm, damping=8.0 * arm.damping),
-        friction=(LuGre.none(),) * 2,
-        cuff=CuffParameters(stiffness=300.0, damping=1.0),
-    )
-    torque = np.array([0.2, -0.1])
-    states, load = run(still, np.tile(torque, (6000, 1)))
-    compliance = np.linalg.inv(arm.stiffness) + np.eye(2) / 300.0
-    assert states[-1, 0, :2] - arm.posture == pytest.approx(compliance @ torque, rel=1e-4)
-    assert load[-1] == pytest.approx(torque, rel=1e-4)
 
 
 def test_a_reflex_is_a_delayed_muscle_driven_by_velocity_and_stretch() -> None:

@@ -108,27 +108,26 @@ class _Probe:
 
     def _find(self) -> str | None:
         """Wait for a driver; return its state, None if it is no lifecycle node."""
-        node, manager = self._node, self._manager
         end = time.monotonic() + _PATIENCE
-        while True:
-            try:
-                manager.wait_for_nodes(0.2)
-            except GraphError:
-                if any(one.role == "publisher" for one in node.endpoints()):
-                    # Its services may be discovered after its topics.
-                    node.wait(lambda: False, 1.0)
-                    try:
-                        manager.wait_for_nodes(0.0)
-                    except GraphError:
-                        return None
-                elif time.monotonic() > end:
-                    raise GraphError(
-                        f"no driver: neither a node {self._options.node} nor anybody who publishes"
-                        f" {' or '.join(SENSOR_TOPICS)}"
-                    ) from None
-                else:
-                    continue
-            return manager.state(self._options.node)
+        while not self._managed(0.2):
+            if any(one.role == "publisher" for one in self._node.endpoints()):
+                # Its services may be discovered after its topics.
+                if self._managed(1.0):
+                    break
+                return None
+            if time.monotonic() > end:
+                raise GraphError(
+                    f"no driver: neither a node {self._options.node} nor anybody who publishes"
+                    f" {' or '.join(SENSOR_TOPICS)}"
+                )
+        return self._manager.state(self._options.node)
+
+    def _managed(self, patience: float) -> bool:
+        try:
+            self._manager.wait_for_nodes(patience)
+        except GraphError:
+            return False
+        return True
 
     @contextmanager
     def _active(self, state: str | None) -> Iterator[None]:

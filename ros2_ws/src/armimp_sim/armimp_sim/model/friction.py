@@ -1,16 +1,22 @@
-"""LuGre joint friction: its parameters; `armimp_sim.dynamics` integrates it."""
+"""LuGre joint friction (Canudas de Wit et al., IEEE Trans. Autom. Control 40(3), 1995).
+
+Bristles bend by z and slip: ``ż = v − σ0|v|z/g(v)``, ``g(v) = Fc + (Fs − Fc)·exp(−(v/vs)²)``, and
+the friction is ``F = σ0 z + σ1 ż + σ2 v``. `armimp_sim.dynamics` integrates ż with the motion.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
+from armimp_common.compiled import compiled
 from armimp_common.errors import ConfigurationError
+from armimp_sim.simd import exp_minus
 
 
 @dataclass(frozen=True, kw_only=True)
 class LuGre:
-    """ż = v − σ0|v|z/g(v), g(v) = Fc + (Fs − Fc)·exp(−(v/vs)²), F = σ0 z + σ1 ż + σ2 v.
+    """Parameters of the friction of a joint.
 
     Raises
     ------
@@ -62,3 +68,19 @@ class LuGre:
             sigma_2=self.sigma_2 * factor,
             stribeck_velocity=self.stribeck_velocity,
         )
+
+
+@compiled
+def bristle_force(v: float, coulomb: float, stribeck: float, inverse_velocity: float) -> float:
+    """g(v), N·m, of Fc and Fs − Fc, N·m, and 1/vs, s/rad."""
+    x = v * inverse_velocity
+    return coulomb + stribeck * exp_minus(x * x)
+
+
+@compiled
+def lugre(
+    v: float, z: float, level: float, sigma_0: float, sigma_1: float, sigma_2: float
+) -> tuple[float, float]:
+    """ż and F of a joint with velocity v, rad/s, and deflection z, rad, where g(v) is `level`."""
+    dz = v - sigma_0 * abs(v) * z / level
+    return dz, sigma_0 * z + sigma_1 * dz + sigma_2 * v
