@@ -48,7 +48,7 @@ def config(**options: Any) -> ExperimentConfig:
 
 def assert_verdict_fits(summary: Summary) -> None:
     """Not valid if and only if there is a problem, one for each limit that is exceeded."""
-    assert summary.valid is (not summary.problems)
+    assert summary.valid is (not summary.faults)
     assert summary.timing is not None
     codes = {ProblemCode.SAMPLES_LATE, ProblemCode.COMMANDS_LATE, ProblemCode.LATENCY}
     assert [one for one in summary.problems if one.code in codes] == summary.timing.problems

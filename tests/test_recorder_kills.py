@@ -52,12 +52,9 @@ ticks = 60 + samples + 60
 begin = (trial - 1) * ticks * 1_000_000
 recording = TrialRecorder(arm.records[0].joint_names, directory, {}, lambda *_: None)
 
-def record():
-    recording.add(synchronizer.take())
-
 def on_samples(samples):
     if samples % TOGETHER == 0:
-        record()
+        recording.add(synchronizer.take())
         recording.flush()
 
 synchronizer, receivers = fed_synchronizer(on_samples)
@@ -70,7 +67,7 @@ for topic, stamp, raw in messages:
         present = stamp
         time.sleep(max(began + (stamp - begin) / 1e9 - time.monotonic(), 0.0))
     if topic == TRIAL:
-        record()
+        recording.add(synchronizer.take())
         recording.add_status(decode_trial_status(raw))
     else:
         receivers[topic](raw)
@@ -135,7 +132,6 @@ def assert_other_readers_open(bag: Path) -> None:
     assert read == [(time, data) for _, time, data in iterate_messages(bag)]
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_when_killed_at_twenty_random_moments_expect_little_lost_each_time(
     tmp_path: Path, figures: Figures

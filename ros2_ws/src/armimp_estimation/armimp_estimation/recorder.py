@@ -77,22 +77,11 @@ class TrialRecorder:
     `assemble_trials` finds the samples of the trial in it, live and when the bag is read. In any
     method, what can't be written raises BagError; a bag stays readable.
 
-    Parameters
-    ----------
-    joint_names : tuple of str
-        Names of the n joints.
-    directory : Path or None
-        Where ``bags/`` is made; None records nothing.
-    metadata : mapping of str to str
-        Stored in every bag.
-    on_finished : callable
-        Called with each trial, or with the reason why none could be made.
-    refuse : callable, optional
-        Called with topic and error for each message that is too short to have a stamp.
-    lpm : LpmConfig, optional
-        Options of the running column.
-    target_error, least_duration : float
-        Bound and least length (s) of the stopping rule; a bound of 0 lets trials last as planned.
+    Bags come below ``bags/`` of the `directory`, if there is one, each with the metadata. Each
+    trial, or the reason why none could be made, goes to `on_finished`; topic and error of a message
+    that is too short to have a stamp go to `refuse`. `lpm` has the options of the running column,
+    `target_error` and `least_duration` (s) are those of the stopping rule; without a bound trials
+    last as planned.
     """
 
     def __init__(
@@ -466,19 +455,9 @@ def record_so_far(streams: Streams, status: TrialStatus, samples: int) -> TrialR
 class StoppingRule:
     """Decides on one trial at numbers of samples that depend on nothing but its parameters.
 
-    Parameters
-    ----------
-    bound : float
-        Largest relative standard error (one standard error) of M, B and K of the column that the
-        trial gives, with which it has lasted long enough.
-    least : float
-        Length that every trial has at least, s.
-    trial : int
-        Number of the trial, 1-based.
-    planned : int
-        Samples that it has at most.
-    rate : float
-        Samples per second, Hz.
+    It has lasted long enough with a relative standard error of M, B and K of its column within the
+    `bound`. Every trial lasts the `least` time (s) and has at most the `planned` samples, which
+    come at a rate in Hz.
     """
 
     def __init__(

@@ -11,7 +11,7 @@ from armimp_common.errors import ArmimpError, DataError
 from armimp_common.topics import NS_PER_S, PERIOD_NS, PERTURBATION
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.alignment.trial_windows import TOLERANCE
-from armimp_estimation.bags import BagContent, read_bag
+from armimp_estimation.bags import read_bag
 from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.identify import Identification, TrialScores, identify
@@ -91,30 +91,18 @@ def conclude(
 ) -> Result:
     """Identify the impedance from a trial of each joint, and collect the problems of the result.
 
-    Parameters
-    ----------
-    metadata : mapping of str to str
-        That of the bags: configuration, seed, from a simulator the truth, and the timing of a run
-        in real time.
-    estimators, config
-        As for :func:`armimp_estimation.identify.identify`; by default with Welch segments that suit
-        the shortest trial, and torques read when the metadata say.
-    allow_gaps : bool
-        Estimate from the intact parts of trials that lost samples or were aborted; else such
-        trials are refused. The result of one that was aborted is not valid.
-        Intervals in which the controller clipped its command are left out in any case.
-    most_excluded : float
-        Largest share of the samples of a trial that may be left out, from 0 to 1. Beyond, there
-        is an estimate, but the result is not valid.
-    problems : sequence of Problem
-        What is known to have gone wrong beforehand.
+    Metadata are those of the bags: configuration, seed, from a simulator the truth, and the timing
+    of a run in real time. Estimators and config are as for
+    :func:`armimp_estimation.identify.identify`; by default with Welch segments that suit the
+    shortest trial, and torques read when the metadata say.
 
-    Raises
-    ------
-    ConfigurationError
-        If an estimator does not exist.
-    DataError
-        If the metadata make no sense.
+    Trials that lost samples or were aborted are refused, or with `allow_gaps` estimated from their
+    intact parts; the result of one that was aborted is not valid. Intervals in which the controller
+    clipped its command are left out in any case. If more than `most_excluded` (0 to 1) of the
+    samples of a trial is left out, there is an estimate, but the result is not valid. `problems`
+    are what is known to have gone wrong beforehand.
+
+    ConfigurationError if an estimator does not exist, DataError if the metadata make no sense.
     """
     known = Metadata.of(metadata, len(joint_names))
     found = list(problems)
@@ -186,21 +174,32 @@ def load_result(directory: Path) -> Result:
     curves: dict[str, ImpedanceCurve] = {}
     if summary.estimators:
         try:
-            curves = _fitting(read_frf(directory / FRF_FILE), summary)
+            curves = read_frf(directory / FRF_FILE)
+            for name, one in curves.items():
+                if one.Z.shape != (shape := (summary.joints, summary.joints, one.f.size)):
+                    raise DataError(f"{FRF_FILE}: {name} has shape {one.Z.shape}, expected {shape}")
         except DataError as error:
+            curves = {}
             notes.append(str(error))
     contents = []
-    for path in _bags_of(directory, summary):
+    trials: list[Trial] = []
+    for name in dict.fromkeys(trial.bag for trial in summary.trials if trial.bag):
+        inside = directory / name  # or relative to where the result was made
         try:
-            contents.append(read_bag(path))
+            contents.append(read_bag(inside if inside.exists() else Path(name)))
         except (ArmimpError, OSError) as error:
             notes.append(f"no time traces: {error}")
     notes += (note for content in contents for note in content.notes)
+    for content in contents:
+        if (count := len(content.joint_names)) == summary.joints:
+            trials += content.trials
+        else:
+            notes.append(f"{content.path}: has {count} joints, not {summary.joints}")
     return Result(
         name=directory.absolute().name,
         summary=summary,
-        curves=curves,
-        trials=_trials(contents, summary, notes),
+        curves={name: curves[name] for name in summary.estimators if name in curves},
+        trials=tuple(sorted(trials, key=lambda trial: (trial.joint, trial.trial))),
         notes=tuple(dict.fromkeys(notes)),
     )
 
@@ -220,32 +219,3 @@ def _trial_summary(
         rtf=trial.rtf,
         saved=trial.window.saved * PERIOD_NS / NS_PER_S,
     )
-
-
-def _fitting(curves: Mapping[str, ImpedanceCurve], summary: Summary) -> dict[str, ImpedanceCurve]:
-    n = summary.joints
-    for name, curve in curves.items():
-        shape = (n, n, curve.f.size)
-        if curve.Z.shape != shape:
-            raise DataError(f"{FRF_FILE}: {name} has shape {curve.Z.shape}, expected {shape}")
-    return {name: curves[name] for name in summary.estimators if name in curves}
-
-
-def _bags_of(directory: Path, summary: Summary) -> list[Path]:
-    """Bags of a summary: paths are relative to its directory, or to where it was made."""
-    names = dict.fromkeys(trial.bag for trial in summary.trials if trial.bag)
-    inside = [(directory / name, Path(name)) for name in names]
-    return [here if here.exists() else there for here, there in inside]
-
-
-def _trials(
-    contents: Sequence[BagContent], summary: Summary, notes: list[str]
-) -> tuple[Trial, ...]:
-    trials: list[Trial] = []
-    for content in contents:
-        if len(content.joint_names) == summary.joints:
-            trials += content.trials
-        else:
-            count = len(content.joint_names)
-            notes.append(f"{content.path}: has {count} joints, not {summary.joints}")
-    return tuple(sorted(trials, key=lambda trial: (trial.joint, trial.trial)))

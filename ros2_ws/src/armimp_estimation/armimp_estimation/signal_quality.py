@@ -153,12 +153,18 @@ def unseen_share(records: Sequence[TrialRecord]) -> FloatArray:
     be held by friction, and move as it likes within a step. Of one trial for each joint, in order,
     the result, shape (n, n), is that of each joint in each trial, 0 where all is seen, 1 at most.
     """
-    return _unseen(records)[0]
+    return lost_motion(records)[0]
 
 
-def _unseen(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]:
-    """Share of the motion of locked joints that is not shown, and of the time that they rest."""
-    shares, resting = np.zeros((2, len(records), len(records)))
+def lost_motion(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]:
+    """Motion that follows the perturbation and that the encoders of locked joints may not show.
+
+    Of a motion of 0.2 q, at which most of it is lost, that is 0.16 q. Trials are as above. Given
+    are, for each joint in each trial, (n, n), its share of the motion that the encoder shows, all
+    of it while that seems to rest, as it may be less if rounding goes to and fro; and what is
+    beside that, rad, while it seems to rest. Both are 0 where all is seen.
+    """
+    shares, beside = np.zeros((2, len(records), len(records)))
     for joint, k in np.ndindex(shares.shape):
         step = _step_of(records[joint], joint)
         size = round(_WINDOW * records[k].rate)
@@ -172,26 +178,8 @@ def _unseen(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]:
         spread = np.maximum(np.var(counts, axis=1) - 1.0 / 12.0, 0.0)
         lacks = np.minimum(2.0 * np.exp(-2.0 * np.pi**2 * spread), 1.0)
         shares[joint, k] = np.mean(np.where(rests, 1.0, lacks))
-        resting[joint, k] = np.mean(rests)
-    return shares, resting
-
-
-def lost_motion(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]:
-    """Motion that follows the perturbation and that the encoders of locked joints may not show.
-
-    Of a motion of 0.2 q, at which most of it is lost, that is 0.16 q. Trials are as above.
-
-    Returns
-    -------
-    share : ndarray, shape (n, n)
-        Of each joint in each trial, of the motion that its encoder shows: all of it while it seems
-        to rest, as it may be less if rounding goes to and fro.
-    beside : ndarray, shape (n, n)
-        Of each joint in each trial, rad, while it seems to rest. Both are 0 where all is seen.
-    """
-    steps = np.array([_step_of(record, joint) for joint, record in enumerate(records)])
-    share, resting = _unseen(records)
-    return share, _LOST * steps[:, None] * resting
+        beside[joint, k] = _LOST * step * np.mean(rests)
+    return shares, beside
 
 
 def rounding_lead(records: Sequence[TrialRecord], band_end: float) -> FloatArray:

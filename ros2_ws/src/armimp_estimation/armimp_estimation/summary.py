@@ -28,10 +28,10 @@ from armimp_estimation.fit import CommonDelay
 from armimp_estimation.identify import EstimatorResult, Identification, TrialScores
 from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector, read_json
 from armimp_estimation.metadata import Timing, Truth
-from armimp_estimation.problems import Problem, Severity
+from armimp_estimation.problems import Problem
 from armimp_estimation.scores import NORMAL_95, Coherences
 from armimp_estimation.torque_timing import TorqueReading
-from armimp_estimation.verdict import Verdict
+from armimp_estimation.verdict import Verdict, faults
 
 SUMMARY_FILE = "summary.json"
 FRF_FILE = "frf.npz"
@@ -223,8 +223,7 @@ class Summary(JsonModel):
     @property
     def verdict(self) -> Verdict:
         """The two verdicts; problems of estimators that decide nothing do not count."""
-        deciding = [name for name, one in self.estimators.items() if one.decides]
-        return Verdict.of(self.problems, *deciding)
+        return Verdict.of(self.problems, *self._deciding)
 
     @computed_field  # type: ignore[prop-decorator]
     @property
@@ -235,9 +234,11 @@ class Summary(JsonModel):
     @property
     def faults(self) -> list[Problem]:
         """The problems for which the result is not valid."""
-        deciding = ["", *(name for name, one in self.estimators.items() if one.decides)]
-        errors = (one for one in self.problems if one.severity is Severity.ERROR)
-        return [one for one in errors if one.estimator in deciding]
+        return faults(self.problems, *self._deciding)
+
+    @property
+    def _deciding(self) -> list[str]:
+        return [name for name, one in self.estimators.items() if one.decides]
 
     def with_problems(self, problems: Sequence[Problem]) -> Self:
         """Return the same with these problems before its own, unless it has them already."""

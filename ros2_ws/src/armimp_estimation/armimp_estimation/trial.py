@@ -101,13 +101,6 @@ def drift_of(record: TrialRecord) -> Drift | None:
     return Drift(slopes=slopes, errors=errors)
 
 
-def channels(
-    joint: int, perturbation: FloatArray, position: FloatArray, torque: FloatArray
-) -> FloatArray:
-    """Stack samples of the trial of a joint (0-based), each (n, m), as spectra have them."""
-    return np.concatenate((perturbation[joint : joint + 1], position, torque))
-
-
 def segments_for(trials: Sequence[Sequence[TrialRecord]]) -> WelchConfig:
     """Choose Welch segments that suit all trials, by that with the shortest intact parts.
 
@@ -144,12 +137,8 @@ class TrialData:
 
         They are bit-identical to those that are gathered live, and no segment spans a gap. Torques
         are taken without the delay and the filter of their ``reading``. Drift, as the longest
-        stretch tells it, is taken out of record and spectra.
-
-        Raises
-        ------
-        DataError
-            If none of them is as long as one segment.
+        stretch tells it, is taken out of record and spectra. DataError if none of them is as long
+        as one segment.
         """
         record = max(stretches, key=lambda stretch: stretch.samples)
         drift = drift_of(record)
@@ -160,7 +149,8 @@ class TrialData:
         k = record.perturbed_joint
         for stretch in stretches:
             accumulator.interrupt()
-            accumulator.push(channels(k, stretch.perturbation, stretch.position, stretch.torque))
+            signals = stretch.perturbation[k : k + 1], stretch.position, stretch.torque
+            accumulator.push(np.concatenate(signals))
         try:
             found = accumulator.result()
             if record.periods is not None:

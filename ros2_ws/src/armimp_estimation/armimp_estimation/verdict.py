@@ -43,6 +43,12 @@ _CLEARLY = 2.0
 """Another joint moves this many times as much as the perturbed one."""
 
 
+def faults(problems: Iterable[Problem], *estimators: str) -> list[Problem]:
+    """Problems for which the numbers of estimators can't be trusted; not those of others."""
+    errors = (one for one in problems if one.severity is Severity.ERROR)
+    return [one for one in errors if one.estimator in ("", *estimators)]
+
+
 class Verdict(JsonModel):
     """The two verdicts: whether Z(f), and whether M, B and K, are right within their intervals."""
 
@@ -51,12 +57,8 @@ class Verdict(JsonModel):
 
     @classmethod
     def of(cls, problems: Iterable[Problem], *estimators: str) -> Verdict:
-        """Judge whether the numbers of estimators can be trusted; without any they cannot.
-
-        Problems of other estimators do not count.
-        """
-        errors = [one for one in problems if one.severity is Severity.ERROR]
-        found = [one.concern for one in errors if one.estimator in ("", *estimators)]
+        """Judge whether the numbers of estimators can be trusted; without any they cannot."""
+        found = [one.concern for one in faults(problems, *estimators)]
         trusted = bool(estimators)
         return cls(
             impedance=trusted and Concern.IMPEDANCE not in found, parameters=trusted and not found

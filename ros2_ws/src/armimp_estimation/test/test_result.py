@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armimp_common.cdr import decode_trial_status, encode_trial_status
 from armimp_common.errors import DataError
 from armimp_common.realtime import TimingLimits
-from armimp_common.status import Cause, Phase, TimingFigures
-from armimp_common.topics import CONTROLLER_NODE, JOINT_STATES, PERIOD_NS, TRIAL
+from armimp_common.status import TimingFigures
+from armimp_common.topics import CONTROLLER_NODE, JOINT_STATES, PERIOD_NS
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.bags import read_bag
 from armimp_estimation.estimators.registry import IdentifyConfig
@@ -64,23 +63,10 @@ def without(
     return [(t, time, raw) for t, time, raw in messages if t != topic or time not in lost]
 
 
-def spoiled(message: Message, cause: Cause) -> Message:
-    """The message; where it says that a trial is over and there is a cause, that it is spoiled."""
-    topic, time, raw = message
-    if topic != TRIAL or cause is Cause.NONE:
-        return message
-    status = decode_trial_status(raw)
-    if status.phase is Phase.REST:
-        status = replace(status, valid=False, cause=cause, reason="so it is")
-    return topic, time, encode_trial_status(status)
-
-
 def recorded(
-    messages: Iterable[Message] = RECORDING.messages,
-    directory: Path | None = None,
-    cause: Cause = Cause.NONE,
+    messages: Iterable[Message] = RECORDING.messages, directory: Path | None = None
 ) -> list[Trial]:
-    """The trials as a recorder hands them over; with a cause the controller finds them invalid."""
+    """The trials as a recorder hands them over."""
     trials: list[Trial] = []
 
     def keep(trial: Trial | Problem) -> None:
@@ -88,7 +74,7 @@ def recorded(
         trials.append(trial)
 
     recorder = TrialRecorder(NAMES, directory, METADATA, keep)
-    record(recorder, (spoiled(message, cause) for message in messages))
+    record(recorder, messages)
     recorder.stop()
     return trials
 
@@ -182,12 +168,9 @@ def test_known_problems_make_a_result_invalid_and_come_first() -> None:
     assert (summary.valid, summary.problems, summary.faults) == (False, [NOISE], [NOISE])
     assert tuple(summary.estimators) == ESTIMATORS
     assert codes(result_of([], problems=[NOISE])) == [NOISE.code, ProblemCode.TRIALS_INCOMPLETE]
-
-
-def test_a_problem_that_is_known_beforehand_is_not_told_twice() -> None:
-    trials = recorded(cause=Cause.LIMIT)
-    known = trials[0].problems[0]
-    assert codes(result_of(trials, problems=[known])) == [ProblemCode.TRIAL_SPOILED] * 2
+    # None is told twice.
+    spoiled = replace(LIVE[0], problems=(NOISE,))
+    assert result_of([spoiled, LIVE[1]], problems=[NOISE]).summary.problems == [NOISE]
 
 
 def test_trials_of_another_rate_are_refused_where_the_controller_that_made_them_has_its_own() -> (

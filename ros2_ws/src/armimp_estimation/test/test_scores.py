@@ -145,13 +145,10 @@ def test_lock_ratio_is_the_motion_that_the_perturbation_causes_and_not_that_of_a
     np.testing.assert_allclose(ratios[1], ratios[0], rtol=0.05)
 
 
-def test_when_the_perturbed_joint_stands_still_expect_data_error() -> None:
+def test_a_perturbed_joint_that_stands_still_or_a_torque_that_never_changes_is_an_error() -> None:
     record = dataclasses.replace(moving_record(), perturbed_joint=2)
     with pytest.raises(DataError, match="trial 4: c is perturbed but does not move"):
         scores.require_motion(record)
-
-
-def test_when_a_transducer_never_changes_expect_data_error() -> None:
     record = moving_record()
     record.torque[record.perturbed_joint] = 0.3
     with pytest.raises(DataError, match=r"torque of \w reads 0.3 N·m throughout"):

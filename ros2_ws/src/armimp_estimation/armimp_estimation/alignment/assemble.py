@@ -14,7 +14,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armimp_common.arrays import BoolArray, FloatArray, IntArray
 from armimp_common.errors import DataError
@@ -324,6 +323,10 @@ def _record(
     start, stop = run
     leading = aligned[PERTURBATION]
     first = int(np.searchsorted(leading.numbers, start))
+    ordinals = leading.order[first : first + stop - start]
+    command = None
+    if commands is not None and ordinals.max() < commands.shape[1]:
+        command = commands[:, ordinals]
     return TrialRecord(
         trial=window.trial,
         perturbed_joint=joint,
@@ -334,7 +337,7 @@ def _record(
         torque=aligned[TORQUE_SENSORS].values[:, start:stop],
         start_ns=int(leading.stamps[first]),
         seed=window.seed,
-        command=_chosen(commands, leading.order[first : first + stop - start]),
+        command=None if command is None or not np.isfinite(command).all() else command,
     )
 
 
@@ -347,10 +350,3 @@ def _commands(streams: Streams) -> FloatArray | None:
     numbers = commands.stamps
     jumps = (np.diff(numbers) != 1) & ~begins_anew(numbers) & numbers.any()
     return commands.values[:, : int(jumps.argmax()) + 1] if jumps.any() else commands.values
-
-
-def _chosen(commands: FloatArray | None, ordinals: NDArray[np.intp]) -> FloatArray | None:
-    if commands is None or ordinals.max() >= commands.shape[1]:
-        return None
-    command = commands[:, ordinals]
-    return command if np.isfinite(command).all() else None

@@ -24,17 +24,12 @@ class StreamSynchronizer:
     """Keeps the messages of the four streams, each in its order, until they are taken out.
 
     Those of the perturbation are handed in one by one. The others are fetched with every tenth of
-    them, and before anything is taken out.
+    them, and before anything is taken out: for each of :data:`FETCHED` there is a source that gives
+    the messages that have come since it was called last.
 
-    Parameters
-    ----------
-    sources : mapping of str to callable
-        For each of :data:`FETCHED`: gives the messages that have come since it was called last.
-    on_samples : callable, optional
-        Called with the number of samples of which all messages have come, whenever it has passed
-        another multiple of :data:`armimp_common.topics.RECEIVED_EVERY`; with that multiple.
-    on_behind : callable, optional
-        Called when others than the perturbation are still to come, for which one must :meth:`poll`.
+    `on_samples` is called whenever the number of samples of which all messages have come has passed
+    another multiple of :data:`armimp_common.topics.RECEIVED_EVERY`, with that multiple, and
+    `on_behind` when others than the perturbation are to come, for which one must :meth:`poll`.
     """
 
     def __init__(

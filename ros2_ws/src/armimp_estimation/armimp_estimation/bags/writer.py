@@ -152,13 +152,9 @@ class BagWriter:
     ) -> None:
         """Append messages of several topics for each of some times at once.
 
-        Parameters
-        ----------
-        log_times : sequence of int
-            Times of reception (ns), not negative, in rising order.
-        messages : mapping of str to sequence of bytes
-            A message (CDR with its encapsulation header) for each of them, by topic of the
-            contract, in the order in which those of one time are written.
+        Times are those of reception (ns), not negative, in rising order. By topic of the contract,
+        in the order in which those of one time are written, there is a message for each of them,
+        in CDR with its encapsulation header.
         """
         with self._one_line():
             channels = {self._channel(topic): raws for topic, raws in messages.items()}
