@@ -178,10 +178,7 @@ class CheckOptions(BaseModel):
 def checked(model: type[ModelT], values: Mapping[str, Any]) -> ModelT:
     """Return the instance of a model with these values.
 
-    Raises
-    ------
-    ConfigurationError
-        If one does not exist or is wrong: one line that names it.
+    ConfigurationError if one does not exist or is wrong: one line that names it.
     """
     check_names(map(str, values), model.model_fields)
     try:
@@ -244,10 +241,7 @@ def _read(path: Path) -> dict[str, Any]:
 def require_unused(directory: Path) -> None:
     """Refuse an output directory with anything in it; there need not be one yet.
 
-    Raises
-    ------
-    ConfigurationError
-        If it exists and is not an empty directory.
+    ConfigurationError if it exists and is not an empty directory.
     """
     try:
         require_text(directory)
@@ -261,10 +255,7 @@ def require_unused(directory: Path) -> None:
 def prepare_directory(directory: Path) -> None:
     """Make the output directory; one with anything in it is refused.
 
-    Raises
-    ------
-    ConfigurationError
-        If it exists and is not an empty directory, or can't be made.
+    ConfigurationError if it exists and is not an empty directory, or can't be made.
     """
     require_unused(directory)
     try:

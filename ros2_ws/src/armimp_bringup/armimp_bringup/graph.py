@@ -231,10 +231,7 @@ def _reach() -> dict[str, str | None]:
 def external_domain(domain_id: int | None) -> int:
     """Return the domain that nodes started by others are in: the given one, or where ROS looks.
 
-    Raises
-    ------
-    ConfigurationError
-        If the variable of the environment holds no number.
+    ConfigurationError if the variable of the environment holds no number.
     """
     if domain_id is not None:
         return domain_id

@@ -82,10 +82,7 @@ class AskedParameters:
     def give(self, name: str) -> None:
         """Set all parameters of a node, or none.
 
-        Raises
-        ------
-        GraphError
-            If the node refuses them.
+        GraphError if the node refuses them.
         """
         messages = [parameter.to_parameter_msg() for parameter in self.asked[name]]
         request = SetParametersAtomically.Request(parameters=messages)
@@ -340,10 +337,7 @@ class ExternalNodes(NodeGroup):
     def prepare(self, manager: LifecycleManager) -> None:
         """Make sure that the nodes are free, and give them their parameters.
 
-        Raises
-        ------
-        GraphError
-            If a node is in use, or finalized, or refuses a parameter.
+        GraphError if a node is in use, or finalized, or refuses a parameter.
         """
         for name in manager.names:
             state = manager.state(name)
@@ -363,10 +357,7 @@ class ExternalNodes(NodeGroup):
     def retire(self, manager: LifecycleManager, name: str) -> None:
         """Bring a node back to where the next experiment finds it.
 
-        Raises
-        ------
-        GraphError
-            If it does not answer or refuses.
+        GraphError if it does not answer or refuses.
         """
         if manager.state(name) == "active":
             manager.change(name, "deactivate")

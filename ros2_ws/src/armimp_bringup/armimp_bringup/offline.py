@@ -257,12 +257,8 @@ class SimulatedExperiment:
     def identify(self, estimators: Sequence[str | Estimator]) -> Identification:
         """Estimate, compare with the truth and judge; see :func:`armimp_estimation.identify`.
 
-        Raises
-        ------
-        ConfigurationError
-            If there is no such estimator.
-        DataError
-            If the records cannot be estimated.
+        ConfigurationError if there is no such estimator; DataError if the records cannot be
+        estimated.
         """
         options = self.options
         data = [

@@ -92,12 +92,8 @@ def _metadata_of(declared: Declared) -> dict[str, str]:
 def read_bags(bags: Sequence[Path], *, namespace: str | None = None) -> list[BagContent]:
     """Read bags which belong to one experiment; those that a killed recorder left are finished.
 
-    Raises
-    ------
-    BagError
-        If a bag can't be read, or is given twice.
-    DataError
-        If the joints differ between them, or the metadata make no sense.
+    BagError if a bag can't be read, or is given twice; DataError if the joints differ between them,
+    or the metadata make no sense.
     """
     require_distinct(bags)
     contents = []

@@ -261,10 +261,8 @@ class JointStateEncoder:
     def encode(self, stamp_ns: int, values: Sequence[float] | NDArray[np.float64]) -> bytes:
         """Encode (n,) numbers in the order of the names, with a stamp (ns).
 
-        Raises
-        ------
-        MalformedMessageError
-            If the number of values is wrong or the stamp does not fit the message.
+        MalformedMessageError if the number of values is wrong or the stamp does not fit the
+        message.
         """
         sec, nanosec = divmod(stamp_ns, NS_PER_S)
         if isinstance(values, np.ndarray):
@@ -302,11 +300,8 @@ class JointStateDecoder(_Decoder):
     def decode(self, data: Buffer) -> tuple[int, tuple[float, ...]]:
         """Decode one message into its stamp (ns) and n numbers, NaN and infinities as they are.
 
-        Raises
-        ------
-        MalformedMessageError
-            On truncated or foreign bytes, a missing, unknown or doubled joint, or an array
-            whose length is not the number of joints.
+        MalformedMessageError on truncated or foreign bytes, a missing, unknown or doubled joint, or
+        an array whose length is not the number of joints.
         """
         layout, items = self._unpacked(data)
         return items[0] * NS_PER_S + items[1], layout.values(items)
@@ -345,10 +340,7 @@ class JointStateDecoder(_Decoder):
 def joint_names_of(data: Buffer) -> tuple[str, ...]:
     """Return the joint names in the order in which a JointState message has them.
 
-    Raises
-    ------
-    MalformedMessageError
-        If the bytes are not a JointState message.
+    MalformedMessageError if the bytes are not a JointState message.
     """
     reader, names, _, _ = _joint_state(data)
     try:
@@ -360,10 +352,7 @@ def joint_names_of(data: Buffer) -> tuple[str, ...]:
 def stamp_of(data: Buffer) -> int:
     """Return the stamp (ns) of any message that begins with a ``std_msgs/Header``.
 
-    Raises
-    ------
-    MalformedMessageError
-        If the bytes are too few or not CDR.
+    MalformedMessageError if the bytes are too few or not CDR.
     """
     return CdrReader(data, "message").stamp_ns()
 
@@ -393,10 +382,7 @@ class CommandEncoder:
     def encode(self, values: Sequence[float] | NDArray[np.float64], number: int = 0) -> bytes:
         """Encode (n,) joint torques (N·m), with the number of the command or 0 for none.
 
-        Raises
-        ------
-        MalformedMessageError
-            If the number of values is wrong.
+        MalformedMessageError if the number of values is wrong.
         """
         if isinstance(values, np.ndarray):
             values = values.tolist()
@@ -441,10 +427,7 @@ class CommandDecoder(_Decoder):
     def decode(self, data: Buffer) -> tuple[float, ...]:
         """Decode one message into n torques (N·m), NaN and infinities passed on as they are.
 
-        Raises
-        ------
-        MalformedMessageError
-            On truncated or foreign bytes, or another number of values.
+        MalformedMessageError on truncated or foreign bytes, or another number of values.
         """
         layout, items = self._unpacked(data)
         return layout.values(items)
@@ -479,10 +462,7 @@ class CommandDecoder(_Decoder):
 def decode_trial_status(data: bytes) -> TrialStatus:
     """Decode one message of the topic ``imbic_controller/trial``.
 
-    Raises
-    ------
-    MalformedMessageError
-        If the bytes are not such a message.
+    MalformedMessageError if the bytes are not such a message.
     """
     reader = CdrReader(data, "DiagnosticStatus")
     reader.uint32()  # the level, one byte, and the padding before the first string

@@ -177,10 +177,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT]):
     def obey_again(self) -> None:
         """Undo a fault.
 
-        Raises
-        ------
-        GraphError
-            If torque would come back with a jerk.
+        GraphError if torque would come back with a jerk.
         """
         if self.limiter is not None:
             self.limiter.reset()
@@ -383,10 +380,7 @@ class ProtectedDriver(DriverBase[Protection], ABC):
     ) -> None:
         """Wait for whoever commands, and for the peers of further channels.
 
-        Raises
-        ------
-        GraphError
-            If somebody does not turn up.
+        GraphError if somebody does not turn up.
         """
         wait_for_partners(
             self,

@@ -97,10 +97,7 @@ def steady_timer(
 def refuse_simulated_time(node: Node) -> None:
     """Refuse ``use_sim_time``, now and whenever it is set; calling it again does nothing.
 
-    Raises
-    ------
-    ConfigurationError
-        If the node was started with it.
+    ConfigurationError if the node was started with it.
     """
     if node in _refusing:
         return
@@ -141,10 +138,8 @@ class Spinner:
     def add_node(self, node: Node) -> None:
         """Execute the callbacks of this node too.
 
-        Raises
-        ------
-        ConfigurationError
-            If it was started with ``use_sim_time``, which is refused from now on, too.
+        ConfigurationError if it was started with ``use_sim_time``, which is refused from now on,
+        too.
         """
         refuse_simulated_time(node)
         self.executor.add_node(node)

@@ -126,10 +126,7 @@ class LifecycleManager:
     def wait_for_nodes(self, timeout: float | None = None) -> None:
         """Wait until the services of all managed nodes are there.
 
-        Raises
-        ------
-        GraphError
-            Naming the nodes that did not appear.
+        GraphError naming the nodes that did not appear.
         """
         deadline = time.monotonic() + (self._timeout if timeout is None else timeout)
         while missing := sorted(
@@ -152,11 +149,8 @@ class LifecycleManager:
     def change(self, name: str, transition: TransitionName) -> None:
         """Ask a node for a transition and wait until it is made.
 
-        Raises
-        ------
-        GraphError
-            If the node does not answer, is not in a state that has this transition, or fails
-            to make it; the message names node and transition.
+        GraphError if the node does not answer, is not in a state that has this transition, or fails
+        to make it; the message names node and transition.
         """
         available = self._available(name, transition)
         if transition not in available:

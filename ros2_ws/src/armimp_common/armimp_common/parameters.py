@@ -103,10 +103,8 @@ def as_parameters(instance: BaseModel) -> list[Parameter]:
 def load(node: Node, model: type[ModelT]) -> ModelT:
     """Return the present values of declared parameters.
 
-    Raises
-    ------
-    ConfigurationError
-        If the schema refuses them; the message names the parameter, its value and the reason.
+    ConfigurationError if the schema refuses them; the message names the parameter, its value and
+    the reason.
     """
     present = _loaded[node] = _present(node, model)
     return build(model, present)
@@ -115,10 +113,7 @@ def load(node: Node, model: type[ModelT]) -> ModelT:
 def require_unchanged(node: Node) -> None:
     """Refuse to begin with other parameters than those that a node shows.
 
-    Raises
-    ------
-    GraphError
-        If they were changed since they were loaded; the message names those.
+    GraphError if they were changed since they were loaded; the message names those.
     """
     loaded, present = _loaded[node], _present(node, _schemas[node])
     changed = ", ".join(name for name, value in loaded.items() if present[name] != value)

@@ -118,10 +118,7 @@ class TorqueLatch:
     def reset(self) -> None:
         """Obey again after a fault.
 
-        Raises
-        ------
-        GraphError
-            If the last command was not zero: torque would come back with a jerk.
+        GraphError if the last command was not zero: torque would come back with a jerk.
         """
         if not self._resting:
             raise GraphError("the last command is not zero torque: stop the controller first")

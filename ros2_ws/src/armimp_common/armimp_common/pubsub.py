@@ -215,10 +215,7 @@ def take_all(subscription: Subscription) -> list[bytes]:
 
     An executor that attends to it finds none of them any more.
 
-    Raises
-    ------
-    rclpy.exceptions.InvalidHandle
-        If the subscription was destroyed.
+    rclpy.exceptions.InvalidHandle if the subscription was destroyed.
     """
     handle: Any = subscription.handle
     taken: list[bytes] = []

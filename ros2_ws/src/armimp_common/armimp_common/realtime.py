@@ -181,10 +181,7 @@ class RealtimeScheduling:
     def take(self, priority: int) -> None:
         """Take precedence, with a SCHED_FIFO priority or 0.
 
-        Raises
-        ------
-        GraphError
-            If the system does not permit that.
+        GraphError if the system does not permit that.
         """
         for thread in _threads() if priority else []:
             with suppress(ProcessLookupError):  # ended just now
@@ -218,10 +215,7 @@ def _reschedule(thread: int, policy: int, param: os.sched_param) -> None:
 def require_precedence(priority: int) -> None:
     """Check beforehand that the system permits a SCHED_FIFO priority; 0 is always permitted.
 
-    Raises
-    ------
-    ConfigurationError
-        If it does not.
+    ConfigurationError if it does not.
     """
     if priority == 0:
         return

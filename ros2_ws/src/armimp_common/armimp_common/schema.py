@@ -83,10 +83,7 @@ class Leaf:
 def leaves(model: type[BaseModel]) -> dict[str, Leaf]:
     """Return the parameters of a schema by dotted name, in the order of its fields.
 
-    Raises
-    ------
-    TypeError
-        If a field has a type that ROS parameters cannot have.
+    TypeError if a field has a type that ROS parameters cannot have.
     """
     found: dict[str, Leaf] = {}
     described = descriptions(model)
@@ -162,10 +159,7 @@ def build(model: type[ModelT], values: Mapping[str, object]) -> ModelT:
 
     Integers may stand for doubles, and None for an empty array, as ROS has no type for those.
 
-    Raises
-    ------
-    ConfigurationError
-        On an unknown name, a wrong type, or a value that the schema refuses.
+    ConfigurationError on an unknown name, a wrong type, or a value that the schema refuses.
     """
     known = leaves(model)
     check_names(values, known)
@@ -199,10 +193,7 @@ def _plain(name: str, value: object) -> object:
 def vector(name: str, values: Sequence[float], n: int) -> NDArray[np.float64]:
     """Return the values of a parameter with one for each of `n` joints, (n,).
 
-    Raises
-    ------
-    ConfigurationError
-        If there are not so many.
+    ConfigurationError if there are not so many.
     """
     if len(values) != n:
         raise ConfigurationError(f"parameter '{name}' has {len(values)} values for {n} joints")
@@ -212,10 +203,7 @@ def vector(name: str, values: Sequence[float], n: int) -> NDArray[np.float64]:
 def each(name: str, values: Sequence[Any], n: int) -> NDArray[Any]:
     """Return the values (n,) of a parameter with one for all of `n` joints, or one for each.
 
-    Raises
-    ------
-    ConfigurationError
-        If there are not so many.
+    ConfigurationError if there are not so many.
     """
     if len(values) not in {1, n}:
         raise ConfigurationError(f"parameter '{name}' has {len(values)} values for {n} joints")
@@ -225,10 +213,7 @@ def each(name: str, values: Sequence[Any], n: int) -> NDArray[Any]:
 def matrix(name: str, values: Sequence[float], n: int) -> NDArray[np.float64]:
     """Return the values of a parameter that is a matrix row by row, (n, n).
 
-    Raises
-    ------
-    ConfigurationError
-        If there are not so many.
+    ConfigurationError if there are not so many.
     """
     if len(values) != n * n:
         raise ConfigurationError(
@@ -240,10 +225,8 @@ def matrix(name: str, values: Sequence[float], n: int) -> NDArray[np.float64]:
 def check_names(names: Iterable[str], known: Iterable[str]) -> None:
     """Check that every name is known.
 
-    Raises
-    ------
-    ConfigurationError
-        Naming the first that is not, and a valid name that is much like it, if there is one.
+    ConfigurationError naming the first that is not, and a valid name that is much like it, if there
+    is one.
     """
     valid = list(known)
     for name in names:

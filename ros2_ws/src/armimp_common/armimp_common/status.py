@@ -110,10 +110,7 @@ class Record:
     def from_values(cls, values: Mapping[str, str]) -> Self:
         """Rebuild a record from its key-values; keys that are not known are ignored.
 
-        Raises
-        ------
-        MalformedMessageError
-            If a value is missing, cannot be parsed, or contradicts another.
+        MalformedMessageError if a value is missing, cannot be parsed, or contradicts another.
         """
         what = cls.STATUS_NAME.partition(": ")[2]
         kinds = _types(record := cast(Any, cls))
@@ -186,10 +183,7 @@ class Cause(str, Enum):
 class TrialStatus(Record):
     """One published state of the trial sequence.
 
-    Raises
-    ------
-    ConfigurationError
-        If the numbers contradict one another.
+    ConfigurationError if the numbers contradict one another.
     """
 
     STATUS_NAME: ClassVar[str] = f"{CONTROLLER_NODE}: trial"
@@ -258,10 +252,7 @@ class TrialStatus(Record):
 class StoppingDecision(Record):
     """Whether a trial has lasted long enough, by the stopping rule of the estimator.
 
-    Raises
-    ------
-    ConfigurationError
-        If a number is negative, or the next decision is due before this one.
+    ConfigurationError if a number is negative, or the next decision is due before this one.
     """
 
     STATUS_NAME: ClassVar[str] = f"{ESTIMATOR_NODE}: stopping"
@@ -304,10 +295,7 @@ class StoppingDecision(Record):
 class TimingFigures(Record):
     """Timing of a rig in real time, from the first sample on.
 
-    Raises
-    ------
-    ConfigurationError
-        If a count is negative or larger than the number of samples.
+    ConfigurationError if a count is negative or larger than the number of samples.
     """
 
     STATUS_NAME: ClassVar[str] = f"{SIM_NODE}: timing"
@@ -345,10 +333,7 @@ class TimingFigures(Record):
 class Progress(Record):
     """Where an experiment stands, for display.
 
-    Raises
-    ------
-    ConfigurationError
-        If a number is impossible, or the columns differ in length.
+    ConfigurationError if a number is impossible, or the columns differ in length.
     """
 
     STATUS_NAME: ClassVar[str] = f"{ESTIMATOR_NODE}: progress"

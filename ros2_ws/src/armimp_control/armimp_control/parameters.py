@@ -243,10 +243,7 @@ class ControllerParameters(Schema):
     def check(self) -> tuple[str, ...]:
         """Check that everything fits together and is stable when sampled; return warnings.
 
-        Raises
-        ------
-        ConfigurationError
-            If not; the message carries the offending value.
+        ConfigurationError if not; the message carries the offending value.
         """
         law = self.law_config()
         for name, values in (

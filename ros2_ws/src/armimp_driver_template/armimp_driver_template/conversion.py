@@ -21,10 +21,7 @@ Item = TypeVar("Item")
 class Sensors:
     """One kind of sensor, by joint: ``value = sign · (count − zero) · resolution / gear``.
 
-    Raises
-    ------
-    ConfigurationError
-        If there are not as many values as joints; ``name`` is in the message.
+    ConfigurationError if there are not as many values as joints; ``name`` is in the message.
     """
 
     def __init__(self, name: str, parameters: SensorParameters, joints: int) -> None:
@@ -75,10 +72,7 @@ class Encoders(Sensors):
 class Drives:
     """The drives, by joint: a drive has ``sign · τ / gear`` for a torque τ of its joint.
 
-    Raises
-    ------
-    ConfigurationError
-        If there are not as many values as joints.
+    ConfigurationError if there are not as many values as joints.
     """
 
     def __init__(self, parameters: DriveParameters, joints: int) -> None:

@@ -140,10 +140,7 @@ class SimulatorParameters(Schema):
     def plant_config(self) -> PlantConfig:
         """Everything that the plant needs.
 
-        Raises
-        ------
-        ConfigurationError
-            If a shape or a value is wrong; the message names the parameter.
+        ConfigurationError if a shape or a value is wrong; the message names the parameter.
         """
         robot, values = (
             {

@@ -57,10 +57,7 @@ def human_arm(joints: int) -> HumanArm:
     Assumptions: for three joints a wrist is added; four to seven are an even chain, see
     :func:`_rods`.
 
-    Raises
-    ------
-    ConfigurationError
-        If there is no preset for that number of joints.
+    ConfigurationError if there is no preset for that number of joints.
     """
     _check_joints("arm", joints)
     if joints <= 2:
@@ -88,10 +85,7 @@ def robot(joints: int) -> PlanarChain:
 
     One joint is the second of two; four to seven are an even chain, see :func:`_rods`.
 
-    Raises
-    ------
-    ConfigurationError
-        If there is no preset for that number of joints.
+    ConfigurationError if there is no preset for that number of joints.
     """
     _check_joints("robot", joints)
     if joints <= 2:
@@ -118,10 +112,7 @@ def friction(level: int, joints: int) -> tuple[LuGre, ...]:
     Shoulder and elbow have the same. The friction of any other joint is in proportion to its size,
     as drives are: see :data:`armimp_common.sizes.JOINT_SIZES`.
 
-    Raises
-    ------
-    ConfigurationError
-        If there is no such level, or no preset for that number of joints.
+    ConfigurationError if there is no such level, or no preset for that number of joints.
     """
     law = _FRICTION[_checked("friction", level)]
     _check_joints("friction", joints)
@@ -134,10 +125,7 @@ def friction(level: int, joints: int) -> tuple[LuGre, ...]:
 def sensors(level: int, sampling: Sampling = Sampling.BEFORE_UPDATE) -> SensorParameters:
     """Encoder and torque resolution at a level from 0 (unquantised) to 3 (Table II).
 
-    Raises
-    ------
-    ConfigurationError
-        If there is no such level.
+    ConfigurationError if there is no such level.
     """
     counts = _ENCODER_COUNTS[_checked("resolution", level)]
     return SensorParameters(

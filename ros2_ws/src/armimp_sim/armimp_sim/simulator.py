@@ -72,10 +72,7 @@ class SimulatedRig(TorqueLatch):
         all further steps run with zero torque. After :meth:`fade` they run with a torque on its way
         to zero.
 
-        Raises
-        ------
-        IntegrationError
-            If the simulation itself broke down.
+        IntegrationError if the simulation itself broke down.
         """
         if not math.isfinite(sum(command)):
             self._refuse(command)
@@ -170,10 +167,7 @@ class RealtimeSimulator:
     def reset(self) -> None:
         """Obey commands again after a fault; samples that were left unanswered are forgotten.
 
-        Raises
-        ------
-        GraphError
-            If the rig refuses.
+        GraphError if the rig refuses.
         """
         with self.lock:
             self._rig.reset()

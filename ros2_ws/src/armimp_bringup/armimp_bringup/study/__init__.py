@@ -102,10 +102,8 @@ def _parse_only(text: str) -> dict[str, tuple[int, ...]]:
 def parse_seeds(text: str) -> tuple[int, ...]:
     """Seeds from numbers and half-open ranges, joined by commas: ``77``, ``0:10``, ``1,5,10:20``.
 
-    Raises
-    ------
-    ConfigurationError
-        If it is something else, holds no seed or more than `MOST_SEEDS`, or one twice.
+    ConfigurationError if it is something else, holds no seed or more than `MOST_SEEDS`, or one
+    twice.
     """
     found: list[int] = []
     for part in text.split(","):
@@ -157,10 +155,7 @@ def study_text(entries: Sequence[StudyEntry]) -> str:
 def read_study(path: Path) -> list[StudyEntry]:
     """Read ``study.json``.
 
-    Raises
-    ------
-    DataError
-        If it can't be read, or is something else.
+    DataError if it can't be read, or is something else.
     """
     return read_json(path, _ENTRIES.validate_json, "a study")
 
@@ -168,10 +163,7 @@ def read_study(path: Path) -> list[StudyEntry]:
 def save_result(directory: Path, result: ConditionResult) -> None:
     """Write result and curves of a condition.
 
-    Raises
-    ------
-    DataError
-        If they can't be written.
+    DataError if they can't be written.
     """
     name = result.entry.condition.name
     write_frf(
@@ -183,9 +175,6 @@ def save_result(directory: Path, result: ConditionResult) -> None:
 def saved_curves(directory: Path, condition: Condition) -> dict[str, ImpedanceCurve]:
     """Curves of one condition by name of the estimator.
 
-    Raises
-    ------
-    DataError
-        If they are missing or damaged.
+    DataError if they are missing or damaged.
     """
     return read_frf(directory / f"{condition.name}.npz")

@@ -63,12 +63,9 @@ def split_evenly(conditions: Sequence[Condition], workers: int) -> list[tuple[Co
 def run_batch(batch: Batch) -> list[ConditionResult]:
     """Simulate the conditions of a batch and identify the impedance in each.
 
-    Raises
-    ------
-    ConfigurationError
-        If the configuration does not make an experiment, or an estimator does not exist.
-    DataError
-        If a condition cannot be simulated or estimated, or the software here is another one.
+    ConfigurationError if the configuration does not make an experiment, or an estimator does not
+    exist; DataError if a condition cannot be simulated or estimated, or the software here is
+    another one.
     """
     here = versions()
     for name, version in batch.software["versions"].items():
@@ -97,12 +94,7 @@ def estimate_condition(
 ) -> ConditionResult:
     """Identify the impedance in one condition of a batch, from its trials.
 
-    Raises
-    ------
-    ConfigurationError
-        If an estimator does not exist.
-    DataError
-        If the trials can't be estimated.
+    ConfigurationError if an estimator does not exist; DataError if the trials can't be estimated.
     """
     try:
         identification = experiment.identify(experiment.config.estimators)

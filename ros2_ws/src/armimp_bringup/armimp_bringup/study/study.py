@@ -59,10 +59,7 @@ _VARIED: Final = {*LEVELS, "seed", "mode", "processes"}
 def chosen_backend(workers: int | None, scheduler: str | None) -> Backend:
     """Return where a study is to run: a dask scheduler, or so many threads of this machine.
 
-    Raises
-    ------
-    ConfigurationError
-        If both are given, or what is given makes no sense.
+    ConfigurationError if both are given, or what is given makes no sense.
     """
     if scheduler is None:
         return Threads(workers if workers is not None else available_cores())

@@ -97,10 +97,7 @@ class Observer:
     mostly friction, count as random walks. They act on all joints through M̄⁻¹, so that friction
     which is seen in the motion of the perturbed joint is known at the locked ones before they move.
 
-    Raises
-    ------
-    ConfigurationError
-        If the delay is none that the law can remember commands for.
+    ConfigurationError if the delay is none that the law can remember commands for.
     """
 
     resolution: float
@@ -158,10 +155,7 @@ class Observer:
 class ImbicConfig:
     """Target impedance and internal model.
 
-    Raises
-    ------
-    ConfigurationError
-        If shapes disagree or a value is out of range.
+    ConfigurationError if shapes disagree or a value is out of range.
     """
 
     target_posture: NDArray[np.float64]

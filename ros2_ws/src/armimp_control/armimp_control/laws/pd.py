@@ -42,10 +42,7 @@ from armimp_control.laws import (
 class PdConfig:
     """Gains of plain PD locking.
 
-    Raises
-    ------
-    ConfigurationError
-        If shapes disagree or a value is out of range.
+    ConfigurationError if shapes disagree or a value is out of range.
     """
 
     target_posture: NDArray[np.float64]

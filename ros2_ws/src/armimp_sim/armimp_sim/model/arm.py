@@ -20,10 +20,8 @@ class HumanArm:
 
     The matrices are general: nothing here assumes or makes them symmetric.
 
-    Raises
-    ------
-    ConfigurationError
-        If shapes disagree, a value is not finite, or a diagonal inertia is not positive.
+    ConfigurationError if shapes disagree, a value is not finite, or a diagonal inertia is not
+    positive.
     """
 
     posture: NDArray[np.float64]

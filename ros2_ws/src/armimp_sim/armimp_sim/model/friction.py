@@ -18,10 +18,8 @@ from armimp_sim.simd import exp_minus
 class LuGre:
     """Parameters of the friction of a joint.
 
-    Raises
-    ------
-    ConfigurationError
-        If a value is negative or not finite, Fs < Fc, or bristles have no friction level to reach.
+    ConfigurationError if a value is negative or not finite, Fs < Fc, or bristles have no friction
+    level to reach.
     """
 
     coulomb: float
