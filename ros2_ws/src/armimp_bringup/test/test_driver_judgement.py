@@ -53,9 +53,9 @@ class Bench:
         """Let the arm settle, and push a joint; `share` of the torque acts."""
         torque = (share, 0.0) if joint == 0 else (0.0, share)
         self.play([ZERO] * 1500)
-        rows = self.play([ZERO] * REST + [torque] * HOLD)
+        rows = self.play([ZERO] * REST + [torque] * HOLD + [ZERO] * 100)
         position, effort = (np.array([row[kind] for row in rows]).T for kind in (0, 1))
-        return measure(joint, 1.0, position, sign * effort, REST)
+        return measure(joint, 1.0, position, sign * effort, REST, REST + HOLD)
 
     def pushes(self, sign: float = 1.0) -> list[Push]:
         return [self.push(joint, sign) for joint in range(2)]
@@ -110,7 +110,7 @@ def sound() -> Record:
         moves=Moves(
             pushes=pushes,
             moved=0.002,
-            stale=Ending(told=0.02, reset=GRANTED, again=again),
+            stale=Ending(told=0.02, reset=GRANTED, ended=pushes[0], again=again),
             stop=Ending(told=0.02, reset=GRANTED, again=again, stop=GRANTED),
             second=Ending(told=0.02, reset=GRANTED),
         ),
@@ -251,7 +251,9 @@ def test_wrong_signs_and_orders_are_told_apart(
     named: list[str],
     words: str,
 ) -> None:
-    record = moved(sound, pushes=Bench(drive).pushes(sign))
+    pushes, stale = Bench(drive).pushes(sign), sound.moves.stale
+    assert stale is not None
+    record = moved(sound, pushes=pushes, stale=stale._replace(ended=pushes[0]))
     assert failed(record) == named
     assert words in found(record, "torque: joint and sign").figure
 

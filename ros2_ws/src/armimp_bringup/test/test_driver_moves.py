@@ -39,14 +39,16 @@ PATIENCE, RAMP = 5, 10
 class Driver(Answering):
     """A driver in real time and the checker in front of it, on one clock.
 
-    `watchdog` tells whether it lets go without commands, `latches` whether it then waits for a
-    reset. While the checker is `held_up`, nothing that the driver sends reaches it.
+    `watchdog` tells whether it stops without commands, `lets_go` whether torque then goes, and
+    `latches` whether it waits for a reset. While the checker is `held_up`, nothing that the driver
+    sends reaches it.
     """
 
     def __init__(
         self,
         *,
         watchdog: bool = True,
+        lets_go: bool = True,
         latches: bool = True,
         held_up: Callable[[int], bool] = lambda _: False,
         moody: bool = False,
@@ -54,7 +56,8 @@ class Driver(Answering):
         self.time_ns, self.tick = NS_PER_S, 0
         super().__init__(JOINTS, self.obey, now_ns=lambda: self.time_ns, sleep=lambda _: None)
         self.rig = SimulatedRig(SimulatorParameters.preset())
-        self.watchdog, self.latches, self.held_up, self.moody = watchdog, latches, held_up, moody
+        self.watchdog, self.lets_go, self.latches = watchdog, lets_go, latches
+        self.held_up, self.moody = held_up, moody
         self.encoders = {
             topic: JointStateEncoder(JOINTS, field)
             for topic, field in VALUE_FIELD.items()
@@ -85,11 +88,11 @@ class Driver(Answering):
             self.latch("no command")
         if self.moody and self.tick > 3000:
             self.latch("the mood")
-        if self.fault:
+        if self.fault and self.lets_go:
             self.fading = max(self.fading - 1, 0)
             share = self.fading / RAMP
             self.applied = (share * self.applied[0], share * self.applied[1])
-        else:
+        elif not self.fault:
             self.applied = self.commanded
         self.rig.step(self.applied)
         for topic, values in (
@@ -142,7 +145,11 @@ def moved(driver: Driver) -> tuple[Moves, dict[str, Finding]]:
     ("defects", "expected"),
     [
         ({}, []),
-        ({"watchdog": False}, ["stale commands: told", "stale commands: latched"]),
+        (
+            {"watchdog": False},
+            ["stale commands: told", "stale commands: torque", "stale commands: latched"],
+        ),
+        ({"lets_go": False}, ["stale commands: torque"]),
         ({"latches": False}, ["stale commands: latched"]),
     ],
 )

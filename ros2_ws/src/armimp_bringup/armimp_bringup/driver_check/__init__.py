@@ -15,6 +15,8 @@ from armimp_common.topics import JOINT_STATES, TORQUE_SENSORS, VALUE_FIELD
 SENSOR_TOPICS = (JOINT_STATES, TORQUE_SENSORS)
 _BASELINE = 50
 """Samples at rest that a push is compared with."""
+_GOING = 60
+"""Samples after a push within which its torque goes: 5 periods, 50 ms, and 5 periods more."""
 _SIGMAS = 5.0
 
 
@@ -84,12 +86,14 @@ class Push(NamedTuple):
     still: NDArray[np.float64]  # change of each angle that is no motion (n,), rad
     delay: int | None  # samples until the reading of torque answered; None if it did not
     change: float = 0.0  # by how much it then did, N·m
+    back: float = 0.0  # by how much the joint went back after the push, rad
 
 
 class Ending(NamedTuple):
     """What a driver did about a fault."""
 
     told: float | None = None  # s, from the last command, or the stop, to an ERROR; None: never
+    ended: Push | None = None  # the push that the fault ended
     again: Push | None = None  # commanded under torque before the reset: must not act
     stop: Call | None = None
     reset: Call = Call(success=None)
@@ -149,19 +153,22 @@ def measure(
     angles: NDArray[np.float64],
     torques: NDArray[np.float64],
     begin: int,
+    end: int,
 ) -> Push:
     """See what a torque did.
 
     Parameters
     ----------
     joint, torque : from 0; N·m
-    angles, torques : (n, N) readings at rest and under the torque, rad and N·m
-    begin : number of the last one at rest, which the first command of the torque answers
+    angles, torques : (n, N) readings at rest, under the torque and after it, rad and N·m
+    begin, end : numbers of the last ones at rest, which the first command of the torque answers,
+        and under the torque
     """
     before = slice(max(begin - _BASELINE, 0), begin + 1)
-    later = angles[:, (begin + angles.shape[1]) // 2 :]
+    own = angles[joint]
+    later = angles[:, (begin + end) // 2 : end]
     answer = torques[joint] - np.mean(torques[joint, before])
-    seen = np.flatnonzero(np.abs(answer[begin + 1 :]) > _noise(torques, before)[joint])
+    seen = np.flatnonzero(np.abs(answer[begin + 1 : end]) > _noise(torques, before)[joint])
     delay = int(seen[0]) + 1 if seen.size else None
     first = begin + (delay or 0)
     return Push(
@@ -171,6 +178,7 @@ def measure(
         still=_noise(angles, before),
         delay=delay,
         change=float(np.mean(answer[first : first + 3])) if seen.size else 0.0,
+        back=float(np.mean(own[end - _BASELINE : end]) - np.mean(own[end + _GOING :])),
     )
 
 

@@ -104,10 +104,10 @@ class Mover:
     def _measured(self, joint: int, start: int, held: int) -> Push:
         """See what a push has done that began, at rest, with this sample."""
         angles, torques = (
-            decoder.decode_many(self._node.raw(topic, start, start + REST + held))[1]
+            decoder.decode_many(self._node.raw(topic, start, start + REST + held + _SETTLE))[1]
             for topic, decoder in self._decoders.items()
         )
-        return measure(joint, self._amount, angles, torques, REST)
+        return measure(joint, self._amount, angles, torques, REST, REST + held)
 
     def _push_in_vain(self) -> Push:
         """Command torque that must not act, as no reset was granted yet."""
@@ -118,10 +118,11 @@ class Mover:
     def _keep_silent(self) -> tuple[Ending, float]:
         """Stop commanding under torque; command it again; reset."""
         self._settle()
-        self._play([(REST, self._node.zero), (HOLD, self._torque(0)), (_SILENT, None)])
+        start = self._play([(REST, self._node.zero), (HOLD, self._torque(0)), (_SILENT, None)])
         since = self._node.silent_since
-        told = self._told(since)
-        return Ending(told=told, again=self._push_in_vain(), reset=self._reset()), since
+        told, ended = self._told(since), self._measured(0, start, HOLD)
+        again = self._push_in_vain()
+        return Ending(told=told, ended=ended, again=again, reset=self._reset()), since
 
     def _stop_under_torque(self) -> tuple[Ending, float]:
         """Call the emergency stop; in lockstep time stands still until it has answered."""

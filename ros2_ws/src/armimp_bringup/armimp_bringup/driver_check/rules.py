@@ -14,6 +14,7 @@ from armimp_bringup.driver_check import (
     Ending,
     Finding,
     Message,
+    Push,
     Record,
     Verdict,
     readings,
@@ -40,6 +41,7 @@ _LARGER = "try a larger --torque"
 _WAYS_LIMIT = "each joint turns the way of its torque"
 _SIGN_LIMIT = "the reading of torque goes the way of the joint"
 _DELAY_LIMIT = f"≤ {_REACTION} periods from command to effect"
+_GONE_LIMIT = "torque gone within 5 periods and 50 ms, as after a command of none"
 _LATCH_LIMIT = "no torque before the reset, whatever is commanded"
 
 _RANGES = {"position": ("rad", 4.0 * math.pi, "degrees?"), "effort": ("N·m", 500.0, "N·mm?")}
@@ -351,12 +353,24 @@ def _judge_ending(record: Record, of: str, ending: Ending | None) -> Iterator[Fi
     else:
         figure = "none" if ending.told is None else f"after {ending.told:.3f} s"
         yield _judged(check, ending.told is not None and ending.told <= _TOLD, figure, limit)
+    if ending.ended is not None:
+        yield _judge_end(record, of, ending.ended)
     if of != "second publisher":
         yield _judge_latch(record, of, ending)
     call = ending.reset
     refused = "no answer" if call.success is None else f"refused: {call.message}"
     granted = "granted" if call.success else refused
     yield _judged(f"{of}: reset", bool(call.success), granted, "granted under zero torque")
+
+
+def _judge_end(record: Record, of: str, ended: Push) -> Finding:
+    """Compare how the joint went back with a push that a command of zero ended."""
+    usual, check = record.moves.pushes[ended.joint], f"{of}: torque"
+    if abs(usual.back) <= usual.still[usual.joint]:
+        return Finding(check, Verdict.INCONCLUSIVE, f"no effect: {_LARGER}", _GONE_LIMIT)
+    share = ended.back / usual.back
+    figure = f"{100 * share:.0f} % of the usual way back"
+    return _judged(check, share >= 1.0 - _USUAL, figure, _GONE_LIMIT)
 
 
 def _judge_latch(record: Record, of: str, ending: Ending) -> Finding:
