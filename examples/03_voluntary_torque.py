@@ -11,7 +11,7 @@ from armimp_bringup.offline import simulate
 # Any parameter of a node can be set under its name; docs/interfaces.md lists them.
 configs = [
     ExperimentConfig(duration=20.0, seed=seed, arm_sim={"voluntary": {"rms": 0.5, "cutoff": 2.0}})
-    for seed in range(8)
+    for seed in range(24)
 ]
 
 # Experiments of equal duration run side by side, eight of them at hardly more than the price of one.
