@@ -14,7 +14,7 @@ configs = [
     for seed in range(24)
 ]
 
-# Experiments of equal duration run side by side, eight of them at hardly more than the price of one.
+# Experiments of one duration run side by side, eight of them at little more than the price of one.
 experiments = simulate(configs)
 results = [experiment.identify(["direct", "lpm_full"]) for experiment in experiments]
 true = experiments[0].truth.B[0, 0]

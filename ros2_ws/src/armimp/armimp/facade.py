@@ -173,7 +173,18 @@ class Result:
     def interval(
         self, matrix: Literal["M", "B", "K"], level: float = 0.95
     ) -> tuple[FloatArray, FloatArray]:
-        """Return both ends, (n, n), of the interval that holds each element with a probability."""
+        """Return the confidence interval of each element, from a normal distribution.
+
+        Parameters
+        ----------
+        matrix : {"M", "B", "K"}
+        level : float
+            Probability with which the interval holds the truth.
+
+        Returns
+        -------
+        low, high : ndarray, shape (n, n)
+        """
         from scipy.special import ndtri
 
         if matrix not in ("M", "B", "K") or not 0.0 < level < 1.0:
@@ -186,7 +197,11 @@ class Result:
 def simulate(**options: Any) -> Recording:
     """Simulate an experiment; samples are those of ``armimp run`` with the same options.
 
-    They are ``joints``, ``friction``, ``resolution``, ``perturbation``, ``duration`` (s), ``seed``…
+    Parameters
+    ----------
+    **options
+        As for ``armimp run``: ``joints``, ``friction``, ``resolution``, ``perturbation``,
+        ``duration`` (s), ``seed``.
 
     Raises
     ------
@@ -250,10 +265,16 @@ def read_bag(*bags: str | Path, rate: float | None = None) -> Recording:
 
 
 def identify(recording: Recording, estimator: str = "lpm_full", model: str = "auto") -> Result:
-    """Identify M, B and K from one trial for each joint, by an estimator such as ``lpm_full``.
+    """Identify M, B and K from one trial for each joint.
 
-    Beside them a model of the arm is fitted: ``mbk_delay``, ``reflex``, ``cuff``; ``mbk`` for none,
-    ``auto`` for all where M, B and K don't fit.
+    Parameters
+    ----------
+    recording : Recording
+    estimator : str
+        Name of an estimator, as ``lpm_full`` or ``welch_siso``.
+    model : str
+        Model of the arm to fit beside M, B and K: ``mbk_delay``, ``reflex``, ``cuff``; ``mbk`` for
+        none; ``auto`` for all where M, B and K don't fit.
 
     Raises
     ------

@@ -52,7 +52,10 @@ Benchmark = Callable[[Tell], list[Measured]]
 def run_for_bench(tell: Tell = lambda _: None, **options: Any) -> Summary:
     """Run an experiment with these options of its configuration, and keep no files.
 
-    GraphError if it gave no estimate, as on a machine that is much too slow.
+    Raises
+    ------
+    GraphError
+        If it gave no estimate, as on a machine that is much too slow.
     """
     from armimp_bringup.config import load_config
     from armimp_bringup.orchestrator import run_experiment

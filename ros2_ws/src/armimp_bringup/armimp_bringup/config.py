@@ -178,7 +178,10 @@ class CheckOptions(BaseModel):
 def checked(model: type[ModelT], values: Mapping[str, Any]) -> ModelT:
     """Return the instance of a model with these values.
 
-    ConfigurationError if one does not exist or is wrong: one line that names it.
+    Raises
+    ------
+    ConfigurationError
+        If one does not exist or is wrong: one line that names it.
     """
     check_names(map(str, values), model.model_fields)
     try:
@@ -205,8 +208,10 @@ def load_config(path: Path | None, options: Mapping[str, Any]) -> ExperimentConf
 
     Parameters
     ----------
-    path : the file; None for defaults
-    options : options of the command line; None values are ignored
+    path : Path or None
+        The file; None for defaults.
+    options : mapping
+        Options of the command line; None values are ignored.
 
     Raises
     ------
@@ -241,7 +246,10 @@ def _read(path: Path) -> dict[str, Any]:
 def require_unused(directory: Path) -> None:
     """Refuse an output directory with anything in it; there need not be one yet.
 
-    ConfigurationError if it exists and is not an empty directory.
+    Raises
+    ------
+    ConfigurationError
+        If it exists and is not an empty directory.
     """
     try:
         require_text(directory)
@@ -255,7 +263,10 @@ def require_unused(directory: Path) -> None:
 def prepare_directory(directory: Path) -> None:
     """Make the output directory; one with anything in it is refused.
 
-    ConfigurationError if it exists and is not an empty directory, or can't be made.
+    Raises
+    ------
+    ConfigurationError
+        If it exists and is not an empty directory, or can't be made.
     """
     require_unused(directory)
     try:

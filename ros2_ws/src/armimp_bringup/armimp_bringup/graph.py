@@ -51,11 +51,13 @@ class DomainClaim:
 
     Parameters
     ----------
-    domain_id : the id to claim; None takes any that is free
+    domain_id
+        The id to claim; None takes any that is free.
 
     Attributes
     ----------
-    domain_id : the claimed id
+    domain_id : int
+        The claimed id.
 
     Raises
     ------
@@ -141,7 +143,8 @@ class GraphContext:
 
     Parameters
     ----------
-    domain_id : the domain; None takes a free one
+    domain_id : int or None
+        The domain; None takes a free one.
 
     Raises
     ------
@@ -231,7 +234,10 @@ def _reach() -> dict[str, str | None]:
 def external_domain(domain_id: int | None) -> int:
     """Return the domain that nodes started by others are in: the given one, or where ROS looks.
 
-    ConfigurationError if the variable of the environment holds no number.
+    Raises
+    ------
+    ConfigurationError
+        If the variable of the environment holds no number.
     """
     if domain_id is not None:
         return domain_id

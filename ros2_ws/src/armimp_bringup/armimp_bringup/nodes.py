@@ -82,7 +82,10 @@ class AskedParameters:
     def give(self, name: str) -> None:
         """Set all parameters of a node, or none.
 
-        GraphError if the node refuses them.
+        Raises
+        ------
+        GraphError
+            If the node refuses them.
         """
         messages = [parameter.to_parameter_msg() for parameter in self.asked[name]]
         request = SetParametersAtomically.Request(parameters=messages)
@@ -159,7 +162,8 @@ class ComposedNodes(NodeGroup):
     Parameters
     ----------
     context, spinner : where they live
-    parameters : ROS parameter file for all of them
+    parameters : Path
+        ROS parameter file for all of them.
     names : which nodes
     """
 
@@ -208,8 +212,10 @@ class SeparateNodes(NodeGroup):
 
     Parameters
     ----------
-    parameters : ROS parameter file for all of them
-    log_directory : where their output goes, one file for each
+    parameters : Path
+        ROS parameter file for all of them.
+    log_directory : Path
+        Where their output goes, one file for each.
     modules : module of each node, with the first arguments of its process
 
     Raises
@@ -314,8 +320,10 @@ class ExternalNodes(NodeGroup):
 
     Parameters
     ----------
-    supervisor : the node that asks and watches
-    parameters : parameters that the nodes are given
+    supervisor : Node
+        The node that asks and watches.
+    parameters : AskedParameters
+        Parameters that the nodes are given.
     """
 
     def __init__(self, supervisor: Node, parameters: AskedParameters) -> None:
@@ -337,7 +345,10 @@ class ExternalNodes(NodeGroup):
     def prepare(self, manager: LifecycleManager) -> None:
         """Make sure that the nodes are free, and give them their parameters.
 
-        GraphError if a node is in use, or finalized, or refuses a parameter.
+        Raises
+        ------
+        GraphError
+            If a node is in use, or finalized, or refuses a parameter.
         """
         for name in manager.names:
             state = manager.state(name)
@@ -357,7 +368,10 @@ class ExternalNodes(NodeGroup):
     def retire(self, manager: LifecycleManager, name: str) -> None:
         """Bring a node back to where the next experiment finds it.
 
-        GraphError if it does not answer or refuses.
+        Raises
+        ------
+        GraphError
+            If it does not answer or refuses.
         """
         if manager.state(name) == "active":
             manager.change(name, "deactivate")

@@ -257,8 +257,12 @@ class SimulatedExperiment:
     def identify(self, estimators: Sequence[str | Estimator]) -> Identification:
         """Estimate, compare with the truth and judge; see :func:`armimp_estimation.identify`.
 
-        ConfigurationError if there is no such estimator; DataError if the records cannot be
-        estimated.
+        Raises
+        ------
+        ConfigurationError
+            If there is no such estimator.
+        DataError
+            If the records cannot be estimated.
         """
         options = self.options
         data = [

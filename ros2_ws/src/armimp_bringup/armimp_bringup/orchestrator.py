@@ -73,12 +73,17 @@ def run_experiment(
 
     Parameters
     ----------
-    directory : new directory for bags and results
+    config : ExperimentConfig
+    directory : Path
+        New directory for bags and results.
     domain_id : int, optional
         ROS domain; by default a free one, or where nodes are external that of the environment.
-    on_progress : called a few times per second
-    on_phase : called with each phase of each trial as it begins
-    interrupted : asked often; once true, the experiment ends in good order, as invalid
+    on_progress : callable
+        Called a few times per second.
+    on_phase : callable
+        Called with each phase of each trial as it begins.
+    interrupted : callable
+        Asked often; once true, the experiment ends in good order, as invalid.
 
     Returns
     -------
@@ -375,10 +380,14 @@ def settle(
 
     Parameters
     ----------
-    directory : where the estimator stores its summary
-    estimator : parameters of the estimator, for a run of which it left no summary
-    found : what the estimator found, where it is in this process
-    problems : what the orchestrator saw go wrong
+    directory : Path
+        Where the estimator stores its summary.
+    estimator : EstimatorParameters
+        Parameters of the estimator, for a run of which it left no summary.
+    found : Result or None
+        What the estimator found, where it is in this process.
+    problems : sequence of Problem
+        What the orchestrator saw go wrong.
     timing : Timing, optional
         Timing up to the end of the experiment, of which the estimator did not see the last samples.
     """

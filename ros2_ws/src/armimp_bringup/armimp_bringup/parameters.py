@@ -118,7 +118,9 @@ def node_parameters(config: ExperimentConfig, directory: Path | None) -> NodePar
 
     Parameters
     ----------
-    directory : where the results go
+    config : ExperimentConfig
+    directory : Path or None
+        Where the results go.
 
     Raises
     ------

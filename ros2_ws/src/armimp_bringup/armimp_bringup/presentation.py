@@ -84,10 +84,14 @@ def present(
 
     Parameters
     ----------
-    result : as it is stored. What of its curves and trials is not there is read from the directory.
-    directory : where it is stored, and figures and report go; None if nowhere
-    as_json : whether to print the summary instead of tables
-    stopwatch : what has measured the run; its times become part of the summary
+    result : Result
+        As it is stored. What of its curves and trials is not there is read from the directory.
+    directory : Path or None
+        Where it is stored, and figures and report go; None if nowhere.
+    as_json : bool
+        Whether to print the summary instead of tables.
+    stopwatch : Stopwatch, optional
+        What has measured the run; its times become part of the summary.
 
     Returns
     -------

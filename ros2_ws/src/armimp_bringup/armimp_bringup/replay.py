@@ -65,7 +65,10 @@ class BagPlayer(Node):
     def play(self, bag: BagContent, should_stop: Callable[[], bool]) -> None:
         """Play one bag as fast as the graph takes it.
 
-        GraphError if the messages don't go through.
+        Raises
+        ------
+        GraphError
+            If the messages don't go through.
         """
         for sent, (topic, message) in enumerate(_with_statuses(bag), 1):
             self._senders[topic].publish(message)

@@ -100,8 +100,10 @@ class Display:
 
         Parameters
         ----------
-        done, total : things that are done, and all of them
-        things : what they are, in the plural
+        done, total : int
+            Things that are done, and all of them.
+        things : str
+            What they are, in the plural.
         """
         with self._lock:
             if self._bar is None:

@@ -42,17 +42,22 @@ _FIELDS: Final[tuple[ValueField, ...]] = ("position", "effort")
 
 
 class CdrReader:
-    """Parser of plain little-endian CDR (XCDR1), which never reads past the end.
+    """Parser of plain CDR (XCDR1) of either byte order, which never reads past the end.
 
     Parameters
     ----------
-    data : the whole message, encapsulation header included
-    what : name of the message type, for error messages
+    data
+        The whole message, encapsulation header included.
+    what
+        Name of the message type, for error messages.
 
     Attributes
     ----------
-    constants : spans of everything read through `count` and `string`: what two messages must have
-        in common to share a layout. Padding and surplus are not among them, as senders leave
+    byte_order
+        ``"<"`` or ``">"``, as ``struct`` writes it.
+    constants
+        Spans of everything read through `count` and `string`: what two messages must have in
+        common to share a layout. Padding and surplus are not among them, as senders leave
         arbitrary bytes there.
 
     Raises
@@ -130,7 +135,13 @@ class CdrReader:
 
 
 def decode_count(data: Buffer) -> int:
-    """Decode a count; MalformedMessageError on truncated or foreign bytes."""
+    """Decode a count.
+
+    Raises
+    ------
+    MalformedMessageError
+        On truncated or foreign bytes.
+    """
     reader = CdrReader(data, "UInt64")
     count = reader.uint64()
     reader.finish()
@@ -261,8 +272,10 @@ class JointStateEncoder:
     def encode(self, stamp_ns: int, values: Sequence[float] | NDArray[np.float64]) -> bytes:
         """Encode (n,) numbers in the order of the names, with a stamp (ns).
 
-        MalformedMessageError if the number of values is wrong or the stamp does not fit the
-        message.
+        Raises
+        ------
+        MalformedMessageError
+            If the number of values is wrong or the stamp does not fit the message.
         """
         sec, nanosec = divmod(stamp_ns, NS_PER_S)
         if isinstance(values, np.ndarray):
@@ -281,9 +294,12 @@ class JointStateDecoder(_Decoder):
 
     Parameters
     ----------
-    names : the joints that every message must have, no more and no less
-    field : the array that carries the numbers; others may be filled and are ignored
-    others : whether messages may have further joints, which are ignored
+    names
+        The joints that every message must have, no more and no less.
+    field
+        The array that carries the numbers; others may be filled and are ignored.
+    others
+        Whether messages may have further joints, which are ignored.
 
     Raises
     ------
@@ -300,8 +316,11 @@ class JointStateDecoder(_Decoder):
     def decode(self, data: Buffer) -> tuple[int, tuple[float, ...]]:
         """Decode one message into its stamp (ns) and n numbers, NaN and infinities as they are.
 
-        MalformedMessageError on truncated or foreign bytes, a missing, unknown or doubled joint, or
-        an array whose length is not the number of joints.
+        Raises
+        ------
+        MalformedMessageError
+            On truncated or foreign bytes, a missing, unknown or doubled joint, or an array
+            whose length is not the number of joints.
         """
         layout, items = self._unpacked(data)
         return items[0] * NS_PER_S + items[1], layout.values(items)
@@ -340,7 +359,10 @@ class JointStateDecoder(_Decoder):
 def joint_names_of(data: Buffer) -> tuple[str, ...]:
     """Return the joint names in the order in which a JointState message has them.
 
-    MalformedMessageError if the bytes are not a JointState message.
+    Raises
+    ------
+    MalformedMessageError
+        If the bytes are not a JointState message.
     """
     reader, names, _, _ = _joint_state(data)
     try:
@@ -352,7 +374,10 @@ def joint_names_of(data: Buffer) -> tuple[str, ...]:
 def stamp_of(data: Buffer) -> int:
     """Return the stamp (ns) of any message that begins with a ``std_msgs/Header``.
 
-    MalformedMessageError if the bytes are too few or not CDR.
+    Raises
+    ------
+    MalformedMessageError
+        If the bytes are too few or not CDR.
     """
     return CdrReader(data, "message").stamp_ns()
 
@@ -365,7 +390,8 @@ class CommandEncoder:
 
     Parameters
     ----------
-    n : number of joints
+    n
+        Number of joints.
 
     Raises
     ------
@@ -382,7 +408,10 @@ class CommandEncoder:
     def encode(self, values: Sequence[float] | NDArray[np.float64], number: int = 0) -> bytes:
         """Encode (n,) joint torques (N·m), with the number of the command or 0 for none.
 
-        MalformedMessageError if the number of values is wrong.
+        Raises
+        ------
+        MalformedMessageError
+            If the number of values is wrong.
         """
         if isinstance(values, np.ndarray):
             values = values.tolist()
@@ -412,7 +441,8 @@ class CommandDecoder(_Decoder):
 
     Parameters
     ----------
-    n : number of joints, and so of numbers in every message
+    n
+        Number of joints, and so of numbers in every message.
 
     Raises
     ------
@@ -427,7 +457,10 @@ class CommandDecoder(_Decoder):
     def decode(self, data: Buffer) -> tuple[float, ...]:
         """Decode one message into n torques (N·m), NaN and infinities passed on as they are.
 
-        MalformedMessageError on truncated or foreign bytes, or another number of values.
+        Raises
+        ------
+        MalformedMessageError
+            On truncated or foreign bytes, or another number of values.
         """
         layout, items = self._unpacked(data)
         return layout.values(items)
@@ -462,7 +495,10 @@ class CommandDecoder(_Decoder):
 def decode_trial_status(data: bytes) -> TrialStatus:
     """Decode one message of the topic ``imbic_controller/trial``.
 
-    MalformedMessageError if the bytes are not such a message.
+    Raises
+    ------
+    MalformedMessageError
+        If the bytes are not such a message.
     """
     reader = CdrReader(data, "DiagnosticStatus")
     reader.uint32()  # the level, one byte, and the padding before the first string

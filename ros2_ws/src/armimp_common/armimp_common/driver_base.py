@@ -177,7 +177,10 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT]):
     def obey_again(self) -> None:
         """Undo a fault.
 
-        GraphError if torque would come back with a jerk.
+        Raises
+        ------
+        GraphError
+            If torque would come back with a jerk.
         """
         if self.limiter is not None:
             self.limiter.reset()
@@ -380,7 +383,10 @@ class ProtectedDriver(DriverBase[Protection], ABC):
     ) -> None:
         """Wait for whoever commands, and for the peers of further channels.
 
-        GraphError if somebody does not turn up.
+        Raises
+        ------
+        GraphError
+            If somebody does not turn up.
         """
         wait_for_partners(
             self,

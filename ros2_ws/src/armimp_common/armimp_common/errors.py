@@ -9,8 +9,10 @@ class ArmimpError(Exception):
 
     Parameters
     ----------
-    message : one line
-    code : kind of problem that it makes of a result, if another than its class tells
+    message
+        One line.
+    code
+        Kind of problem that it makes of a result, if another than its class tells.
     """
 
     def __init__(self, message: str, code: str = "") -> None:

@@ -85,10 +85,14 @@ def steady_timer(
 
     Parameters
     ----------
-    node : its executor calls back; ``node.destroy_timer`` ends it
-    period : time between two calls (s)
-    callback : what is called
-    autostart : whether it runs at once; else from ``reset()`` on
+    node
+        Its executor calls back; ``node.destroy_timer`` ends it.
+    period
+        Time between two calls (s).
+    callback
+        What is called.
+    autostart
+        Whether it runs at once; else from ``reset()`` on.
     """
     clock = Clock(clock_type=ClockType.STEADY_TIME)
     return node.create_timer(period, callback, clock=clock, autostart=autostart)
@@ -97,7 +101,10 @@ def steady_timer(
 def refuse_simulated_time(node: Node) -> None:
     """Refuse ``use_sim_time``, now and whenever it is set; calling it again does nothing.
 
-    ConfigurationError if the node was started with it.
+    Raises
+    ------
+    ConfigurationError
+        If the node was started with it.
     """
     if node in _refusing:
         return
@@ -117,8 +124,10 @@ class Spinner:
 
     Parameters
     ----------
-    nodes : nodes to execute; more can be added
-    context : context of the nodes; by default that of the first node
+    nodes
+        Nodes to execute; more can be added.
+    context
+        Context of the nodes; by default that of the first node.
     """
 
     def __init__(self, nodes: Iterable[Node] = (), *, context: Context | None = None) -> None:
@@ -138,8 +147,10 @@ class Spinner:
     def add_node(self, node: Node) -> None:
         """Execute the callbacks of this node too.
 
-        ConfigurationError if it was started with ``use_sim_time``, which is refused from now on,
-        too.
+        Raises
+        ------
+        ConfigurationError
+            If it was started with ``use_sim_time``, which is refused from now on, too.
         """
         refuse_simulated_time(node)
         self.executor.add_node(node)
@@ -160,7 +171,8 @@ class Spinner:
 
         Parameters
         ----------
-        should_stop : asked every `period` (s); it need not be cheap
+        should_stop
+            Asked every `period` (s); it need not be cheap.
 
         Raises
         ------
@@ -280,9 +292,12 @@ def run_node(
 
     Parameters
     ----------
-    factory : makes the node; called with ``context=``
-    args : command line with the program name first, ``sys.argv`` by default
-    until : tells from the node that it has finished; by default only signals end it
+    factory
+        Makes the node; called with ``context=``.
+    args
+        Command line with the program name first, ``sys.argv`` by default.
+    until
+        Tells from the node that it has finished; by default only signals end it.
 
     Returns
     -------

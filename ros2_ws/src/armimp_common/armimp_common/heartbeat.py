@@ -58,7 +58,8 @@ class Presence(Enum):
         ----------
         alive, silent
             Numbers of publishers whose lease is renewed, and of those whose lease has run out.
-        process_lives : whether the process of the node exists; None if that is not known
+        process_lives
+            Whether the process of the node exists; None if that is not known.
         """
         if alive or silent:
             if process_lives is False:
@@ -77,8 +78,10 @@ class Heartbeat:
 
     Parameters
     ----------
-    node : its namespace counts
-    name : name among the topics, which remapping of the node's own name leaves as it is
+    node
+        Its namespace counts.
+    name
+        Name among the topics, which remapping of the node's own name leaves as it is.
     """
 
     def __init__(self, node: Node, name: str) -> None:
@@ -91,14 +94,19 @@ class HeartbeatMonitor:
 
     Parameters
     ----------
-    node : the node that listens; callbacks run in its executor
-    name : name of the other node, as for `Heartbeat`
-    on_change : called with the monitor when `presence` has changed
+    node
+        The node that listens; callbacks run in its executor.
+    name
+        Name of the other node, as for `Heartbeat`.
+    on_change
+        Called with the monitor when `presence` has changed.
 
     Attributes
     ----------
-    presence : as last heard. It stays unknown for a node that offers no heartbeat.
-    checked : when the process was last looked up (monotonic, s)
+    presence : Presence
+        As last heard. It stays unknown for a node that offers no heartbeat.
+    checked : float
+        When the process was last looked up (monotonic, s).
     """
 
     def __init__(

@@ -93,13 +93,18 @@ class LifecycleManager:
 
     Parameters
     ----------
-    node : a node to ask through; it must be spun by `spin_until`
-    names : names of the managed nodes, absolute or relative to the namespace of `node`
-    spin_until : spins until a future is done or a time (s) is over, and tells whether it is done;
+    node
+        A node to ask through; it must be spun by `spin_until`.
+    names
+        Names of the managed nodes, absolute or relative to the namespace of `node`.
+    spin_until
+        Spins until a future is done or a time (s) is over, and tells whether it is done;
         usually `armimp_common.executor.Spinner.spin_until`. If managed nodes are in the same
         process it must spin them too.
-    timeout : for each answer (s); discovery and a slow configuration count
-    check : called often while something is waited for; what it raises ends the waiting. To be used
+    timeout
+        For each answer (s); discovery and a slow configuration count.
+    check
+        Called often while something is waited for; what it raises ends the waiting. To be used
         for what makes waiting vain, like the death of a process.
     """
 
@@ -126,7 +131,10 @@ class LifecycleManager:
     def wait_for_nodes(self, timeout: float | None = None) -> None:
         """Wait until the services of all managed nodes are there.
 
-        GraphError naming the nodes that did not appear.
+        Raises
+        ------
+        GraphError
+            Naming the nodes that did not appear.
         """
         deadline = time.monotonic() + (self._timeout if timeout is None else timeout)
         while missing := sorted(
@@ -149,8 +157,11 @@ class LifecycleManager:
     def change(self, name: str, transition: TransitionName) -> None:
         """Ask a node for a transition and wait until it is made.
 
-        GraphError if the node does not answer, is not in a state that has this transition, or fails
-        to make it; the message names node and transition.
+        Raises
+        ------
+        GraphError
+            If the node does not answer, is not in a state that has this transition, or fails
+            to make it; the message names node and transition.
         """
         available = self._available(name, transition)
         if transition not in available:

@@ -43,9 +43,12 @@ def declare(node: Node, model: type[ModelT], default: ModelT | None = None) -> M
 
     Parameters
     ----------
-    node : the node; a node has one schema
-    model : the schema
-    default : values to use instead of the defaults of the schema
+    node
+        The node; a node has one schema.
+    model
+        The schema.
+    default
+        Values to use instead of the defaults of the schema.
 
     Returns
     -------
@@ -103,8 +106,10 @@ def as_parameters(instance: BaseModel) -> list[Parameter]:
 def load(node: Node, model: type[ModelT]) -> ModelT:
     """Return the present values of declared parameters.
 
-    ConfigurationError if the schema refuses them; the message names the parameter, its value and
-    the reason.
+    Raises
+    ------
+    ConfigurationError
+        If the schema refuses them; the message names the parameter, its value and the reason.
     """
     present = _loaded[node] = _present(node, model)
     return build(model, present)
@@ -113,7 +118,10 @@ def load(node: Node, model: type[ModelT]) -> ModelT:
 def require_unchanged(node: Node) -> None:
     """Refuse to begin with other parameters than those that a node shows.
 
-    GraphError if they were changed since they were loaded; the message names those.
+    Raises
+    ------
+    GraphError
+        If they were changed since they were loaded; the message names those.
     """
     loaded, present = _loaded[node], _present(node, _schemas[node])
     changed = ", ".join(name for name, value in loaded.items() if present[name] != value)
@@ -128,8 +136,10 @@ def guard(
 
     Parameters
     ----------
-    node : a node whose parameters were declared with `declare`
-    is_locked : returns why nothing may be changed now, or None if changes are welcome
+    node
+        A node whose parameters were declared with `declare`.
+    is_locked
+        Returns why nothing may be changed now, or None if changes are welcome.
 
     Returns
     -------

@@ -98,7 +98,8 @@ def endpoints(process: int | None = None) -> set[Any]:
 
     Parameters
     ----------
-    process : number of a process of this user; of this one by default
+    process
+        Number of a process of this user; of this one by default.
 
     Raises
     ------
@@ -132,7 +133,8 @@ class ParentWatchdog:
 
     Attributes
     ----------
-    child_end : file descriptor to be inherited by children, by ``pass_fds`` of `subprocess.Popen`
+    child_end : int
+        File descriptor to be inherited by children, by ``pass_fds`` of `subprocess.Popen`.
     """
 
     def __init__(self) -> None:

@@ -118,7 +118,10 @@ class TorqueLatch:
     def reset(self) -> None:
         """Obey again after a fault.
 
-        GraphError if the last command was not zero: torque would come back with a jerk.
+        Raises
+        ------
+        GraphError
+            If the last command was not zero: torque would come back with a jerk.
         """
         if not self._resting:
             raise GraphError("the last command is not zero torque: stop the controller first")
@@ -131,6 +134,7 @@ class Protection(TorqueLatch):
     Parameters
     ----------
     joints : how many
+    limits : ProtectionLimits
     """
 
     def __init__(self, joints: int, limits: ProtectionLimits) -> None:

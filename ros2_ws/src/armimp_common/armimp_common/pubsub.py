@@ -29,6 +29,15 @@ _PATIENCE = 10.0
 class RawPublisher:
     """Publisher of serialised messages.
 
+    Parameters
+    ----------
+    node, topic
+        Where to publish.
+    message_type
+        Message class of the topic.
+    profile
+        Quality of service.
+
     Attributes
     ----------
     send
@@ -60,7 +69,10 @@ class JointStatePublisher(RawPublisher):
     def publish(self, stamp_ns: int, values: Sequence[float] | NDArray[np.float64]) -> bytes:
         """Publish (n,) values with this stamp (ns), and return the bytes sent.
 
-        MalformedMessageError if their number is wrong.
+        Raises
+        ------
+        MalformedMessageError
+            If the number of values is wrong.
         """
         data = self._encode(stamp_ns, values)
         self.send(data)
@@ -78,7 +90,10 @@ class CommandPublisher(RawPublisher):
     def publish(self, values: Sequence[float] | NDArray[np.float64]) -> bytes:
         """Publish (n,) torques (N·m), and return the bytes sent.
 
-        MalformedMessageError if their number is wrong.
+        Raises
+        ------
+        MalformedMessageError
+            If the number of values is wrong.
         """
         number = cdr.next_number(self._number)
         data = self._encode(values, number)
@@ -131,9 +146,12 @@ def subscribe_joint_states(
 
     Parameters
     ----------
-    node, topic : where to listen
-    names, field : as for `armimp_common.cdr.JointStateDecoder`
-    callback : called with the stamp (ns) and the values; NaN and infinities are passed on
+    node, topic
+        Where to listen.
+    names, field
+        As for `armimp_common.cdr.JointStateDecoder`.
+    callback
+        Called with the stamp (ns) and the values; NaN and infinities are passed on.
     on_malformed
         Called instead for a message that cannot be decoded. Without it the error is raised and
         arrives at whoever spins, since dropping such a message silently would not be safe.
@@ -155,7 +173,8 @@ def subscribe_commands(
 
     Parameters
     ----------
-    on_number : called before `callback` with the number of the command, 0 if it has none
+    on_number
+        Called before `callback` with the number of the command, 0 if it has none.
     """
 
     def on_command(number: int, values: tuple[float, ...]) -> None:
@@ -215,7 +234,10 @@ def take_all(subscription: Subscription) -> list[bytes]:
 
     An executor that attends to it finds none of them any more.
 
-    rclpy.exceptions.InvalidHandle if the subscription was destroyed.
+    Raises
+    ------
+    rclpy.exceptions.InvalidHandle
+        If the subscription was destroyed.
     """
     handle: Any = subscription.handle
     taken: list[bytes] = []
@@ -280,10 +302,13 @@ def wait_until_known_to(node: Node, names: Iterable[str], *, timeout_s: float) -
 
     Parameters
     ----------
-    node : whose subscriptions are to be known
-    names : nodes by their names among the topics. Those that offer no heartbeat, as drivers of
-        others may not, are not waited for.
-    timeout_s : how long to wait (s)
+    node
+        Whose subscriptions are to be known.
+    names
+        Nodes by their names among the topics. Those that offer no heartbeat, as drivers of others
+        may not, are not waited for.
+    timeout_s
+        How long to wait (s).
 
     Raises
     ------
@@ -318,8 +343,10 @@ def wait_for_partners(
 
     Parameters
     ----------
-    node : the node; to be called in a callback of it
-    publishers, subscriptions : what has to have a peer
+    node
+        The node; to be called in a callback of it.
+    publishers, subscriptions
+        What has to have a peer.
     monitors
         Nodes that have to know of this one, if they offer a heartbeat; see `wait_until_known_to`.
 

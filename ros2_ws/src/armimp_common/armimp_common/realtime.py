@@ -215,7 +215,10 @@ def _reschedule(thread: int, policy: int, param: os.sched_param) -> None:
 def require_precedence(priority: int) -> None:
     """Check beforehand that the system permits a SCHED_FIFO priority; 0 is always permitted.
 
-    ConfigurationError if it does not.
+    Raises
+    ------
+    ConfigurationError
+        If it does not.
     """
     if priority == 0:
         return

@@ -83,7 +83,10 @@ class Leaf:
 def leaves(model: type[BaseModel]) -> dict[str, Leaf]:
     """Return the parameters of a schema by dotted name, in the order of its fields.
 
-    TypeError if a field has a type that ROS parameters cannot have.
+    Raises
+    ------
+    TypeError
+        If a field has a type that ROS parameters cannot have.
     """
     found: dict[str, Leaf] = {}
     described = descriptions(model)
@@ -159,7 +162,10 @@ def build(model: type[ModelT], values: Mapping[str, object]) -> ModelT:
 
     Integers may stand for doubles, and None for an empty array, as ROS has no type for those.
 
-    ConfigurationError on an unknown name, a wrong type, or a value that the schema refuses.
+    Raises
+    ------
+    ConfigurationError
+        On an unknown name, a wrong type, or a value that the schema refuses.
     """
     known = leaves(model)
     check_names(values, known)
@@ -193,7 +199,10 @@ def _plain(name: str, value: object) -> object:
 def vector(name: str, values: Sequence[float], n: int) -> NDArray[np.float64]:
     """Return the values of a parameter with one for each of `n` joints, (n,).
 
-    ConfigurationError if there are not so many.
+    Raises
+    ------
+    ConfigurationError
+        If there are not so many.
     """
     if len(values) != n:
         raise ConfigurationError(f"parameter '{name}' has {len(values)} values for {n} joints")
@@ -213,7 +222,10 @@ def each(name: str, values: Sequence[Any], n: int) -> NDArray[Any]:
 def matrix(name: str, values: Sequence[float], n: int) -> NDArray[np.float64]:
     """Return the values of a parameter that is a matrix row by row, (n, n).
 
-    ConfigurationError if there are not so many.
+    Raises
+    ------
+    ConfigurationError
+        If there are not so many.
     """
     if len(values) != n * n:
         raise ConfigurationError(
@@ -225,8 +237,10 @@ def matrix(name: str, values: Sequence[float], n: int) -> NDArray[np.float64]:
 def check_names(names: Iterable[str], known: Iterable[str]) -> None:
     """Check that every name is known.
 
-    ConfigurationError naming the first that is not, and a valid name that is much like it, if there
-    is one.
+    Raises
+    ------
+    ConfigurationError
+        Naming the first that is not, and a valid name that is much like it, if there is one.
     """
     valid = list(known)
     for name in names:
@@ -281,7 +295,8 @@ def to_params_yaml(models: Mapping[str, BaseModel]) -> str:
 
     Parameters
     ----------
-    models : node name, with its namespace if it has one, to values
+    models
+        Node name, with its namespace if it has one, to values.
     """
     content = {
         node: {"ros__parameters": model.model_dump(mode="json")} for node, model in models.items()
@@ -295,11 +310,13 @@ def load_yaml(text: str, loader: Any = Loader, *, aliases: bool = False) -> Any:
 
     Parameters
     ----------
-    text : the document
+    text : str
+        The document.
     loader : type
         A loader of PyYAML.
-    aliases : whether a part may stand for itself in several places: what a few lines unfold to may
-        be larger than any memory, for a loader that merges or for whoever walks through it
+    aliases : bool
+        Whether a part may stand for itself in several places: what a few lines unfold to may be
+        larger than any memory, for a loader that merges or for whoever walks through it.
 
     Raises
     ------

@@ -110,7 +110,10 @@ class Record:
     def from_values(cls, values: Mapping[str, str]) -> Self:
         """Rebuild a record from its key-values; keys that are not known are ignored.
 
-        MalformedMessageError if a value is missing, cannot be parsed, or contradicts another.
+        Raises
+        ------
+        MalformedMessageError
+            If a value is missing, cannot be parsed, or contradicts another.
         """
         what = cls.STATUS_NAME.partition(": ")[2]
         kinds = _types(record := cast(Any, cls))
@@ -183,7 +186,10 @@ class Cause(str, Enum):
 class TrialStatus(Record):
     """One published state of the trial sequence.
 
-    ConfigurationError if the numbers contradict one another.
+    Raises
+    ------
+    ConfigurationError
+        If the numbers contradict one another.
     """
 
     STATUS_NAME: ClassVar[str] = f"{CONTROLLER_NODE}: trial"
@@ -252,7 +258,10 @@ class TrialStatus(Record):
 class StoppingDecision(Record):
     """Whether a trial has lasted long enough, by the stopping rule of the estimator.
 
-    ConfigurationError if a number is negative, or the next decision is due before this one.
+    Raises
+    ------
+    ConfigurationError
+        If a number is negative, or the next decision is due before this one.
     """
 
     STATUS_NAME: ClassVar[str] = f"{ESTIMATOR_NODE}: stopping"
@@ -295,7 +304,10 @@ class StoppingDecision(Record):
 class TimingFigures(Record):
     """Timing of a rig in real time, from the first sample on.
 
-    ConfigurationError if a count is negative or larger than the number of samples.
+    Raises
+    ------
+    ConfigurationError
+        If a count is negative or larger than the number of samples.
     """
 
     STATUS_NAME: ClassVar[str] = f"{SIM_NODE}: timing"
@@ -333,7 +345,10 @@ class TimingFigures(Record):
 class Progress(Record):
     """Where an experiment stands, for display.
 
-    ConfigurationError if a number is impossible, or the columns differ in length.
+    Raises
+    ------
+    ConfigurationError
+        If a number is impossible, or the columns differ in length.
     """
 
     STATUS_NAME: ClassVar[str] = f"{ESTIMATOR_NODE}: progress"
@@ -405,9 +420,12 @@ def make_status(
 
     Parameters
     ----------
-    name : ``node: what``, as the convention of diagnostics has it
-    level, message : severity, and the state in words
-    values : key-values, kept in their order
+    name
+        ``node: what``, as the convention of diagnostics has it.
+    level, message
+        Severity, and the state in words.
+    values
+        Key-values, kept in their order.
     """
     # Imported here so that what needs no ROS in this module can be used without it.
     from diagnostic_msgs.msg import DiagnosticStatus, KeyValue

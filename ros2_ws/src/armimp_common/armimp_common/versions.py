@@ -41,7 +41,8 @@ def git_revision(directory: Path | None = None) -> str:
 
     Parameters
     ----------
-    directory : where to ask; by default where this package's sources are
+    directory
+        Where to ask; by default where this package's sources are.
 
     Returns
     -------

@@ -243,7 +243,10 @@ class ControllerParameters(Schema):
     def check(self) -> tuple[str, ...]:
         """Check that everything fits together and is stable when sampled; return warnings.
 
-        ConfigurationError if not; the message carries the offending value.
+        Raises
+        ------
+        ConfigurationError
+            If not; the message carries the offending value.
         """
         law = self.law_config()
         for name, values in (

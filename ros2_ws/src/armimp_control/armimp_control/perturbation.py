@@ -123,6 +123,7 @@ def perturbation(
 
     Parameters
     ----------
+    parameters : PerturbationParameters
     joint : perturbed joint, 0-based; chooses the peak
     trial : trial number, chooses an independent random stream
     ticks : number of samples
@@ -276,6 +277,7 @@ def multisine_lines(
 
     Parameters
     ----------
+    parameters : PerturbationParameters
     ticks : number of samples of the trial
     seed : of the experiment, not negative
 

@@ -74,7 +74,10 @@ def perturbation(
     Shoulder and elbow have that of Table III: 3 and 1.8, 6 and 3.6, 9 and 5.4 N·m. Assumption: the
     peak of any joint is in proportion to its size, see :data:`armimp_common.sizes.JOINT_SIZES`.
 
-    ConfigurationError if there is no such level, or no preset for that number of joints.
+    Raises
+    ------
+    ConfigurationError
+        If there is no such level, or no preset for that number of joints.
     """
     if level not in LEVELS:
         raise ConfigurationError(f"perturbation level must be one of {LEVELS}, got {level}")

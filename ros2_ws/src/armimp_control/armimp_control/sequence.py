@@ -136,6 +136,7 @@ def timetable(
 
     Parameters
     ----------
+    sequence : SequenceParameters
     joints : number of joints n, and so of trials
     tare : TareParameters, by default there is none
     """

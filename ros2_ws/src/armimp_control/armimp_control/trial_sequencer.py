@@ -27,6 +27,7 @@ class TrialSequencer:
 
     Parameters
     ----------
+    parameters : ControllerParameters
     announce : called with every new status, before the command that it concerns
 
     Attributes
@@ -329,6 +330,7 @@ class Watchdog:
 
     Parameters
     ----------
+    safety : SafetyParameters
     slowest_tick : longest wall time that may count as one period, s
     """
 

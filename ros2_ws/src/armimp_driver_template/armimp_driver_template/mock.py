@@ -31,7 +31,9 @@ class MockDevice:
 
     Parameters
     ----------
-    pacer : keeps the time in real time
+    parameters : DriverParameters
+    pacer : Pacer, optional
+        Keeps the time in real time.
 
     Attributes
     ----------

@@ -16,10 +16,21 @@ _SPARSEST: Final = 20
 
 
 def replace_atomically(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file under a new random name with the same suffix beside its place; move it there.
+    """Write a file under a new random name beside its place, and move it there.
 
     Nothing that stands there under that name is opened, and no link is followed. A file that is
-    there stays if writing fails, which raises OSError.
+    there stays if writing fails.
+
+    Parameters
+    ----------
+    path : Path
+    write : callable
+        Writes the file at the path that it is given, which has the same suffix.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
     """
     part = path.with_name(f".{secrets.token_hex(8)}{path.suffix}")
     exclusively = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
@@ -34,7 +45,10 @@ def replace_atomically(path: Path, write: Callable[[Path], object]) -> None:
 def write_atomically(path: Path, write: Callable[[Path], object], *, anew: bool = False) -> None:
     """Write a file as `replace_atomically` does, with one line for whatever goes wrong.
 
-    DataError if it cannot be written, or exists already and is not to be made `anew`.
+    Raises
+    ------
+    DataError
+        If the file cannot be written, or exists already and is not to be made `anew`.
     """
     try:
         if path.exists() and not anew:
@@ -45,7 +59,13 @@ def write_atomically(path: Path, write: Callable[[Path], object], *, anew: bool 
 
 
 def write_text(path: Path, content: str) -> None:
-    """Write or replace a text file at once; DataError if it can't be written."""
+    """Write or replace a text file, so that no part of it is ever seen.
+
+    Raises
+    ------
+    DataError
+        If it can't be written.
+    """
     write_atomically(path, lambda part: part.write_text(content, encoding="utf-8"), anew=True)
 
 
@@ -53,8 +73,12 @@ def open_regular(path: Path) -> BinaryIO:
     """Open a regular file for reading; a link to one is followed.
 
     Pipes and devices are refused before anything is read, as reading them may never begin or never
-    end. So are sparse files that consist almost entirely of a hole, which could take years to read;
-    both with OSError.
+    end. So are sparse files that consist almost entirely of a hole, which could take years to read.
+
+    Raises
+    ------
+    OSError
+        If it is no regular file, or cannot be opened.
     """
     _require_regular(path, path.stat())
     # Should it become a pipe in between, opening it must not wait for a writer.
@@ -68,12 +92,26 @@ def open_regular(path: Path) -> BinaryIO:
 
 
 def read_text(path: Path, most: int = _MOST_BYTES) -> str:
-    """Read a file as `read_bytes` does; UnicodeDecodeError if it is not UTF-8."""
+    """Read a regular file of UTF-8 text, as `read_bytes` does.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read.
+    UnicodeDecodeError
+        If it is not UTF-8.
+    """
     return read_bytes(path, most).decode()
 
 
 def read_bytes(path: Path, most: int = _MOST_BYTES) -> bytes:
-    """Read a regular file; OSError if it has more bytes, is none, or cannot be read."""
+    """Read a regular file of at most so many bytes.
+
+    Raises
+    ------
+    OSError
+        If it is larger or no regular file, or cannot be read.
+    """
     with open_regular(path) as file:
         content = file.read(most + 1)  # what /proc says of sizes is nothing to go by
     if len(content) > most:
@@ -82,7 +120,13 @@ def read_bytes(path: Path, most: int = _MOST_BYTES) -> bytes:
 
 
 def require_text(path: Path) -> None:
-    """Raise OSError for a name that is not UTF-8, which no JSON and no message can carry."""
+    """Refuse a name that is not UTF-8, which no JSON and no message can carry.
+
+    Raises
+    ------
+    OSError
+        If it is not.
+    """
     try:
         str(path).encode()
     except UnicodeEncodeError:

@@ -76,10 +76,17 @@ def matrix_figure(
     row_height: float,
     width: float = TWO_COLUMNS,
 ) -> Figure:
-    """Draw charts by row and column, with a legend of strokes.
+    """Draw charts beside and below each other, with a legend of their strokes.
 
-    Titles are above them, in the language of matplotlib; an axis whose relative height is 1 has the
-    row height, in inches like the width.
+    Parameters
+    ----------
+    charts, titles : sequence of sequence
+        By row and column: charts, and what is above them in the language of matplotlib.
+    legend : iterable of Stroke
+    row_height : float
+        Of an axis whose relative height is 1, inches.
+    width : float
+        Inches.
     """
     columns = len(charts[0])
     keys: list[Any] = [Line2D([], [], **_drawn(one), label=_tex(one.name)) for one in legend]
@@ -157,8 +164,12 @@ def trace_figure(trials: Sequence[Trial]) -> Figure:
 def write_figures(directory: Path, result: Result) -> None:
     """Write every figure for which a result has the data, in place of those that are there.
 
-    They are ``impedance``, ``coherence`` and ``traces``, as PNG and PDF; DataError if one can't be
-    written.
+    They are ``impedance``, ``coherence`` and ``traces`` in a directory, as PNG and PDF.
+
+    Raises
+    ------
+    DataError
+        If one cannot be written.
     """
     if result.curves:
         save_figure(impedance_figure(result.summary, result.curves), directory / "impedance")
@@ -170,9 +181,18 @@ def write_figures(directory: Path, result: Result) -> None:
 
 @rc_context(fname=_STYLE)
 def save_figure(figure: Figure, path: Path) -> list[Path]:
-    """Write a figure as PNG and PDF, at a path without suffix; DataError if one can't be written.
+    """Write a figure as PNG and PDF; equal figures give equal files.
 
-    Equal figures give equal files.
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+    path : Path
+        Without a suffix.
+
+    Raises
+    ------
+    DataError
+        If one cannot be written.
     """
     written = []
     # The time of day would make every file another one.

@@ -143,12 +143,23 @@ def identify(
 ) -> Identification:
     """Estimate the impedance matrix and judge the result.
 
-    There is one trial for each joint, in any order. Estimators are names from
-    :mod:`armimp_estimation.estimators.registry`, or estimators of one's own. The true matrices, if
-    known, are for the VAF only; they have no part in the verdict.
+    Parameters
+    ----------
+    trials : sequence of TrialData
+        One for each joint, in any order.
+    estimators : sequence of str or Estimator
+        Names from :mod:`armimp_estimation.estimators.registry`, or estimators of one's own.
+    truth : MBK, optional
+        True matrices, for the VAF only; they have no part in the verdict.
+    config : IdentifyConfig, optional
+        Options.
 
-    ConfigurationError if no estimator is asked for, or an unknown one, or the truth is of another
-    size; DataError if a joint has no trial or the data cannot be estimated.
+    Raises
+    ------
+    ConfigurationError
+        If no estimator is asked for, or an unknown one, or the truth is of another size.
+    DataError
+        If a joint has no trial or the data cannot be estimated.
     """
     options = config if config is not None else IdentifyConfig()
     workers = [make_estimator(one, options) if isinstance(one, str) else one for one in estimators]

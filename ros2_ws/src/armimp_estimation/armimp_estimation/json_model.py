@@ -55,7 +55,13 @@ def first_complaint(error: ValidationError) -> str:
 
 
 def read_json(path: Path, validate: Callable[[bytes], _Content], what: str) -> _Content:
-    """Read a JSON file that should be `what`; DataError with file and place if it is not."""
+    """Read a JSON file that should be `what`, such as "a summary".
+
+    Raises
+    ------
+    DataError
+        If it can't be read, or is something else; the message names file and place.
+    """
     try:
         return validate(read_bytes(path))
     except OSError as error:

@@ -172,9 +172,19 @@ class Metadata(BaseModel):
 
     @classmethod
     def of(cls, metadata: Mapping[str, str], joints: int | None = None) -> Metadata:
-        """Read the metadata of a bag, JSON by name, which may be empty, with data of n joints.
+        """Read the metadata of a bag, which may be empty.
 
-        DataError if something is there, but makes no sense.
+        Parameters
+        ----------
+        metadata : mapping of str to str
+            JSON by name.
+        joints : int, optional
+            Number of joints n of the data.
+
+        Raises
+        ------
+        DataError
+            If something is there, but makes no sense.
         """
         try:
             found = cls.model_validate(
@@ -259,7 +269,12 @@ def latest_metadata(metadata: Sequence[Mapping[str, str]]) -> dict[str, str]:
     """Metadata of the first of some bags, with the timing that counts for all of them.
 
     Of one run it is that of the bag which knows most of it. Of several runs, as where a trial was
-    made again, it is that of the run with most problems. DataError if that of one makes no sense.
+    made again, it is that of the run with most problems.
+
+    Raises
+    ------
+    DataError
+        If the timing of one makes no sense.
     """
     known = [timing for one in metadata if (timing := Metadata.of(one).timing) is not None]
     if not known:

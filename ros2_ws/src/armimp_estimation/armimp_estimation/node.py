@@ -400,7 +400,13 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
 
 
 def column_message(data: TrialData, lost: int) -> DiagnosticStatus:
-    """Tell column k of T, R and ``Z = T/R_kk``; DataError if the trial tells no responses."""
+    """Tell column k of T, R and ``Z = T/R_kk`` as soon as its trial is over.
+
+    Raises
+    ------
+    DataError
+        If the trial tells no responses.
+    """
     frf = frf_matrix([data])
     R, T = frf.R[:, 0], frf.T[:, 0]
     column = data.joint + 1

@@ -67,7 +67,10 @@ class EstimatorParameters(Schema):
     def bag_metadata(self) -> dict[str, str]:
         """The metadata as a dictionary, with what is known of the torque readings.
 
-        ConfigurationError if it is no JSON object of strings, or the estimators can't be used.
+        Raises
+        ------
+        ConfigurationError
+            If it is not a JSON object of strings, or the estimators can't be used.
         """
         if not self.estimators or len(set(self.estimators)) != len(self.estimators):
             raise ConfigurationError(

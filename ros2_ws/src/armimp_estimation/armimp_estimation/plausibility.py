@@ -34,7 +34,17 @@ _ERRORS = 5.0
 
 
 def judge_matrices(estimator: str, names: Sequence[str], fit: MBKFit) -> list[Problem]:
-    """Find matrices, fitted to what an estimator found for these joints, that no arm has."""
+    """Find matrices that no arm has.
+
+    Parameters
+    ----------
+    estimator : str
+        Name of the estimator.
+    names : sequence of str
+        Joint names.
+    fit : MBKFit
+        Matrices and their standard errors.
+    """
     problems = []
     matrices = {
         "M": (fit.mbk.M, fit.M_se),
@@ -110,7 +120,13 @@ def least_eigenvalue(matrix: FloatArray, errors: FloatArray) -> tuple[float, flo
 
 
 def judge_angles(record: TrialRecord) -> list[Problem]:
-    """Find angles of a trial that aren't radians, or begin another turn."""
+    """Find angles that aren't radians, or begin another turn.
+
+    Parameters
+    ----------
+    record : TrialRecord
+        One trial.
+    """
     problems = []
     for name, angle in zip(record.joint_names, record.position, strict=True):
         posture, motion = float(np.abs(np.median(angle))), float(np.ptp(angle))

@@ -16,9 +16,13 @@ from armimp_estimation.spectra import WelchConfig
 class TrialRecord:
     """The samples of one trial: the commanded perturbation and the readings of the sensors.
 
-    The arrays are converted to C-contiguous float64, so that the estimates do not depend on how the
-    caller happened to lay them out. DataError if shapes disagree or a sample is not finite; the
-    message names the joint and sample.
+    The arrays are converted to C-contiguous float64, so that the estimates do not
+    depend on how the caller happened to lay them out.
+
+    Raises
+    ------
+    DataError
+        If shapes disagree or a sample is not finite; the message names the joint and sample.
     """
 
     trial: int

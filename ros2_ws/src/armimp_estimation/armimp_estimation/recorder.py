@@ -74,14 +74,24 @@ class TrialRecorder:
     """Records each trial into its own bag and hands it over when it is complete.
 
     A bag gets everything that came from up to three seconds before the trial until its end.
-    `assemble_trials` finds the samples of the trial in it, live and when the bag is read. In any
-    method, what can't be written raises BagError; a bag stays readable.
+    `assemble_trials` finds the samples of the trial in it, live and when the bag is read.
 
-    Bags come below ``bags/`` of the `directory`, if there is one, each with the metadata. Each
-    trial, or the reason why none could be made, goes to `on_finished`; topic and error of a message
-    that is too short to have a stamp go to `refuse`. `lpm` has the options of the running column,
-    `target_error` and `least_duration` (s) are those of the stopping rule; without a bound trials
-    last as planned.
+    Parameters
+    ----------
+    joint_names : tuple of str
+        Names of the n joints.
+    directory : Path or None
+        Where ``bags/`` is made; None records nothing.
+    metadata : mapping of str to str
+        Stored in every bag.
+    on_finished : callable
+        Called with each trial, or with the reason why none could be made.
+    refuse : callable, optional
+        Called with topic and error for each message that is too short to have a stamp.
+    lpm : LpmConfig, optional
+        Options of the running column.
+    target_error, least_duration : float
+        Bound and least length (s) of the stopping rule; a bound of 0 lets trials last as planned.
     """
 
     def __init__(
@@ -146,7 +156,13 @@ class TrialRecorder:
         return self.samples / (time.monotonic() - self._began) if self._began else 0.0
 
     def add_status(self, status: TrialStatus) -> None:
-        """Take a trial status; those of the next trial wait until the present one is complete."""
+        """Take a trial status; those of the next trial wait until the present one is complete.
+
+        Raises
+        ------
+        BagError
+            If the bag of a new trial can't be written.
+        """
         present = self.status
         if present is not None and status.trial != present.trial:
             self._later.append(status)
@@ -165,7 +181,13 @@ class TrialRecorder:
             self._finish_if_complete()
 
     def add(self, messages: Mapping[str, Sequence[bytes]]) -> None:
-        """Take messages of the data streams, mostly those of many whole samples at once."""
+        """Take messages of the data streams, mostly those of many whole samples at once.
+
+        Raises
+        ------
+        BagError
+            If they can't be written.
+        """
         if self._start_ns is None or self._is_past(0):
             after = messages if self._start_ns is None else self._keep_late(messages)
             for topic, raws in after.items():
@@ -181,7 +203,17 @@ class TrialRecorder:
     def add_beside(self, topic: str, message: bytes, time_ns: int | None = None) -> None:
         """Record a message that is no sample, such as diagnostics, beside the last sample.
 
-        Its stamp (ns) is given if that was not added yet.
+        Parameters
+        ----------
+        topic : str
+        message : bytes
+        time_ns : int, optional
+            Stamp of the last sample (ns), if that was not added yet.
+
+        Raises
+        ------
+        BagError
+            If it can't be written.
         """
         if self._writer is not None and self._written:
             self._writer.write(topic, message, max(*self._log_ns.values(), time_ns or 0))
@@ -257,13 +289,25 @@ class TrialRecorder:
         self.close()
 
     def close(self) -> None:
-        """Close the bag of the present trial, complete or not."""
+        """Close the bag of the present trial, complete or not.
+
+        Raises
+        ------
+        BagError
+            If the bag can't be finished; it stays readable.
+        """
         if self._writer is not None:
             writer, self._writer = self._writer, None
             writer.close()
 
     def flush(self) -> None:
-        """Hand what was recorded to the operating system, where a kill cannot reach it."""
+        """Hand what was recorded to the operating system, where a kill cannot reach it.
+
+        Raises
+        ------
+        BagError
+            If that fails.
+        """
         if self._writer is not None:
             self._writer.flush()
 
@@ -455,9 +499,19 @@ def record_so_far(streams: Streams, status: TrialStatus, samples: int) -> TrialR
 class StoppingRule:
     """Decides on one trial at numbers of samples that depend on nothing but its parameters.
 
-    It has lasted long enough with a relative standard error of M, B and K of its column within the
-    `bound`. Every trial lasts the `least` time (s) and has at most the `planned` samples, which
-    come at a rate in Hz.
+    Parameters
+    ----------
+    bound : float
+        Largest relative standard error (one standard error) of M, B and K of the column that the
+        trial gives, with which it has lasted long enough.
+    least : float
+        Length that every trial has at least, s.
+    trial : int
+        Number of the trial, 1-based.
+    planned : int
+        Samples that it has at most.
+    rate : float
+        Samples per second, Hz.
     """
 
     def __init__(
@@ -473,10 +527,19 @@ class StoppingRule:
     def decide(
         self, samples: int, column: Callable[[int], FittedColumn | None]
     ) -> StoppingDecision | None:
-        """Decide whether a trial with so many samples has lasted long enough, if it is time.
+        """Decide whether the trial has lasted long enough, if it is time.
 
-        The first decision of all announces when the next is made. A callable gives the column that
-        follows from the first so many samples, if there is one.
+        Parameters
+        ----------
+        samples : int
+            Samples that are there.
+        column : callable
+            Gives the column that follows from the first so many samples; None if there is none.
+
+        Returns
+        -------
+        StoppingDecision or None
+            The first one of all announces when the next is made.
         """
         if not self._announced:
             self._announced = True

@@ -71,7 +71,10 @@ class Result:
     def write(self, directory: Path) -> None:
         """Write ``summary.json`` and, if there are curves, ``frf.npz``.
 
-        DataError if a file exists already or cannot be written.
+        Raises
+        ------
+        DataError
+            If a file exists already or cannot be written.
         """
         if self.curves:
             write_frf(directory / FRF_FILE, self.curves)
@@ -89,20 +92,38 @@ def conclude(
     most_excluded: float = MOST_EXCLUDED,
     problems: Sequence[Problem] = (),
 ) -> Result:
-    """Identify the impedance from a trial of each joint, and collect the problems of the result.
+    """Identify the impedance from the trials, and collect the problems of the result.
 
-    Metadata are those of the bags: configuration, seed, from a simulator the truth, and the timing
-    of a run in real time. Estimators and config are as for
-    :func:`armimp_estimation.identify.identify`; by default with Welch segments that suit the
-    shortest trial, and torques read when the metadata say.
+    Parameters
+    ----------
+    trials : sequence of Trial
+        One for each joint.
+    metadata : mapping of str to str
+        That of the bags: configuration, seed, from a simulator the truth, and the timing of a run
+        in real time.
+    joint_names : sequence of str
+        Names of the n joints.
+    estimators : sequence of str or Estimator
+        As for :func:`armimp_estimation.identify.identify`.
+    config : IdentifyConfig, optional
+        Options; by default Welch segments that suit the shortest trial, and torques read when the
+        metadata say.
+    allow_gaps : bool
+        Estimate from the intact parts of trials that lost samples or were aborted; else such
+        trials are refused. The result of one that was aborted is not valid.
+        Intervals in which the controller clipped its command are left out in any case.
+    most_excluded : float
+        Largest share of the samples of a trial that may be left out, from 0 to 1. Beyond, there
+        is an estimate, but the result is not valid.
+    problems : sequence of Problem
+        What is known to have gone wrong beforehand.
 
-    Trials that lost samples or were aborted are refused, or with `allow_gaps` estimated from their
-    intact parts; the result of one that was aborted is not valid. Intervals in which the controller
-    clipped its command are left out in any case. If more than `most_excluded` (0 to 1) of the
-    samples of a trial is left out, there is an estimate, but the result is not valid. `problems`
-    are what is known to have gone wrong beforehand.
-
-    ConfigurationError if an estimator does not exist, DataError if the metadata make no sense.
+    Raises
+    ------
+    ConfigurationError
+        If an estimator does not exist.
+    DataError
+        If the metadata make no sense.
     """
     known = Metadata.of(metadata, len(joint_names))
     found = list(problems)
@@ -149,7 +170,15 @@ def problems_of(
     allow_gaps: bool = False,
     most_excluded: float = MOST_EXCLUDED,
 ) -> list[Problem]:
-    """What is wrong with a recording, before anything is estimated; options as of `conclude`."""
+    """What is wrong with a recording, before anything is estimated from it.
+
+    Parameters
+    ----------
+    trials, allow_gaps, most_excluded
+        As :func:`conclude` takes them.
+    known : Metadata
+        What was recorded or declared beside the samples.
+    """
     found = [] if known.timing is None else known.timing.problems
     declared = known.planned_rate
     for trial in trials:
@@ -165,9 +194,19 @@ def problems_of(
 
 
 def load_result(directory: Path) -> Result:
-    """Read ``summary.json``, ``frf.npz`` and the bags of a result.
+    """Read a result directory and the bags of its trials.
 
-    What is missing leaves a note, but for a summary, without which there is a DataError.
+    What is missing besides the summary leaves a note, not an error.
+
+    Parameters
+    ----------
+    directory : Path
+        With ``summary.json`` and mostly ``frf.npz``. The summary says where the bags are.
+
+    Raises
+    ------
+    DataError
+        If there is no readable summary.
     """
     summary = read_summary(directory / SUMMARY_FILE)
     notes: list[str] = []

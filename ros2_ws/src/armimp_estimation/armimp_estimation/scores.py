@@ -25,7 +25,11 @@ NORMAL_95 = 1.959963984540054
 def vaf(estimate: ImpedanceEstimate, truth: MBK) -> FloatArray:
     """Variance accounted for, of each element against the true impedance, %.
 
-    ``VAF_ij = 100 (1 - Σ_f |Z_ij - Ẑ_ij|² / Σ_f |Z_ij|²)``, shape (n, n); NaN where Z_ij is zero.
+    ``VAF_ij = 100 (1 - Σ_f |Z_ij - Ẑ_ij|² / Σ_f |Z_ij|²)``; NaN where the true element is zero.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
     """
     true = truth.impedance(estimate.f)
     error = np.sum(np.abs(true - estimate.Z) ** 2, axis=2)
@@ -55,8 +59,22 @@ def derived_coherence(
 
     ``|Ẑ|² G_θθ / (|Ẑ|² G_θθ + G_nn)`` with ``G_nn = (1 - γ²(θ_k, τ_i)) G_ττ``. It says how much of
     the torque the impedance explains, and stays near 1 even if other joints were not held still.
-    The joint i (0-based) is that of the torque; Ẑ_ik (N·m/rad), shape (m,), is interpolated where
-    its frequencies f (Hz) are not those of the spectra, for which the result is, shape (n_freq,).
+
+    Parameters
+    ----------
+    trial : TrialData
+        That perturbed joint k.
+    joint : int
+        Joint i of the torque, 0-based.
+    f : ndarray, shape (m,)
+        Frequencies of the impedance, Hz; other than those of the spectra are interpolated.
+    impedance : ndarray, shape (m,)
+        Estimate of ``Z_ik``, N·m/rad.
+
+    Returns
+    -------
+    ndarray, shape (n_freq,)
+        At the frequencies of the spectra.
     """
     angle = trial.position_channel(trial.joint)
     torque = trial.torque_channel(joint)
@@ -68,15 +86,31 @@ def derived_coherence(
 
 
 def coherence_significance(averages: float, alpha: float = 0.05) -> float:
-    """Coherence γ² that independent signals exceed with probability alpha: ``1 - α^{1/(n_d - 1)}``.
+    """Coherence which independent signals exceed with probability alpha: ``1 - α^{1/(n_d - 1)}``.
 
-    With n_d independent averages (not overlapped segments); 1 where one makes it meaningless.
+    Parameters
+    ----------
+    averages : float
+        Number n_d of independent averages (not of overlapped segments).
+    alpha : float
+        Probability, between 0 and 1.
+
+    Returns
+    -------
+    float
+        Level of γ²; 1 if a single average makes any coherence meaningless.
     """
     return float(1.0 - alpha ** (1.0 / (averages - 1.0))) if averages > 1.0 else 1.0
 
 
 def require_motion(record: TrialRecord) -> None:
-    """Raise DataError if angle or torque of the perturbed joint did not change at all."""
+    """Refuse a trial whose perturbed joint rests, or whose transducer there is dead.
+
+    Raises
+    ------
+    DataError
+        If angle or torque of the perturbed joint did not change at all.
+    """
     k = record.perturbed_joint
     if np.ptp(record.position[k]) == 0.0:
         raise DataError(
@@ -95,8 +129,19 @@ def lock_ratio(trials: Sequence[TrialData], frf: FrfMatrix) -> FloatArray:
 
     ``sqrt(Σ_f |R_ik|² G_xx / Σ_f |R_kk|² G_xx)`` over the band, less what noise alone would give.
     So neither motion outside the band counts nor such that has another cause, as the dither of
-    locked joints. Trials are in order of k. Of the result, shape (n, n), row i is the joint that
-    moves, column k the perturbed one; it is 1 on the diagonal.
+    locked joints.
+
+    Parameters
+    ----------
+    trials : sequence of TrialData
+        In order of k.
+    frf : FrfMatrix
+        Their responses.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        Row i is the joint that moves, column k the perturbed one; 1 on the diagonal.
     """
     power = np.stack([trial.input_power for trial in trials])
     noise = frf.variance[: len(frf.R)]
@@ -113,7 +158,11 @@ def bias_bound(frf: FrfMatrix) -> FloatArray:
     For a locked joint i it is the band mean of ``|Ẑ_ii R_ik / T_ik|``: the share of its torque
     that is due to its own motion. For the perturbed joint itself, of which that says nothing, it is
     the band mean of ``Σ_j |Ẑ_kj R_jk / T_kk|`` over the locked joints j. ``Ẑ_ij = T_ij / R_jj``.
-    Of the result, shape (n, n), row i is the locked, column k the perturbed joint.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        Row i is the locked, column k the perturbed joint.
     """
     n = frf.R.shape[0]
     bound = np.zeros((n, n))
@@ -134,9 +183,20 @@ def realisation(estimate: ImpedanceEstimate, target: MBK | None) -> FloatArray:
 
     The law asks for ``Z_rd θ_k = τΔ - τ_k``, so what the robot shows is ``Ẑ_r = (1 - T_kk)/R_kk``,
     which is ``1/R_kk - Ẑ_kk`` where locked joints are still. Its deviation, relative to the target,
-    is ``sqrt(Σ_f (|Ẑ_r - Z_rd|² - var Ẑ_r) / Σ_f |Z_rd|²)``; of Z_rd the diagonal counts. Columns
-    of the result, shape (n, 3), are the deviation by k and the ends of its 95 % interval, which are
-    NaN without a covariance; all is without a target for these joints.
+    is ``sqrt(Σ_f (|Ẑ_r - Z_rd|² - var Ẑ_r) / Σ_f |Z_rd|²)``.
+
+    Parameters
+    ----------
+    estimate : ImpedanceEstimate
+        Responses T and R with their covariance.
+    target : MBK or None
+        Z_rd, of which the diagonal counts, if it is known.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        Deviation by k, and the ends of its 95 % interval, which are NaN without a covariance; all
+        is without a target for these joints.
     """
     if target is None or target.joints != estimate.joints:
         return np.full((estimate.joints, 3), np.nan)

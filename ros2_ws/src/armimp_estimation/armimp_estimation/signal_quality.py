@@ -57,7 +57,13 @@ RESOLVED: Final = {JOINT_STATES: 20.0, TORQUE_SENSORS: 8.0}
 
 
 def judge_signals(record: TrialRecord) -> list[Problem]:
-    """Find what is wrong with angles and torques of a trial without gaps."""
+    """Find what is wrong with angles and torques of a trial.
+
+    Parameters
+    ----------
+    record : TrialRecord
+        One trial, without gaps.
+    """
     problems = []
     streams = {JOINT_STATES: record.position, TORQUE_SENSORS: record.torque}
     for stream, signals in streams.items():
@@ -94,7 +100,7 @@ def judge_signals(record: TrialRecord) -> list[Problem]:
 
 
 def clipping(signal: FloatArray) -> list[tuple[float, int]]:
-    """Values at which a signal, (N,), is clipped, and in how many samples.
+    """Values at which a signal is clipped, and in how many samples.
 
     A signal that turns where it likes has fewer samples at its extreme value than at the next
     ones. One that is clipped heaps them up there: it is taken as clipped if the extreme value has
@@ -105,6 +111,10 @@ def clipping(signal: FloatArray) -> list[tuple[float, int]]:
     down before: so a signal is clipped only if it comes there 3 times, at both ends together, and
     arrives with more than 0.4 of the speed that it had 5 samples before. (A motion that comes to
     rest steadily has a third of it.)
+
+    Parameters
+    ----------
+    signal : ndarray, shape (N,)
     """
     values, places, counts = np.unique(signal, return_inverse=True, return_counts=True)
     if values.size <= _NEIGHBOURS:
@@ -150,8 +160,17 @@ def unseen_share(records: Sequence[TrialRecord]) -> FloatArray:
     Rounding to steps q takes ``2 exp(-2π²σ²/q²)`` off the response of a motion of the standard
     deviation σ, which follows from that of the readings in each half second, less that of rounding,
     ``q²/12``. A joint that shows fewer than three values there, or hardly changes between them, may
-    be held by friction, and move as it likes within a step. Of one trial for each joint, in order,
-    the result, shape (n, n), is that of each joint in each trial, 0 where all is seen, 1 at most.
+    be held by friction, and move as it likes within a step.
+
+    Parameters
+    ----------
+    records : sequence of TrialRecord
+        One trial for each joint, in order.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        Of each joint in each trial, 0 to 1; 0 where all is seen.
     """
     return lost_motion(records)[0]
 
@@ -159,10 +178,20 @@ def unseen_share(records: Sequence[TrialRecord]) -> FloatArray:
 def lost_motion(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]:
     """Motion that follows the perturbation and that the encoders of locked joints may not show.
 
-    Of a motion of 0.2 q, at which most of it is lost, that is 0.16 q. Trials are as above. Given
-    are, for each joint in each trial, (n, n), its share of the motion that the encoder shows, all
-    of it while that seems to rest, as it may be less if rounding goes to and fro; and what is
-    beside that, rad, while it seems to rest. Both are 0 where all is seen.
+    Of a motion of 0.2 q, at which most of it is lost, that is 0.16 q.
+
+    Parameters
+    ----------
+    records : sequence of TrialRecord
+        One trial for each joint, in order.
+
+    Returns
+    -------
+    share : ndarray, shape (n, n)
+        Of each joint in each trial, of the motion that its encoder shows: all of it while it seems
+        to rest, as it may be less if rounding goes to and fro.
+    beside : ndarray, shape (n, n)
+        Of each joint in each trial, rad, while it seems to rest. Both are 0 where all is seen.
     """
     shares, beside = np.zeros((2, len(records), len(records)))
     for joint, k in np.ndindex(shares.shape):
@@ -188,8 +217,19 @@ def rounding_lead(records: Sequence[TrialRecord], band_end: float) -> FloatArray
     A law that holds a joint throws it back where its reading steps. Rounding then isn't independent
     of the motion, but follows its speed, by the ratio of their rms values at most. Of joints that
     a law of 30 to 250 rad/s holds at 500 to 2000 Hz it was 0 to 0.5 of that, the more the oftener
-    readings step back: 0.2 times their share is assumed as its standard error. That is given for
-    each joint in each trial, shape (n, n), s; speeds are looked at up to a frequency, Hz.
+    readings step back: 0.2 times their share is assumed as its standard error.
+
+    Parameters
+    ----------
+    records : sequence of TrialRecord
+        One trial for each joint, in order.
+    band_end : float
+        Frequency up to which speeds are looked at, Hz.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        Standard error of each joint in each trial, s.
     """
     lead = np.zeros((len(records), len(records)))
     for joint, k in np.ndindex(lead.shape):
@@ -236,8 +276,20 @@ def sticking(
     like, and so may one whose partner rests as well: a joint that friction holds has a steady
     torque. If the person pushes against that friction, it has not, but such a joint sets off
     slowly: unless its record ends there, a signal is stuck only if it then jumps by more than 4
-    times the usual step. The partner, shape (N,) like the signal, moves whenever that does: the
-    torque of an angle, or the angle of a torque. Times are in s, the rate in Hz.
+    times the usual step.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (N,)
+    rate : float
+        Samples per second, Hz.
+    partner : ndarray, shape (N,), optional
+        Signal that moves whenever this one does: the torque of an angle, or the angle of a torque.
+
+    Returns
+    -------
+    longest, count, limit : float, int, float
+        s, number of times, s.
     """
     edges = np.flatnonzero(np.diff(signal) != 0.0)
     runs = np.diff(np.concatenate(([-1], edges, [signal.size - 1])))
@@ -262,7 +314,13 @@ def dropouts(signal: FloatArray, partner: FloatArray) -> tuple[int, float]:
 
     It does where it keeps one value for 3 times longer than but in one of a hundred moments, while
     its partner moves, and then jumps by 12 times the usual step to where it should be; and where it
-    jumps so to and from a value, mostly the same one, as 0. Both are as of :func:`sticking`.
+    jumps so to and from a value, mostly the same one, as 0.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (N,)
+    partner : ndarray, shape (N,)
+        As :func:`sticking` takes it.
     """
     steps = np.diff(signal)
     edges = np.flatnonzero(steps)
@@ -283,9 +341,17 @@ def dropouts(signal: FloatArray, partner: FloatArray) -> tuple[int, float]:
 
 
 def beside_command(record: TrialRecord) -> tuple[float, float]:
-    """How the torque of the perturbed joint follows its command, up to 3 samples late.
+    """How the torque of the perturbed joint follows its command.
 
-    Torque per command, and the rms of the rest per rms of the torque, which is 1 without commands.
+    Parameters
+    ----------
+    record : TrialRecord
+        Without commands, the share is 1.
+
+    Returns
+    -------
+    factor, share : float, float
+        Torque per command, up to 3 samples late, and the rms of the rest per rms of the torque.
     """
     torque = record.torque[record.perturbed_joint]
     best = (0.0, 1.0)

@@ -282,14 +282,23 @@ def _shape(rows: Any) -> tuple[int, ...]:
 def write_summary(path: Path, summary: Summary, *, anew: bool = False) -> None:
     """Write ``summary.json``; numbers have as many digits as it takes to read them back exactly.
 
-    DataError if it cannot be written, or exists already and is not to be made `anew`.
+    Raises
+    ------
+    DataError
+        If the file cannot be written, or exists already and is not to be made `anew`.
     """
     text = summary.model_dump_json(indent=1, by_alias=True) + "\n"
     write_atomically(path, lambda part: part.write_text(text, encoding="utf-8"), anew=anew)
 
 
 def read_summary(path: Path) -> Summary:
-    """Read ``summary.json``; DataError with file and place if it is no summary of schema 1."""
+    """Read ``summary.json``.
+
+    Raises
+    ------
+    DataError
+        If it cannot be read or is not a summary of schema 1; the message names file and place.
+    """
     return read_json(path, Summary.model_validate_json, "a summary")
 
 
@@ -345,7 +354,11 @@ def write_frf(path: Path, curves: Mapping[str, ImpedanceCurve]) -> None:
     """Write ``frf.npz``; ``docs/interfaces.md`` lists its arrays.
 
     ``f`` is the grid of the first estimator; one with another grid has its own ``f_<name>``.
-    DataError if there is no estimate, or the file exists already or cannot be written.
+
+    Raises
+    ------
+    DataError
+        If there is no estimate, or the file exists already or cannot be written.
     """
     if not curves:
         raise DataError(f"{path}: no estimate to write")
@@ -371,7 +384,13 @@ def write_frf(path: Path, curves: Mapping[str, ImpedanceCurve]) -> None:
 
 
 def read_frf(path: Path) -> dict[str, ImpedanceCurve]:
-    """Read ``frf.npz``: curves by name of the estimator; DataError if one cannot be read."""
+    """Read ``frf.npz``: the curves by name of the estimator.
+
+    Raises
+    ------
+    DataError
+        If it cannot be read or lacks an array.
+    """
     try:
         # Opened here, as numpy leaves a file that it cannot read open.
         with open_regular(path) as raw, np.load(raw, allow_pickle=False) as file:

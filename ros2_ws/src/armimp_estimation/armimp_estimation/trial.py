@@ -65,9 +65,18 @@ class Drift:
 
 
 def drift_of(record: TrialRecord) -> Drift | None:
-    """Find the slopes of angles and torques of a trial without gaps.
+    """Find the slopes of angles and torques.
 
-    None if the record is too short (see :data:`HIGHEST`), or its perturbation too poor, to tell.
+    Parameters
+    ----------
+    record : TrialRecord
+        A trial without gaps.
+
+    Returns
+    -------
+    Drift or None
+        None if the record is too short (see :data:`HIGHEST`), or its perturbation too poor, to
+        tell.
     """
     places = np.arange(1, _LOCAL.window + 1)
     record = record.whole_periods
@@ -137,8 +146,12 @@ class TrialData:
 
         They are bit-identical to those that are gathered live, and no segment spans a gap. Torques
         are taken without the delay and the filter of their ``reading``. Drift, as the longest
-        stretch tells it, is taken out of record and spectra. DataError if none of them is as long
-        as one segment.
+        stretch tells it, is taken out of record and spectra.
+
+        Raises
+        ------
+        DataError
+            If none of them is as long as one segment.
         """
         record = max(stretches, key=lambda stretch: stretch.samples)
         drift = drift_of(record)

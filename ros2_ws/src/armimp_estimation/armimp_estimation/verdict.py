@@ -109,8 +109,14 @@ def judge_order(names: Sequence[str], lock_ratio: FloatArray) -> list[Problem]:
 
     A joint may move more than the one that is perturbed, if it is lighter and gives way. But what
     they store and lose would be negative if each of two joints moved more while the other one is
-    perturbed, or more of them in a circle. Of the ratio, shape (n, n), row i is the joint that
-    moves, column k the perturbed one.
+    perturbed, or more of them in a circle.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Joint names.
+    lock_ratio : ndarray, shape (n, n)
+        Row i is the joint that moves, column k the perturbed one.
     """
     if np.isnan(lock_ratio).any():
         return []
@@ -127,8 +133,12 @@ def judge_order(names: Sequence[str], lock_ratio: FloatArray) -> list[Problem]:
 def judge_band(f: FloatArray, perturbed: FloatArray) -> list[Problem]:
     """Say on which band an estimate rests if the perturbation has no power in a part of it.
 
-    Given are the frequencies of the whole band, (n_freq,), and those of them at which all joints
-    were perturbed, (m,), Hz.
+    Parameters
+    ----------
+    f : ndarray, shape (n_freq,)
+        Frequencies of the whole band, Hz.
+    perturbed : ndarray, shape (m,)
+        Those of them at which all joints were perturbed.
     """
     if perturbed.size == f.size:
         return []
@@ -146,10 +156,18 @@ def judge_band(f: FloatArray, perturbed: FloatArray) -> list[Problem]:
 def judge_coherence(
     names: Sequence[str], motion: FloatArray, torque: FloatArray, level: float
 ) -> list[Problem]:
-    """Problems with perturbed joints that do not answer the perturbation significantly.
+    """Problems with perturbed joints that do not answer the perturbation.
 
-    Given are the mean coherences of perturbation k with the angle of joint k, (n,), and with the
-    torque of joint i, (n, n), and the level that counts as significant.
+    Parameters
+    ----------
+    names : sequence of str
+        Joint names.
+    motion : ndarray, shape (n,)
+        Mean coherence of perturbation k with the angle of joint k.
+    torque : ndarray, shape (n, n)
+        Mean coherence of perturbation k with the torque of joint i.
+    level : float
+        Coherence that counts as significant.
     """
     return [
         problem(
@@ -176,8 +194,19 @@ def judge_estimate(
 ) -> list[Problem]:
     """Problems with one estimate and its fit.
 
-    Torques were read as ``reading`` tells. Unless the verdict is about this estimate (``decides``),
-    lack of fit says no more than that what is known of its bias is known roughly.
+    Parameters
+    ----------
+    names : sequence of str
+        Joint names.
+    estimate : ImpedanceEstimate
+        The impedance.
+    fit : MBKFit
+        M, B and K.
+    reading : TorqueReading
+        When torques were read, as far as that was told.
+    decides : bool
+        Whether the verdict is about it. Beside others, what is known of its bias is known roughly,
+        and lack of fit says no more than that.
     """
     name = estimate.name
     problems = judge_matrices(name, names, fit)
@@ -213,7 +242,15 @@ def judge_estimate(
 
 
 def judge_models(estimator: str, models: Sequence[ModelFit]) -> list[Problem]:
-    """Say which of the fitted models the data support in the place of M, B and K, if any."""
+    """Say which model the data support in the place of M, B and K, or that none of them does.
+
+    Parameters
+    ----------
+    estimator : str
+        Name of the estimator.
+    models : sequence of ModelFit
+        Those that were fitted.
+    """
     if not models:
         return []
     best = supported(models)

@@ -29,7 +29,10 @@ class BridgeParameters(Schema):
     def checked(self) -> BridgeParameters:
         """Return the same with nothing left empty.
 
-        ConfigurationError if there is not one value for each joint, or a sign is neither 1 nor −1.
+        Raises
+        ------
+        ConfigurationError
+            If there is not one value for each joint, or a sign is neither 1 nor −1.
         """
         count = len(self.joints)
         ones = (1,) * count

@@ -22,7 +22,8 @@ class Readings:
 
     Parameters
     ----------
-    parameters : with nothing left empty
+    parameters : BridgeParameters
+        With nothing left empty.
     """
 
     def __init__(self, parameters: BridgeParameters) -> None:
@@ -38,8 +39,11 @@ class Readings:
     def decode(self, data: bytes) -> tuple[int, tuple[float, ...], tuple[float, ...]]:
         """Return stamp (ns), angles (n,) in rad, and torques (n,) in N·m; NaN stays NaN.
 
-        MalformedMessageError if a joint is missing or there twice, or there are not as many
-        positions and efforts as joints.
+        Raises
+        ------
+        MalformedMessageError
+            If a joint is missing or there twice, or there are not as many positions and efforts as
+            joints.
         """
         stamp_ns, angles = self._angles.decode(data)
         _, torques = self._torques.decode(data)
@@ -72,8 +76,10 @@ class Stamps:
     def step(self, stamp_ns: int) -> int:
         """Return the number of periods since the last sample; 0 if this one is to be left out.
 
-        MalformedMessageError if time stands still or goes back, or samples do not come once in a
-        period.
+        Raises
+        ------
+        MalformedMessageError
+            If time stands still or goes back, or samples do not come once in a period.
         """
         if self._ticks < 0:
             self._ticks, self._first, self._last = 0, stamp_ns, stamp_ns

@@ -288,7 +288,8 @@ def advance(w: NDArray[np.float64], joints: Tag, width: Tag, steps: int, h: floa
         The batch; its COMMAND and VOLUNTARY rows are held constant (zero-order hold).
     joints, width : tuples of n and of the width of the blocks zeros
         Carry the two numbers as compile-time constants.
-    steps : number of steps
+    steps : int
+        Number of steps.
     h : s
         Length of one.
     """

@@ -140,7 +140,10 @@ class SimulatorParameters(Schema):
     def plant_config(self) -> PlantConfig:
         """Everything that the plant needs.
 
-        ConfigurationError if a shape or a value is wrong; the message names the parameter.
+        Raises
+        ------
+        ConfigurationError
+            If a shape or a value is wrong; the message names the parameter.
         """
         robot, values = (
             {

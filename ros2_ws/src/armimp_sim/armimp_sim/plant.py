@@ -37,8 +37,11 @@ class PlantConfig(RigConfig):
     arm and cuff are in its inertia, damping and stiffness. What a rigid arm would take from the
     first n coordinates is then the torque of the cuff, which the transducers measure.
 
-    ConfigurationError if the numbers of joints disagree, M_r + M_h is not positive definite
-    (symmetric part), or friction at rest or the cuff is too stiff for the step.
+    Raises
+    ------
+    ConfigurationError
+        If the numbers of joints disagree, M_r + M_h is not positive definite (symmetric part), or
+        friction at rest or the cuff is too stiff for the step.
     """
 
     robot: PlanarChain

@@ -57,7 +57,10 @@ def human_arm(joints: int) -> HumanArm:
     Assumptions: for three joints a wrist is added; four to seven are an even chain, see
     :func:`_rods`.
 
-    ConfigurationError if there is no preset for that number of joints.
+    Raises
+    ------
+    ConfigurationError
+        If there is no preset for that number of joints.
     """
     _check_joints("arm", joints)
     if joints <= 2:
@@ -85,7 +88,10 @@ def robot(joints: int) -> PlanarChain:
 
     One joint is the second of two; four to seven are an even chain, see :func:`_rods`.
 
-    ConfigurationError if there is no preset for that number of joints.
+    Raises
+    ------
+    ConfigurationError
+        If there is no preset for that number of joints.
     """
     _check_joints("robot", joints)
     if joints <= 2:
@@ -112,7 +118,10 @@ def friction(level: int, joints: int) -> tuple[LuGre, ...]:
     Shoulder and elbow have the same. The friction of any other joint is in proportion to its size,
     as drives are: see :data:`armimp_common.sizes.JOINT_SIZES`.
 
-    ConfigurationError if there is no such level, or no preset for that number of joints.
+    Raises
+    ------
+    ConfigurationError
+        If there is no such level, or no preset for that number of joints.
     """
     law = _FRICTION[_checked("friction", level)]
     _check_joints("friction", joints)
@@ -125,7 +134,10 @@ def friction(level: int, joints: int) -> tuple[LuGre, ...]:
 def sensors(level: int, sampling: Sampling = Sampling.BEFORE_UPDATE) -> SensorParameters:
     """Encoder and torque resolution at a level from 0 (unquantised) to 3 (Table II).
 
-    ConfigurationError if there is no such level.
+    Raises
+    ------
+    ConfigurationError
+        If there is no such level.
     """
     counts = _ENCODER_COUNTS[_checked("resolution", level)]
     return SensorParameters(

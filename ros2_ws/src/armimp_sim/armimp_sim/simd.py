@@ -256,7 +256,8 @@ def exp_minus(y: float) -> float:
 
     Parameters
     ----------
-    y : not negative. From 700 on the result stays at exp(−700) ≈ 1e-304, also for NaN.
+    y : float
+        Not negative. From 700 on the result stays at exp(−700) ≈ 1e-304, also for NaN.
 
     Returns
     -------
@@ -329,7 +330,8 @@ def sine_cosine(x: float) -> tuple[float, float]:
 
     Parameters
     ----------
-    x : angle, rad; |x| up to about 1e5
+    x : float
+        Angle, rad; |x| up to about 1e5.
 
     Returns
     -------

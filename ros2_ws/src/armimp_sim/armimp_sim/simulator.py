@@ -31,6 +31,10 @@ _PATIENCE = 2.0
 class SimulatedRig(TorqueLatch):
     """Arm, exoskeleton, friction and sensors, advanced by one control period per command.
 
+    Parameters
+    ----------
+    parameters : SimulatorParameters
+
     Attributes
     ----------
     position : (n,) encoder readings, rad; valid until the next step
@@ -72,7 +76,10 @@ class SimulatedRig(TorqueLatch):
         all further steps run with zero torque. After :meth:`fade` they run with a torque on its way
         to zero.
 
-        IntegrationError if the simulation itself broke down.
+        Raises
+        ------
+        IntegrationError
+            If the simulation itself broke down.
         """
         if not math.isfinite(sum(command)):
             self._refuse(command)
@@ -107,7 +114,10 @@ class RealtimeSimulator:
 
     Parameters
     ----------
-    send : sends the present sample; called in the thread
+    rig : SimulatedRig
+    send : callable
+        Sends the present sample; called in the thread.
+    pacer : Pacer
     watchdog_ticks : int
         Periods after which the rig takes the torque away: without any command, or by which commands
         that come are behind. A controller that works through old samples is none any more.
@@ -167,7 +177,10 @@ class RealtimeSimulator:
     def reset(self) -> None:
         """Obey commands again after a fault; samples that were left unanswered are forgotten.
 
-        GraphError if the rig refuses.
+        Raises
+        ------
+        GraphError
+            If the rig refuses.
         """
         with self.lock:
             self._rig.reset()

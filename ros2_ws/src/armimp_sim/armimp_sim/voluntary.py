@@ -121,6 +121,7 @@ class VoluntaryTorque:
 
     Parameters
     ----------
+    config : VoluntaryParameters
     joints : number of joints n
     period : s, between ticks
     seed : of the experiment, not negative
@@ -145,6 +146,7 @@ class ReadingNoise:
 
     Parameters
     ----------
+    sensors : SensorParameters
     joints : number of joints n
     seed : of the experiment, not negative
     """

@@ -31,8 +31,12 @@ _COLOURS = {
 def check_driver(options: CheckOptions, *, domain_id: int | None, yes: bool, as_json: bool) -> int:
     """Judge a running driver, print the findings, and return the exit status.
 
-    ConfigurationError if the rig may not be moved; GraphError if there is no driver, or it is in
-    use.
+    Raises
+    ------
+    ConfigurationError
+        If the rig may not be moved.
+    GraphError
+        If there is no driver, or it is in use.
     """
     domain = external_domain(domain_id)
     if options.move and not yes:
@@ -50,7 +54,10 @@ def check_driver(options: CheckOptions, *, domain_id: int | None, yes: bool, as_
 def ask(options: CheckOptions, domain: int) -> None:
     """Ask whether the rig may be moved.
 
-    ConfigurationError if nobody is there to be asked, or the answer is no.
+    Raises
+    ------
+    ConfigurationError
+        If nobody is there to be asked, or the answer is no.
     """
     if not sys.stdin.isatty():
         raise ConfigurationError("--move: there is nobody to ask; --yes says that it is safe")

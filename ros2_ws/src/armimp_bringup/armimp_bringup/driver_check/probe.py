@@ -33,8 +33,12 @@ _LISTEN, _LATER, _SILENCE = 0.5, 0.2, 3.0
 def probe(options: CheckOptions, domain_id: int | None) -> Record:
     """Record a driver in a domain.
 
-    GraphError if there is none, or it is in use, or fails a transition; InterruptionError after
-    SIGINT or SIGTERM, with zero torque commanded.
+    Raises
+    ------
+    GraphError
+        If there is none, or it is in use, or fails a transition.
+    InterruptionError
+        After SIGINT or SIGTERM, with zero torque commanded.
     """
     with GraphContext(domain_id) as graph, stop_on_signals() as stopped:
         node = Conversation(graph, options.joints, options.namespace, stopped)

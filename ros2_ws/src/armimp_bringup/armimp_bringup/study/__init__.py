@@ -62,9 +62,11 @@ def select_conditions(only: Sequence[str], seeds: str) -> tuple[Condition, ...]:
 
     Parameters
     ----------
-    only : selections such as ``friction=0+3,resolution=0``; their union is taken. None: all 48
+    only : sequence of str
+        Selections such as ``friction=0+3,resolution=0``; their union is taken. None: all 48
         combinations.
-    seeds : as for `parse_seeds`
+    seeds : str
+        As for `parse_seeds`.
 
     Raises
     ------
@@ -102,8 +104,10 @@ def _parse_only(text: str) -> dict[str, tuple[int, ...]]:
 def parse_seeds(text: str) -> tuple[int, ...]:
     """Seeds from numbers and half-open ranges, joined by commas: ``77``, ``0:10``, ``1,5,10:20``.
 
-    ConfigurationError if it is something else, holds no seed or more than `MOST_SEEDS`, or one
-    twice.
+    Raises
+    ------
+    ConfigurationError
+        If it is something else, holds no seed or more than `MOST_SEEDS`, or one twice.
     """
     found: list[int] = []
     for part in text.split(","):
@@ -155,7 +159,10 @@ def study_text(entries: Sequence[StudyEntry]) -> str:
 def read_study(path: Path) -> list[StudyEntry]:
     """Read ``study.json``.
 
-    DataError if it can't be read, or is something else.
+    Raises
+    ------
+    DataError
+        If it can't be read, or is something else.
     """
     return read_json(path, _ENTRIES.validate_json, "a study")
 
@@ -163,7 +170,10 @@ def read_study(path: Path) -> list[StudyEntry]:
 def save_result(directory: Path, result: ConditionResult) -> None:
     """Write result and curves of a condition.
 
-    DataError if they can't be written.
+    Raises
+    ------
+    DataError
+        If they can't be written.
     """
     name = result.entry.condition.name
     write_frf(
@@ -175,6 +185,9 @@ def save_result(directory: Path, result: ConditionResult) -> None:
 def saved_curves(directory: Path, condition: Condition) -> dict[str, ImpedanceCurve]:
     """Curves of one condition by name of the estimator.
 
-    DataError if they are missing or damaged.
+    Raises
+    ------
+    DataError
+        If they are missing or damaged.
     """
     return read_frf(directory / f"{condition.name}.npz")

@@ -51,8 +51,10 @@ def split_evenly(conditions: Sequence[Condition], workers: int) -> list[tuple[Co
 
     Parameters
     ----------
-    conditions : what is to be done
-    workers : batches that run at the same time
+    conditions : sequence of Condition
+        What is to be done.
+    workers : int
+        Batches that run at the same time.
     """
     total = len(conditions)
     batches = min(total, workers * -(-total // (workers * WIDTH)))
@@ -63,9 +65,12 @@ def split_evenly(conditions: Sequence[Condition], workers: int) -> list[tuple[Co
 def run_batch(batch: Batch) -> list[ConditionResult]:
     """Simulate the conditions of a batch and identify the impedance in each.
 
-    ConfigurationError if the configuration does not make an experiment, or an estimator does not
-    exist; DataError if a condition cannot be simulated or estimated, or the software here is
-    another one.
+    Raises
+    ------
+    ConfigurationError
+        If the configuration does not make an experiment, or an estimator does not exist.
+    DataError
+        If a condition cannot be simulated or estimated, or the software here is another one.
     """
     here = versions()
     for name, version in batch.software["versions"].items():
@@ -94,7 +99,12 @@ def estimate_condition(
 ) -> ConditionResult:
     """Identify the impedance in one condition of a batch, from its trials.
 
-    ConfigurationError if an estimator does not exist; DataError if the trials can't be estimated.
+    Raises
+    ------
+    ConfigurationError
+        If an estimator does not exist.
+    DataError
+        If the trials can't be estimated.
     """
     try:
         identification = experiment.identify(experiment.config.estimators)
@@ -140,8 +150,10 @@ class Threads:
 
     Parameters
     ----------
-    workers : number of threads
-    work : what to do with a batch
+    workers : int
+        Number of threads.
+    work : callable
+        What to do with a batch.
     """
 
     def __init__(self, workers: int, work: Callable[[Batch], Results] = run_batch) -> None:
@@ -163,7 +175,8 @@ class Dask:
 
     Parameters
     ----------
-    address : of the scheduler, such as ``tcp://host:8786``
+    address : str
+        Of the scheduler, such as ``tcp://host:8786``.
 
     Raises
     ------

@@ -77,8 +77,10 @@ def levels_chart(table: Table, scores: Sequence[Score]) -> Chart:
 
     Parameters
     ----------
-    table : (n_conditions, n, n) results of one estimator
-    scores : one row each
+    table : ndarray, shape (n_conditions, n, n)
+        Results of one estimator.
+    scores : sequence of Score
+        One row each.
     """
     strokes = {stroke.name: stroke for stroke in level_marks(table, scores)}
     places: dict[str, float] = {}
@@ -131,9 +133,12 @@ def overlay_chart(
 
     Parameters
     ----------
-    curves : by condition and estimator
-    truth : true matrices
-    i, k : element, 0-based
+    curves : mapping of Condition to mapping of str to ImpedanceCurve
+        By condition and estimator.
+    truth : MBK
+        True matrices.
+    i, k : int
+        Element, 0-based.
     """
     lines: list[Line] = []
     for condition, found in curves.items():
@@ -207,11 +212,16 @@ def write_figures(
 
     Parameters
     ----------
-    directory : where to
-    conditions : at least one. Figure 2 shows those with the first seed.
-    table : (n_conditions, n_estimators, n, n) their results
-    truth : true matrices
-    curves : gives the curves of a condition
+    directory : Path
+        Where to.
+    conditions : sequence of Condition
+        At least one. Figure 2 shows those with the first seed.
+    table : ndarray, shape (n_conditions, n_estimators, n, n)
+        Their results.
+    truth : MBK
+        True matrices.
+    curves : callable
+        Gives the curves of a condition.
 
     Returns
     -------
@@ -270,8 +280,10 @@ def impedance_figure(curves: Mapping[Condition, ImpedanceCurve], truth: MBK) -> 
 
     Parameters
     ----------
-    curves : of one perturbation level, seed and estimator; all are overlaid
-    truth : true matrices
+    curves : mapping of Condition to ImpedanceCurve
+        Of one perturbation level, seed and estimator; all are overlaid.
+    truth : MBK
+        True matrices.
 
     Returns
     -------
@@ -300,8 +312,10 @@ def levels_figure(table: Table, scores: Sequence[Score]) -> Figure:
 
     Parameters
     ----------
-    table : (n_conditions, n, n) results of one estimator
-    scores : one axis each
+    table : ndarray, shape (n_conditions, n, n)
+        Results of one estimator.
+    scores : sequence of Score
+        One axis each.
     """
     legend = level_marks(table, scores)
     return matrix_figure([[levels_chart(table, scores)]], [[""]], legend, row_height=1.6)

@@ -56,7 +56,8 @@ def results_table(entries: Sequence[StudyEntry]) -> Table:
 
     Parameters
     ----------
-    entries : results with the same estimators and number of joints, at least one
+    entries : sequence of StudyEntry
+        Results with the same estimators and number of joints, at least one.
 
     Returns
     -------
@@ -100,9 +101,12 @@ def torque_in_counts(entry: StudyEntry, truth: MBK, f: FloatArray) -> FloatArray
 
     Parameters
     ----------
-    entry : result with its configuration
-    truth : true matrices
-    f : frequencies, Hz; zero alone gives the largest static torque of the stiffness
+    entry : StudyEntry
+        Result with its configuration.
+    truth : MBK
+        True matrices.
+    f : ndarray
+        Frequencies, Hz; zero alone gives the largest static torque of the stiffness.
 
     Returns
     -------
@@ -207,8 +211,10 @@ class Score:
 
         Parameters
         ----------
-        table : (n_conditions, n, n) results of the estimator
-        judged : whether only elements count that are resolved
+        table : ndarray, shape (n_conditions, n, n)
+            Results of the estimator.
+        judged : bool
+            Whether only elements count that are resolved.
         """
         values = self.values(table)
         badness = self.badness(values)
@@ -224,7 +230,8 @@ class Score:
 
         Parameters
         ----------
-        table : (n_conditions, n, n) results of one estimator
+        table : ndarray, shape (n_conditions, n, n)
+            Results of one estimator.
         """
         values, n = table[self.fields[0]], table.shape[-1]
         if self.fields == ("coherence_motion",):
@@ -351,8 +358,10 @@ def judge(entries: Sequence[StudyEntry], table: Table) -> StudyVerdict:
 
     Parameters
     ----------
-    entries : results with the same estimators and number of joints, at least one
-    table : their numbers
+    entries : sequence of StudyEntry
+        Results with the same estimators and number of joints, at least one.
+    table : ndarray
+        Their numbers.
     """
     worst = [
         _worst(of_estimator, score) for of_estimator in np.moveaxis(table, 1, 0) for score in SCORES

@@ -59,7 +59,10 @@ _VARIED: Final = {*LEVELS, "seed", "mode", "processes"}
 def chosen_backend(workers: int | None, scheduler: str | None) -> Backend:
     """Return where a study is to run: a dask scheduler, or so many threads of this machine.
 
-    ConfigurationError if both are given, or what is given makes no sense.
+    Raises
+    ------
+    ConfigurationError
+        If both are given, or what is given makes no sense.
     """
     if scheduler is None:
         return Threads(workers if workers is not None else available_cores())
@@ -81,12 +84,18 @@ def run_study(
 
     Parameters
     ----------
-    base : everything but the levels and the seed
-    conditions : what the study consists of, each once
-    directory : new or empty
-    backend : runs it
-    figures : whether to draw those for print; the report is written in any case
-    origin : command line and date, for the report
+    base : ExperimentConfig
+        Everything but the levels and the seed.
+    conditions : sequence of Condition
+        What the study consists of, each once.
+    directory : Path
+        New or empty.
+    backend : Backend
+        Runs it.
+    figures : bool
+        Whether to draw those for print; the report is written in any case.
+    origin : OriginSummary, optional
+        Command line and date, for the report.
 
     Returns
     -------

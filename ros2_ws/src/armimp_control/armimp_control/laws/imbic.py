@@ -97,7 +97,10 @@ class Observer:
     mostly friction, count as random walks. They act on all joints through M̄⁻¹, so that friction
     which is seen in the motion of the perturbed joint is known at the locked ones before they move.
 
-    ConfigurationError if the delay is none that the law can remember commands for.
+    Raises
+    ------
+    ConfigurationError
+        If the delay is none that the law can remember commands for.
     """
 
     resolution: float
@@ -155,7 +158,10 @@ class Observer:
 class ImbicConfig:
     """Target impedance and internal model.
 
-    ConfigurationError if shapes disagree or a value is out of range.
+    Raises
+    ------
+    ConfigurationError
+        If shapes disagree or a value is out of range.
     """
 
     target_posture: NDArray[np.float64]

@@ -289,7 +289,10 @@ class Controller:
     ) -> int:
         """Compute :attr:`command` from a sample; parameters and result as of :func:`control_tick`.
 
-        ValueError if an input has another shape; compiled code would read beyond its end.
+        Raises
+        ------
+        ValueError
+            If an input has another shape; compiled code would read beyond its end.
         """
         if not theta.shape == tau_h.shape == tau_delta.shape == self.command.shape:
             raise ValueError(

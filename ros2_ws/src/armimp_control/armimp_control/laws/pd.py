@@ -42,7 +42,10 @@ from armimp_control.laws import (
 class PdConfig:
     """Gains of plain PD locking.
 
-    ConfigurationError if shapes disagree or a value is out of range.
+    Raises
+    ------
+    ConfigurationError
+        If shapes disagree or a value is out of range.
     """
 
     target_posture: NDArray[np.float64]

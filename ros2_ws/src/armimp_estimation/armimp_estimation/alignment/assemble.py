@@ -131,8 +131,11 @@ class Trial:
     def refusals(self, *, allow_gaps: bool = False) -> list[Problem]:
         """Return the problems with which the trial must not be estimated.
 
-        With `allow_gaps` it is estimated from its intact parts, if it was aborted or lost samples,
-        or had some that were repeated, out of order or not finite.
+        Parameters
+        ----------
+        allow_gaps : bool
+            Estimate from the intact parts of a trial that was aborted or lost samples, or had some
+            that were repeated, out of order or not finite.
         """
         refused = _REFUSED if allow_gaps and self.segments else _ANY_REFUSED
         return [one for one in self.problems if one.code in refused]
@@ -140,7 +143,12 @@ class Trial:
     def judged(self, *, allow_gaps: bool, most_excluded: float) -> list[Problem]:
         """Return all problems of the trial, those that its intact parts do not have as notes.
 
-        That a larger share than `most_excluded` (0 to 1) was left out is one of them.
+        Parameters
+        ----------
+        allow_gaps : bool
+            As of :meth:`refusals`.
+        most_excluded : float
+            Largest share of the samples that may be left out of a valid result, from 0 to 1.
         """
         healed = _HEALED if allow_gaps and self.segments else frozenset()
         found = [
@@ -157,8 +165,12 @@ class Trial:
     def intact(self, *, allow_gaps: bool = False) -> tuple[TrialRecord, ...]:
         """Return the parts of the trial that an estimate may use, in their order.
 
-        A trial without gaps has one part; intervals of clipped commands divide it. DataError if
-        there are none; the message names the source and the trial.
+        A trial without gaps has one part; intervals of clipped commands divide it.
+
+        Raises
+        ------
+        DataError
+            If there are none; the message names the source and the trial.
         """
         if refusals := self.refusals(allow_gaps=allow_gaps):
             where = f"{self.source}: " if self.source else ""
@@ -173,9 +185,26 @@ def assemble_trials(
 ) -> tuple[Trial, ...]:
     """Assemble every trial in a recording, or in what a node has received.
 
-    Without any statuses, trials are inferred from the perturbation, as `infer_windows` says. Those
-    that were over before the first sample are left out. Errors name the `source`: DataError if a
-    stream is foreign, or the trials cannot be inferred.
+    Parameters
+    ----------
+    streams : Streams
+        Everything that was received.
+    statuses : sequence of TrialStatus
+        The trial statuses in order. Without any, the trials are inferred from the perturbation,
+        as `infer_windows` says.
+    source : str
+        Where the messages come from, for the messages of errors.
+
+    Returns
+    -------
+    tuple of Trial
+        Empty if there are statuses, but none of a perturbation. Trials that were over before
+        the first sample are left out.
+
+    Raises
+    ------
+    DataError
+        If a stream is foreign, or the trials cannot be inferred.
     """
     streams.decode()
     period = sampling_period({topic: one.stamps for topic, one in streams.stamped.items()})

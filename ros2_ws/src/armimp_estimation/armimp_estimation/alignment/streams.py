@@ -31,7 +31,24 @@ _head_of = itemgetter(slice(_HEAD.size))
 
 
 class Stream:
-    """The numbers of one topic in order of arrival."""
+    """The numbers of one topic in order of arrival.
+
+    Parameters
+    ----------
+    stamps : ndarray, shape (N,)
+        Header stamps (ns); of commands, which have none, the numbers that they carry, 0 for none.
+    values : ndarray, shape (n, N)
+        Numbers of the joints, in SI units.
+
+    Attributes
+    ----------
+    count : int
+        Number N of messages so far.
+    malformed : int
+        Messages that were left out because they could not be decoded.
+    defect : str
+        What is wrong with the first of those.
+    """
 
     def __init__(self, stamps: IntArray, values: FloatArray) -> None:
         self._stamps, self._values = stamps, values
@@ -176,7 +193,13 @@ class Streams:
 
 
 def decode_streams(joint_names: Sequence[str], messages: Mapping[str, Sequence[bytes]]) -> Streams:
-    """Decode the messages of a recording by topic; DataError if a stream has no good one."""
+    """Decode the serialised messages of a recording, by topic of the contract.
+
+    Raises
+    ------
+    DataError
+        If a stream has no message that can be decoded.
+    """
     streams = Streams(joint_names)
     for topic in (*VALUE_FIELD, COMMANDS):
         streams.add(topic, messages.get(topic, ()))
@@ -193,11 +216,14 @@ def decode_streams(joint_names: Sequence[str], messages: Mapping[str, Sequence[b
 def stamps_in_step(messages: Mapping[str, Sequence[bytes]], after_ns: int = -1) -> list[int]:
     """Stamps (ns) of messages of the four streams that are those of ticks one after the other.
 
-    They rise from above `after_ns` on. There are none if the streams are not in step, or the
-    messages of one are not of equal length: then each has to be looked at for itself.
-
     This is plain Python on purpose: it is called once in fifty ticks, when the code of numpy has
     left the caches of the processor, and a few of its operations take longer than this loop.
+
+    Returns
+    -------
+    list of int
+        Rising from above `after_ns` on; empty if the streams are not in step, or the messages of
+        one are not of equal length: then each has to be looked at for itself.
     """
     count = len(messages.get(PERTURBATION, ()))
     if not count:

@@ -24,12 +24,17 @@ class StreamSynchronizer:
     """Keeps the messages of the four streams, each in its order, until they are taken out.
 
     Those of the perturbation are handed in one by one. The others are fetched with every tenth of
-    them, and before anything is taken out: for each of :data:`FETCHED` there is a source that gives
-    the messages that have come since it was called last.
+    them, and before anything is taken out.
 
-    `on_samples` is called whenever the number of samples of which all messages have come has passed
-    another multiple of :data:`armimp_common.topics.RECEIVED_EVERY`, with that multiple, and
-    `on_behind` when others than the perturbation are to come, for which one must :meth:`poll`.
+    Parameters
+    ----------
+    sources : mapping of str to callable
+        For each of :data:`FETCHED`: gives the messages that have come since it was called last.
+    on_samples : callable, optional
+        Called with the number of samples of which all messages have come, whenever it has passed
+        another multiple of :data:`armimp_common.topics.RECEIVED_EVERY`; with that multiple.
+    on_behind : callable, optional
+        Called when others than the perturbation are still to come, for which one must :meth:`poll`.
     """
 
     def __init__(
@@ -67,7 +72,13 @@ class StreamSynchronizer:
                 self.poll()
 
     def poll(self) -> bool:
-        """Fetch what has come, announce how many samples are complete; tell if there is more."""
+        """Fetch what has come, and announce how many samples are complete.
+
+        Returns
+        -------
+        bool
+            Whether there is more to come, so that one should poll again.
+        """
         if not self._open:
             return False
         self._fetch()
@@ -100,7 +111,13 @@ class StreamSynchronizer:
             return None
 
     def take(self, *, incomplete: bool = False) -> dict[str, list[bytes]]:
-        """Take out what waits, by topic; `incomplete` samples too, if that is asked for."""
+        """Take out what waits, by topic.
+
+        Parameters
+        ----------
+        incomplete : bool
+            Whether to take messages, too, that others of the same sample may still follow.
+        """
         if self._open:
             self._fetch()
         counts = self._counts()

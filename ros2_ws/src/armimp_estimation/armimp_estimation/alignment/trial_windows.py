@@ -41,7 +41,13 @@ _GRID: Final = 51
 
 @dataclass(frozen=True, kw_only=True)
 class TrialWindow:
-    """The part of a recording that is one trial; DataError if start or length are beyond reason."""
+    """The part of a recording that is one trial.
+
+    Raises
+    ------
+    DataError
+        If start or number of samples are beyond reason.
+    """
 
     trial: int
     """Number of the trial, 1-based."""
@@ -80,7 +86,10 @@ class TrialWindow:
 class AnnouncedTrials:
     """Remembers how long trials were announced to be, to find statuses that no controller can send.
 
-    If ``strict``, a trial may end early only after a decision that it is long enough.
+    Parameters
+    ----------
+    strict : bool
+        Whether a trial may end early only if a decision was :meth:`note`-d that it is long enough.
     """
 
     def __init__(self, *, strict: bool) -> None:
@@ -108,7 +117,18 @@ class AnnouncedTrials:
 
 
 def windows_from_statuses(statuses: Sequence[TrialStatus]) -> tuple[TrialWindow, ...]:
-    """Find the trials whose perturbation began, from the statuses in the order of publication."""
+    """Find the trials that the controller announced.
+
+    Parameters
+    ----------
+    statuses : sequence of TrialStatus
+        In the order in which they were published.
+
+    Returns
+    -------
+    tuple of TrialWindow
+        One for every trial whose perturbation began, in their order.
+    """
     found: dict[tuple[int, int], list[TrialStatus]] = {}
     for status in statuses:
         if status.phase is not Phase.SETTLE and status.start_ns is not None:
@@ -167,8 +187,16 @@ def infer_windows(
     """Find the trials of a recording without statuses from its perturbation alone.
 
     A trial lasts from the first to the last sample with a torque that is not zero. Another one
-    begins when another joint is perturbed, or after `PAUSE_NS` without any torque. Given are stamps
-    (ns), (N,), torques (N·m), (n, N), and the sampling period (ns).
+    begins when another joint is perturbed, or after `PAUSE_NS` without any torque.
+
+    Parameters
+    ----------
+    stamps : ndarray, shape (N,)
+        Stamps of the perturbation messages (ns).
+    perturbation : ndarray, shape (n, N)
+        Perturbation torques, N·m.
+    period : float
+        Sampling period, ns.
 
     Raises
     ------
@@ -206,11 +234,22 @@ def infer_windows(
 
 
 def tick_numbers(stamps: IntArray, period: float = PERIOD_NS) -> IntArray:
-    """Number the control periods of ascending stamps (ns), (N,), the first one 0.
+    """Number the control periods of ascending stamps, the first one 0.
 
     Stamps are rounded to a grid whose phase is the circular mean of those around. So neither does
     a clock that runs a little fast or slow add up, nor need steps between stamps be regular.
-    Several stamps that belong to one period have equal numbers.
+
+    Parameters
+    ----------
+    stamps : ndarray, shape (N,)
+        Ascending, ns.
+    period : float
+        Sampling period, ns.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Not descending; equal numbers where several stamps belong to one period.
     """
     if not stamps.size:
         return np.zeros(0, np.int64)
@@ -222,7 +261,13 @@ def tick_numbers(stamps: IntArray, period: float = PERIOD_NS) -> IntArray:
 
 
 def require_few_trials(trials: int) -> None:
-    """Raise DataError for a recording with more trials than anyone makes without a pause."""
+    """Refuse a recording with more trials than anyone makes without a pause.
+
+    Raises
+    ------
+    DataError
+        If there are so many.
+    """
     if trials > _MOST_TRIALS:
         raise DataError(f"{trials} trials are more than the {_MOST_TRIALS} of one recording")
 
@@ -231,8 +276,12 @@ def sampling_period(streams: Mapping[str, IntArray]) -> float:
     """Mean time between samples, ns; that of the contract if it is within the tolerance.
 
     Each step is rounded to whole periods by the median step, so that samples which are missing,
-    late or repeated don't count: ``L = Σ steps / Σ periods``. Of several streams, given by topic as
-    stamps (ns) in any order, it is the median.
+    late or repeated don't count: ``L = Σ steps / Σ periods``. Of several streams it is the median.
+
+    Parameters
+    ----------
+    streams : mapping of str to ndarray of int64, shape (N,)
+        Stamps (ns) of each stream, in any order, by topic.
 
     Raises
     ------

@@ -45,10 +45,23 @@ _DAMAGE: Final = (
 
 
 def read_mcap(file: BinaryIO, size: int, *, name: str, into: RawMessages) -> None:
-    """Read an MCAP file of so many bytes up to its end, or the last complete record before a cut.
+    """Read an MCAP file up to its end, or up to the last complete record before a cut.
 
-    Topics, messages, metadata and a note of the cut go `into` the messages; errors have its name.
-    BagError if a record is damaged, a wanted topic is not CDR, or the file holds more than it may.
+    Parameters
+    ----------
+    file : binary file
+        At its beginning.
+    size : int
+        Its length in bytes.
+    name : str
+        The file for error messages.
+    into : RawMessages
+        Takes topics, messages, metadata and a note of the cut.
+
+    Raises
+    ------
+    BagError
+        If a record is damaged, a wanted topic is not CDR, or the file holds more than it may.
     """
     reading = _McapReading(name, into)
     position = len(file.read(len(MAGIC)))

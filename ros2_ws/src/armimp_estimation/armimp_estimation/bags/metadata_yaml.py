@@ -25,9 +25,19 @@ _DUMPER: Final[Any] = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 @cache
 def message_definition(type_name: str) -> tuple[str, str]:
-    """Definition of a standard message of ROS 2 Jazzy, by its full name, and its RIHS01 hash.
+    """Definition of a message type of ROS 2 Jazzy, by its full name.
 
-    The definition is followed by those of all types it is made of (encoding ``ros2msg``).
+    Returns
+    -------
+    text : str
+        The definition followed by those of all types it is made of (encoding ``ros2msg``).
+    type_hash : str
+        RIHS01 hash of the type description, by which ROS 2 compares types.
+
+    Raises
+    ------
+    KeyError
+        If the type is not part of the standard messages.
     """
     # Reading needs no definitions, and no time for loading them.
     from rosbags.typesys import Stores, get_typestore
@@ -69,8 +79,16 @@ def bag_information(
 ) -> dict[str, Any]:
     """Return the content of ``metadata.yaml`` below its root, in the order of rosbag2.
 
-    Given are the name of the storage file, the number of messages of each topic of the contract,
-    the log times of the first and of the last one (ns), and the ``custom_data``.
+    Parameters
+    ----------
+    file_name : str
+        The storage file within the directory.
+    topics : mapping of str to int
+        Name in the contract of each topic in the bag, and its number of messages.
+    time_range : tuple of int
+        Log times of the first and of the last message (ns).
+    custom : mapping of str to str
+        The ``custom_data``.
     """
     count = sum(topics.values())
     start = {"nanoseconds_since_epoch": time_range[0]}
@@ -111,15 +129,31 @@ def bag_information(
 
 
 def write_metadata(directory: Path, information: Mapping[str, Any]) -> None:
-    """Write ``metadata.yaml``, replacing an existing one at once; OSError if it cannot."""
+    """Write ``metadata.yaml``, replacing an existing one at once.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
     text = dump({_ROOT: dict(information)})
     replace_atomically(directory / FILE_NAME, lambda part: part.write_text(text, encoding="utf-8"))
 
 
 def read_metadata(file: Path) -> tuple[list[Path], dict[str, str]]:
-    """Read storage files, in order, and ``custom_data`` of a ``metadata.yaml`` of any version.
+    """Read what is needed from a ``metadata.yaml`` of any version.
 
-    BagError if it is not the metadata of a bag.
+    Returns
+    -------
+    files : list of Path
+        The storage files, in their order.
+    custom : dict of str to str
+        The ``custom_data``; empty if there is none.
+
+    Raises
+    ------
+    BagError
+        If the file is not the metadata of a bag.
     """
     try:
         information = _information(read_text(file, _MOST_BYTES))

@@ -61,7 +61,13 @@ class RawMessages:
         """Where and how the recording ends early; empty if it is complete."""
 
     def spend(self, cost: int) -> None:
-        """Charge a cost; BagError if it exceeds what is left."""
+        """Charge a cost.
+
+        Raises
+        ------
+        BagError
+            If it exceeds what is left.
+        """
         self._left -= cost
         if self._left < 0:
             raise self.refusal("holds far more than a bag of its size should")
@@ -73,8 +79,12 @@ class RawMessages:
     def unzstd(self, data: bytes, most: int | None = None) -> bytes:
         """Decompress one frame of zstd, of at most so many bytes.
 
-        BagError if it holds more than the largest piece may, or than is left; ZstdError if it is
-        damaged, or holds more than `most`.
+        Raises
+        ------
+        BagError
+            If it holds more than the largest piece may, or than is left.
+        zstandard.ZstdError
+            If it is damaged, or holds more than `most`.
         """
         most = min(_LARGEST, self._left) if most is None else most
         # The library would make room for whatever the frame claims to hold.
@@ -84,14 +94,32 @@ class RawMessages:
         return content
 
     def unlz4(self, data: bytes, most: int) -> bytes:
-        """As :meth:`unzstd`, for lz4; a damaged frame raises RuntimeError."""
+        """Decompress one frame of lz4 up to so many bytes.
+
+        Raises
+        ------
+        BagError
+            If that is more than is left.
+        RuntimeError
+            If it is damaged.
+        """
         self._require(most)
         content: bytes = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=most)
         self.spend(len(content))
         return content
 
     def copy_unzstd(self, source: BinaryIO, target: Path) -> None:
-        """Decompress a file of zstd, as far as it goes, into another one; errors as above."""
+        """Decompress a file of zstd, as far as it goes, into another one.
+
+        Raises
+        ------
+        BagError
+            If it holds more than is left.
+        zstandard.ZstdError
+            If it is damaged.
+        OSError
+            If the other one cannot be written.
+        """
         with (
             zstandard.ZstdDecompressor().stream_reader(source, closefd=False) as reader,
             target.open("xb") as file,
@@ -115,7 +143,13 @@ class RawMessages:
     def extend(
         self, topic_indices: Iterable[int], log_times: Iterable[int], payloads: Iterable[bytes]
     ) -> None:
-        """Add messages, whose content has been charged; BagError if they are too many."""
+        """Add messages, whose content has been charged.
+
+        Raises
+        ------
+        BagError
+            If they are more than may be.
+        """
         before = len(self.payloads)
         self.topic_indices += topic_indices
         self.log_times += log_times
@@ -123,7 +157,13 @@ class RawMessages:
         self.spend(MESSAGE_COST * (len(self.payloads) - before))
 
     def sort(self) -> None:
-        """Sort messages by log time, stably; OverflowError if one does not fit 64 bits."""
+        """Bring the messages into the order of their log times, keeping that of equal ones.
+
+        Raises
+        ------
+        OverflowError
+            If a log time does not fit 64 bits.
+        """
         times = np.array(self.log_times, np.int64)
         if (np.diff(times) >= 0).all():
             return

@@ -163,9 +163,24 @@ def resolve_topics(
     A topic matches if its name ends with that of the contract, at a slash. Where several do,
     the namespace decides under which all needed topics are.
 
-    Given are name and message type (which may be empty) of each topic of the bag, and the bag for
-    errors; returned is the index there, by name in the contract, of those that there are. BagError
-    if the choice is not clear, or a topic has another type than it must have.
+    Parameters
+    ----------
+    recorded : sequence of tuple of str
+        Name and message type of each topic of the bag; the type may be empty.
+    bag : str
+        The bag for error messages.
+    namespace : str, optional
+        Accept only topics under this namespace.
+
+    Returns
+    -------
+    dict of str to int
+        Name in the contract, to index in `recorded`. Only what is there is in it.
+
+    Raises
+    ------
+    BagError
+        If the choice is not clear, or a topic has another type than it must have.
     """
     matches = {topic: _candidates(recorded, topic) for topic in topics.MESSAGE_TYPES}
     if namespace is None:
@@ -277,7 +292,13 @@ def find_bags(paths: Sequence[Path]) -> list[Path]:
 
 
 def require_distinct(bags: Sequence[Path]) -> None:
-    """Raise BagError for bags that are the same, by another path, link or name of their files."""
+    """Refuse bags that are one and the same, by another path, link or name of their files.
+
+    Raises
+    ------
+    BagError
+        If there are such ones.
+    """
     found: dict[tuple[int, int], Path] = {}
     for bag in bags:
         try:

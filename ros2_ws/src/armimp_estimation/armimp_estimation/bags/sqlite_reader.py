@@ -33,10 +33,23 @@ def read_sqlite(path: Path, *, name: str, into: RawMessages) -> None:
     Only plain tables are read: views and generated columns are programs of whoever made the file. A
     file whose writer was killed may have its last messages in a write-ahead log beside it; since
     SQLite wants to write then, a copy of both is opened. A rollback journal is ignored:
-    the recorders of ROS 2 leave none, and it may name other files that SQLite deletes. Topics,
-    messages, metadata and a note of the cut go `into` the messages; errors have the file's name.
-    BagError if the file is not a readable rosbag2 database, or holds more than it may; OSError if
-    it cannot be copied.
+    the recorders of ROS 2 leave none, and it may name other files that SQLite deletes.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    name : str
+        The file for error messages.
+    into : RawMessages
+        Takes topics, messages, metadata and a note of the cut.
+
+    Raises
+    ------
+    BagError
+        If the file is not a readable rosbag2 database, or holds more than it may.
+    OSError
+        If it cannot be copied.
     """
     log = Path(f"{path}-wal")
     files = {path: path.stat().st_size}

@@ -99,13 +99,19 @@ class BagWriter:
 
     The file is locked as long as it is open, by which others can tell that it is being written
     from one whose writer was killed. What cannot be written leaves no trace in the file, so that
-    it always ends with a complete record, unless the process dies within a system call. Metadata
-    are ``custom_data`` of ``metadata.yaml`` and the MCAP metadata record ``armimp``.
+    it always ends with a complete record, unless the process dies within a system call.
+
+    Parameters
+    ----------
+    path : Path
+        Directory of the bag, which must not exist; parent directories are made.
+    metadata : mapping of str to str
+        Stored as ``custom_data`` of ``metadata.yaml`` and as MCAP metadata record ``armimp``.
 
     Raises
     ------
     BagError
-        If the directory exists or cannot be made, or something cannot be written, in any method.
+        If the path exists or cannot be written.
     """
 
     def __init__(self, path: Path, *, metadata: Mapping[str, str]) -> None:
@@ -152,9 +158,18 @@ class BagWriter:
     ) -> None:
         """Append messages of several topics for each of some times at once.
 
-        Times are those of reception (ns), not negative, in rising order. By topic of the contract,
-        in the order in which those of one time are written, there is a message for each of them,
-        in CDR with its encapsulation header.
+        Parameters
+        ----------
+        log_times : sequence of int
+            Times of reception (ns), not negative, in rising order.
+        messages : mapping of str to sequence of bytes
+            A message (CDR with its encapsulation header) for each of them, by topic of the
+            contract, in the order in which those of one time are written.
+
+        Raises
+        ------
+        BagError
+            If they cannot be written: disk full, bag closed, unknown topic, bad time.
         """
         with self._one_line():
             channels = {self._channel(topic): raws for topic, raws in messages.items()}
@@ -165,7 +180,13 @@ class BagWriter:
                 raise BagError(f"{self._path}: log times are out of range: {times}") from None
 
     def add_metadata(self, values: Mapping[str, str]) -> None:
-        """Add to the metadata what is known only after recording."""
+        """Add to the metadata what is known only after recording.
+
+        Raises
+        ------
+        BagError
+            If it cannot be written.
+        """
         self._custom.update(values)
         with self._one_line():
             self._add_metadata(METADATA_RECORD, values)
@@ -175,6 +196,11 @@ class BagWriter:
 
         What cannot be written is kept for another attempt. Call it from a timer where messages may
         stop while the process lives on.
+
+        Raises
+        ------
+        BagError
+            If that fails.
         """
         with self._one_line():
             self._flush()
@@ -182,8 +208,12 @@ class BagWriter:
     def close(self) -> None:
         """Finish the file and replace the provisional ``metadata.yaml``; harmless if repeated.
 
-        Where there is no room for that, the bag stays unfinished, but readable: BagError, unless
-        `write` or `flush` has said so before.
+        Where there is no room for that, the bag stays unfinished, but readable.
+
+        Raises
+        ------
+        BagError
+            If something could not be written, unless `write` or `flush` has said so before.
         """
         if self._closed:
             return
@@ -400,7 +430,20 @@ def _reason(error: OSError) -> str:
 
 
 def require_free_space(path: Path, ticks: int, joints: int) -> None:
-    """Raise BagError without room for the largest bag of so many control periods and joints."""
+    """Check that there is room where a bag will be made for the largest one that it can become.
+
+    Parameters
+    ----------
+    path : Path
+        Directory of the bag.
+    ticks, joints : int
+        Control periods to record, and number of joints.
+
+    Raises
+    ------
+    BagError
+        If there is too little room, or that cannot be found out.
+    """
     needed = _HEAD_BYTES + ticks * len(DATA_STREAMS) * (_MESSAGE_BYTES + _JOINT_BYTES * joints)
     place = path.absolute()
     while not place.exists() and place != place.parent:

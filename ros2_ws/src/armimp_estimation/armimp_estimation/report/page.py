@@ -104,8 +104,16 @@ def render_page(
 ) -> str:
     """Put a page together; whatever is not markup is escaped.
 
-    The header is a template of heading and introduction, which takes `content`. Packages may have
-    ``templates/`` of their own, by the prefix of their names.
+    Parameters
+    ----------
+    title : str
+        Of the document.
+    header : str
+        Template of heading and introduction, which takes `content`.
+    sections : sequence of Section
+        In their order.
+    packages : mapping of str to str
+        Packages with ``templates/`` of their own, by the prefix of their names.
     """
     loaders = {
         prefix: PackageLoader(name)

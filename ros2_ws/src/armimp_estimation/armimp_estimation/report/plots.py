@@ -496,8 +496,16 @@ def rows_of(
 
     Joints that were to be held still have a row of their own, as their motion is far smaller.
     Commands and torques chatter far above the band in which the arm is perturbed, so that all of
-    them would be solid bars: signals are seen through a low-pass (Hz), or as recorded without one.
-    Segments are the parts of the trial without gaps; its first sample has the stamp `start_ns`.
+    them would be solid bars.
+
+    Parameters
+    ----------
+    segments : sequence of TrialRecord
+        Parts of the trial without gaps, at least one.
+    start_ns : int
+        Stamp of the first sample of the trial (ns).
+    cutoff : float or None
+        Of the low-pass that the signals are seen through, Hz; None shows them as recorded.
     """
     starts = [round(one.rate * (one.start_ns - start_ns) / 1e9) for one in segments]
     span = max(start + part.samples for start, part in zip(starts, segments, strict=True))
@@ -694,10 +702,21 @@ def range_of(values: FloatArray, *, log: bool = False) -> tuple[float, float]:
 
 
 def envelope(values: FloatArray, buckets: int) -> tuple[FloatArray, float]:
-    """Thin out a signal, (N,), so that it looks the same where pixels are no more than buckets.
+    """Thin out a signal so that it looks the same where there are no more pixels than buckets.
 
-    Each gives its smallest and its largest value, in their order in time; NaN is a gap. Returned
-    are at most 2·buckets values, and their distance in samples of the signal.
+    Parameters
+    ----------
+    values : ndarray, shape (N,)
+        The signal; NaN where there is a gap.
+    buckets : int
+        Number of parts; each gives its smallest and its largest value, in their order in time.
+
+    Returns
+    -------
+    thinned : ndarray, shape (at most 2·buckets,)
+        The signal itself if it is no longer than that.
+    step : float
+        Distance of the thinned values, in samples of the signal.
     """
     if values.size <= 2 * buckets:
         return values, 1.0

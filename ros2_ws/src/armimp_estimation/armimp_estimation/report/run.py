@@ -100,7 +100,13 @@ def report_page(result: Result) -> str:
 
 
 def write_report(directory: Path, result: Result) -> Path:
-    """Write or replace ``report.html`` and return its path; DataError if it can't be written."""
+    """Write ``report.html``, in place of one that is there, and return its path.
+
+    Raises
+    ------
+    DataError
+        If it cannot be written.
+    """
     path = directory / REPORT_FILE
     write_text(path, report_page(result))
     return path

@@ -20,8 +20,10 @@ class HumanArm:
 
     The matrices are general: nothing here assumes or makes them symmetric.
 
-    ConfigurationError if shapes disagree, a value is not finite, or a diagonal inertia is not
-    positive.
+    Raises
+    ------
+    ConfigurationError
+        If shapes disagree, a value is not finite, or a diagonal inertia is not positive.
     """
 
     posture: NDArray[np.float64]

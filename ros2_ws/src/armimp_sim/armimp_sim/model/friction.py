@@ -16,10 +16,12 @@ from armimp_sim.simd import exp_minus
 
 @dataclass(frozen=True, kw_only=True)
 class LuGre:
-    """Parameters of the friction of a joint.
+    """ż = v − σ0|v|z/g(v), g(v) = Fc + (Fs − Fc)·exp(−(v/vs)²), F = σ0 z + σ1 ż + σ2 v.
 
-    ConfigurationError if a value is negative or not finite, Fs < Fc, or bristles have no friction
-    level to reach.
+    Raises
+    ------
+    ConfigurationError
+        If a value is negative or not finite, Fs < Fc, or bristles have no friction level to reach.
     """
 
     coulomb: float

@@ -19,9 +19,11 @@ _SLOWEST = 2.0  # Hz; no drive has less
 class PlanarChain:
     """Rigid links in series, turning about parallel vertical axes (so no gravity).
 
-    ConfigurationError if shapes disagree, a value is negative or not finite, or a link is lighter
-    to turn about its joint than a point mass in its centre would be, so that M_r might be
-    indefinite.
+    Raises
+    ------
+    ConfigurationError
+        If shapes disagree, a value is negative or not finite, or a link is lighter to turn about
+        its joint than a point mass in its centre would be, so that M_r might be indefinite.
     """
 
     lengths: NDArray[np.float64]
