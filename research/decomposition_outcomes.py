@@ -81,7 +81,16 @@ class Outcome:
 
     def errors_weighted_as(self, other: Outcome) -> FloatArray:
         """Errors of M, B and K with the variances, and so the weights, of another outcome."""
-        fit = fit_mbk(replace(self.estimate, variance=other.estimate.variance))
+        given = other.estimate
+        # Without what the noise is worked out from anew.
+        alike = replace(
+            self.estimate,
+            variance=given.variance,
+            systematics=given.systematics,
+            disturbance=None,
+            inverse=None,
+        )
+        fit = fit_mbk(alike)
         errors: FloatArray = (matrices(fit.mbk) - self.truth) / scales(self.truth)
         return errors
 
