@@ -184,13 +184,15 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0913, PLR091
     before = np.zeros((n, ticks))
     fine = np.zeros((n, ticks * substeps))
     x = np.zeros(states)
+    new = np.zeros(states)
     force = np.zeros(2 * n)
     active = np.zeros(n)
     sent = np.zeros((n, 8))
     velocity = np.zeros(n)
     last = np.zeros(n)
     filtered = np.zeros(n)
-    stretch = np.zeros((n, reflex_steps + 1))
+    stretch = np.zeros((n, reflex_steps))
+    oldest = 0
     contraction = np.zeros((n, 2))
     low = np.zeros(n)
     yielding = np.zeros(n)
@@ -236,10 +238,8 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0913, PLR091
                 force[i] = old - rubs[i]
                 q, v = x[where + i], x[where + n + i]
                 # Reflex: torque after a delay, through two first-order lags of the muscle.
-                for age in range(reflex_steps, 0, -1):
-                    stretch[i, age] = stretch[i, age - 1]
-                stretch[i, 0] = v
-                contraction[i, 0] += hold * (reflex * stretch[i, reflex_steps] - contraction[i, 0])
+                contraction[i, 0] += hold * (reflex * stretch[i, oldest] - contraction[i, 0])
+                stretch[i, oldest] = v
                 contraction[i, 1] += hold * (contraction[i, 0] - contraction[i, 1])
                 # A spring of limited range that yields and follows.
                 if q - yielding[i] > 0.005:
@@ -279,9 +279,15 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0913, PLR091
                     value += torque_of[i, states + j] * force[j]
                 low[i] += torque_pole * (value - low[i])
                 fine[i, k * substeps + s] = low[i]
-            new = A @ x + G @ force
-            for j in range(states):
-                x[j] = new[j]
+            oldest = oldest + 1 if oldest + 1 < reflex_steps else 0
+            for i in range(states):
+                new[i] = 0.0
+                for j in range(states):
+                    new[i] += A[i, j] * x[j]
+                for j in range(2 * n):
+                    new[i] += G[i, j] * force[j]
+            for i in range(states):
+                x[i] = new[i]
     return position, command, before, fine
 
 
