@@ -32,7 +32,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import ndtri, stdtr
 
 from armimp_estimation.fit import hidden_square
 from armimp_estimation.hold_correction import HoldCorrection, command_steps
@@ -264,8 +264,8 @@ class Deviation:
         """Standard errors of a normal distribution that are as unlikely."""
         if not self.error > 0.0:
             return 0.0
-        chance = float(stats.t.sf(abs(self.share) / self.error, self.freedom))
-        return float(-stats.norm.ppf(max(chance, np.finfo(float).tiny)))
+        chance = float(stdtr(self.freedom, -abs(self.share) / self.error))
+        return float(-ndtri(max(chance, np.finfo(float).tiny)))
 
 
 class _Band:
@@ -334,15 +334,16 @@ class _Band:
 
 def play(angle: FloatArray, half: float) -> FloatArray:
     """Stretch of a spring that yields beyond `half`, (N,), in units of that: the play operator."""
-    # Where the spring rests from then on; comparisons are twice as fast as min and max.
-    stretch, rests = [], 0.0
-    for value in angle.tolist():
-        if value - half > rests:
-            rests = value - half
-        elif value + half < rests:
-            rests = value + half
-        stretch.append((value - rests) / half)
-    return np.array(stretch)
+    # Each angle clips where the spring rested before. Two such clips are one, so that of all angles
+    # up to each follows from joining runs of 1, 2, 4 ... of them.
+    least, most = angle - half, angle + half
+    run = 1
+    while run < angle.size:
+        lower, upper = least[run:], most[run:]
+        joined = [np.minimum(np.maximum(one[:-run], lower), upper) for one in (least, most)]
+        least[run:], most[run:] = joined
+        run *= 2
+    return np.asarray((angle - np.clip(0.0, least, most)) / half)
 
 
 def unexplained_torque(

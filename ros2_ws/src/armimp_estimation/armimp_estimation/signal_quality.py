@@ -116,7 +116,7 @@ def clipping(signal: FloatArray) -> list[tuple[float, int]]:
     ----------
     signal : ndarray, shape (N,)
     """
-    values, places, counts = np.unique(signal, return_inverse=True, return_counts=True)
+    values, counts = np.unique(signal, return_counts=True)
     if values.size <= _NEIGHBOURS:
         return []
     steps = np.abs(np.diff(signal))
@@ -125,11 +125,12 @@ def clipping(signal: FloatArray) -> list[tuple[float, int]]:
     below = max(_NEIGHBOURS, int(np.sum(values >= values[-1] - reach)) - 1)
     found, visits = [], 0
     speed = np.zeros(2)
-    for rank, heap, inner in (
-        (places, counts[0], counts[1 : 1 + above]),
-        (values.size - 1 - places, counts[-1], counts[-1 - below : -1]),
+    for end, heap, inner in (
+        (0, counts[0], counts[1 : 1 + above]),
+        (values.size - 1, counts[-1], counts[-1 - below : -1]),
     ):
         if heap >= _CLIPPED and heap > _HEAPED * float(np.max(inner)):
+            rank = np.abs(np.searchsorted(values, signal) - end)
             arrivals = _arrivals(rank)
             found.append((float(signal[rank == 0][0]), int(heap)))
             visits += arrivals.size
