@@ -109,6 +109,8 @@ class Term:
     likely: float = 0.0
     sizes: tuple[float, ...] = (0.0,)
     """Assumptions: how likely it is there, and by what share if so."""
+    robots: float = 0.0
+    """Share in the largest of M, B and K up to which it is the robot's, and no more than that."""
     doubted: float = 0.0
     """Of a transducer, share of its change by which its gain may differ from that of the
     calibration, which is right for one of two directions, for small torques, at begin or end."""
@@ -160,6 +162,7 @@ TERMS: Mapping[str, Term] = {
     "friction": Term(
         bend=lambda signals: np.tanh(signals[2] / SLOW),
         code=ProblemCode.FRICTION_LEFT,
+        robots=_RUBBING,
         likely=0.1,
         sizes=(0.01, 0.03, 0.1),
         broad=True,
@@ -253,8 +256,8 @@ class Deviation:
             return term.likely * float(np.mean(np.square(term.sizes))), 0.0
         if not term.likely or not self._errors > 0.0:
             return 0.0, 0.0
-        if self.name == "friction" and not self.held:
-            return 0.0, 0.0  # so little of it is the robot's
+        if abs(self.share) <= term.robots:
+            return 0.0, 0.0
         told = abs(self.share)
         error = told / self._errors
         return hidden_square(told, error, term.likely, sizes=term.sizes, elsewhere=elsewhere)
@@ -478,7 +481,7 @@ def deviations(
                 slack, share = slope, slope / float(sizes[3, 0])
             elif name in {"hysteresis", "friction"}:
                 share = float(np.max(np.abs(shift / own)))
-                held = slope if name == "hysteresis" or share > _RUBBING else 0.0
+                held = slope if share > one.robots else 0.0
             else:
                 # Where it falls that far, the stiffness of this motion is no measure of it.
                 stiffness = float(max(abs(own[2]), abs(own[2] - shift[2])))

@@ -131,7 +131,7 @@ class TrialRecorder:
         """Messages of the present bag with stamps before the trial."""
         self._newest_ns = dict.fromkeys(VALUE_FIELD, -1)
         self._log_ns = dict.fromkeys(DATA_STREAMS, -1)
-        self._began = self._seen_at = 0.0
+        self._began = self._look_at = 0.0
         self._rule: StoppingRule | None = None
         self._column: FittedColumn | None = None
         self._coherence: tuple[float, float] | None = None
@@ -222,8 +222,7 @@ class TrialRecorder:
         """Tell how far the recording is, and what the samples show so far; None between trials."""
         if (status := self.status) is None:
             return None
-        lacking = self._coherence is None or self._column is None
-        if lacking or time.monotonic() - self._seen_at >= _SEEN_EVERY:
+        if time.monotonic() >= self._look_at:
             self._look()
         motion, torque = self._coherence or (None, None)
         so_far: dict[str, Any] = {}
@@ -247,7 +246,7 @@ class TrialRecorder:
 
     def _look(self) -> None:
         """Estimate from the samples of the present trial so far."""
-        status, samples = self._statuses[-1], self.samples
+        status, samples, began = self._statuses[-1], self.samples, time.monotonic()
         record = record_so_far(self._streams, status, samples)
         if record is not None:
             with suppress(DataError):  # too few samples
@@ -255,6 +254,10 @@ class TrialRecorder:
                 self._coherence = mean_coherences(TrialData.of(record, welch=welch))
         # Round numbers: the Fourier transform of others may take several times as long.
         self._column_of(samples // _ROUND * _ROUND)
+        if self._coherence is None or self._column is None:
+            # What can't be estimated yet is tried again soon, but in a tenth of the time.
+            ended = time.monotonic()
+            self._look_at = ended + min(9.0 * (ended - began), _SEEN_EVERY)
 
     def decide(self) -> StoppingDecision | None:
         """Decide whether the present trial has lasted long enough, if it is time."""
@@ -279,7 +282,7 @@ class TrialRecorder:
             with suppress(DataError):  # too few samples
                 self._column = self._lpm.column(record, self._past)
                 # From the end of the estimate on, which leaves a slow machine time for others.
-                self._seen_at = time.monotonic()
+                self._look_at = time.monotonic() + _SEEN_EVERY
         return self._column
 
     def stop(self) -> None:
