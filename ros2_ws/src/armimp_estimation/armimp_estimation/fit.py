@@ -155,6 +155,8 @@ class MBKFit:
     high_pass : tuple of float
         Corner of a high-pass that torques passed and angles didn't, and its standard error, Hz; to
         first order. Negative if angles passed it.
+    coefficients : ndarray, shape (n, n, 3, n_freq)
+        Rows a of ``(M, B, K) = Σ_f a_f y_f`` of each element: y is Re Z, but Im Z for B.
     """
 
     mbk: MBK
@@ -166,8 +168,14 @@ class MBKFit:
     covariance: FloatArray
     lack: FloatArray
     lack_limit: float
+    coefficients: FloatArray
     delay: CommonDelay | None = None
     high_pass: tuple[float, float] = (0.0, math.inf)
+
+    def of_row(self, joint: int, change: ComplexArray) -> FloatArray:
+        """What a change of one row of the impedance, (n, n_freq), is in M, B and K, (3, n)."""
+        of_elements = zip(self.coefficients[joint], change, strict=True)
+        return np.stack([_apply(of_one, one) for of_one, one in of_elements], axis=1)
 
     def with_doubt(self, shift: FloatArray) -> MBKFit:
         """Return the same with a change of M, B and K, (3, n, n), as one more standard error."""
@@ -327,6 +335,7 @@ def fit_impedance(
         delay=delay,
         covariance=_parameter_covariance(estimate, problem),
         high_pass=problem.high_pass(fitted),
+        coefficients=problem.coefficients_of_all.reshape(n, n, 3, -1),
     )
     return estimate, fit
 
@@ -516,11 +525,12 @@ class _Elements:
 
     def coefficients(self, row: int) -> FloatArray:
         """Rows a, (3, n_freq), of ``(M, B, K) = Σ_f a_f y_f`` for one element."""
-        return self._all_coefficients[row]
+        return np.asarray(self.coefficients_of_all[row])
 
     @cached_property
-    def _all_coefficients(self) -> list[FloatArray]:
-        return [mbk_coefficients(self.omega, weights) for weights in self._all_weights]
+    def coefficients_of_all(self) -> FloatArray:
+        """Those of all elements, (elements, 3, n_freq)."""
+        return np.stack([mbk_coefficients(self.omega, weights) for weights in self._all_weights])
 
     def _fit_element(self, row: int) -> tuple[FloatArray, FloatArray]:
         coefficients = self.coefficients(row)
@@ -551,12 +561,12 @@ class _Elements:
         plain = self.values()
         relative = self.omega / self.omega[-1]
         for term in (-1j * relative**3, relative**4 + 0j):
-            for row, of_mbk in enumerate(self._all_coefficients):
+            for row, of_mbk in enumerate(self.coefficients_of_all):
                 value, error = self.coefficient_of(term, row)
                 squares[:, row] += _noticed(value, error) * _apply(of_mbk, term) ** 2
         low = relative <= _LOW
         if np.count_nonzero(low) >= _FEWEST:
-            for row, of_mbk in enumerate(self._all_coefficients):
+            for row, of_mbk in enumerate(self.coefficients_of_all):
                 apart = of_mbk - mbk_coefficients(self.omega, self.weights(row) * low)
                 values, variances = self._sums(apart, row)
                 for place in (1, 2):
@@ -574,7 +584,7 @@ class _Elements:
                 if place < n:
                     soft, _ = hidden_square(value, error, _LIKELY, sizes=(_CUFF,), positive=True)
                     square = max(square, soft)
-                for row, of_mbk in enumerate(self._all_coefficients):
+                for row, of_mbk in enumerate(self.coefficients_of_all):
                     squares[:, row] += square * _apply(of_mbk, terms[row]) ** 2
             hidden = np.zeros_like(squares)
             for row, term in self.hidden_terms(plain):

@@ -228,7 +228,8 @@ def identify(
         delay = 0.0 if best.fit.delay is None else best.fit.delay.delay
         of_motion, doubts, gains = judge_linearity(
             records,
-            best.fit.mbk,
+            best.estimate,
+            best.fit,
             hold,
             reading.model_copy(update={"delay": reading.delay + delay}),
             resolved=np.all(unseen_share(records) < RESOLVED_SHARE, axis=0),

@@ -34,7 +34,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtr
 
-from armimp_estimation.fit import hidden_square
+from armimp_estimation.estimators.estimate import ImpedanceEstimate
+from armimp_estimation.fit import MBKFit, hidden_square
 from armimp_estimation.hold_correction import HoldCorrection, command_steps
 from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import Concern, Problem, ProblemCode, Severity, problem
@@ -65,6 +66,9 @@ PLAY = 0.12
 """Half of the play, in rms angles."""
 SLACK = 0.05
 """Half of the play of a transducer, in rms torques."""
+_OWN_LAG = 2.0
+"""Slack of a transducer per what its readings show of it, which lag themselves: 1.3 to 2 of
+perturbed joints, of slack of 1 to 15 % of the rms torque, and up to 8 where torques are small."""
 SLOW = 0.1
 """Speed at which friction has three quarters of its size, in rms speeds."""
 _ENDS = 3.0
@@ -132,7 +136,7 @@ TERMS: Mapping[str, Term] = {
         code=ProblemCode.DEPENDS_ON_AMPLITUDE,
         slope=0.32,
         large=0.1,
-        likely=0.2,
+        likely=0.5,
         sizes=(0.03, 0.1, 0.3, 1.0),
         broad=True,
     ),
@@ -315,11 +319,15 @@ class _Band:
 
     def weights(self, *noise: FloatArray) -> FloatArray:
         """What makes a sum of signals white, by frequency, the same in each of its bands."""
-        of_noise = sum(np.bincount(self._which, weights=np.abs(self.of(n)) ** 2) for n in noise)
-        of_white = np.bincount(self._which, weights=self.passed**4)
+        of_noise = sum(self.means(np.abs(self.of(n)) ** 2) for n in noise)
+        of_white = self.means(self.passed**4)
         tiny = float(np.finfo(float).tiny)
         weights: FloatArray = np.sqrt(of_white / np.maximum(of_noise, tiny))
         return weights[self._which]
+
+    def means(self, values: FloatArray) -> FloatArray:
+        """Mean in each band of 1 Hz of values at each frequency."""
+        return np.bincount(self._which, weights=values) / np.bincount(self._which)
 
     def inner(self, signal: FloatArray) -> FloatArray:
         """The same without its ends, where the jump between end and begin of a record rings."""
@@ -478,7 +486,8 @@ def deviations(
                 * np.linalg.lstsq(motion[2::-1, kept].T, band.signal(bent[1])[kept], rcond=None)[0]
             )
             if name == "slack":
-                slack, share = slope, slope / float(sizes[3, 0])
+                slack = _OWN_LAG * slope
+                share = slack / float(sizes[3, 0])
             elif name in {"hysteresis", "friction"}:
                 share = float(np.max(np.abs(shift / own)))
                 held = slope if share > one.robots else 0.0
@@ -500,40 +509,38 @@ def deviations(
     return found
 
 
-def lag_of_slack(record: TrialRecord, joint: int, slack: float) -> FloatArray:
-    """What the slack of a joint's transducer, N·m, adds to M, B and K from the perturbed one, (3,).
+def _lag(record: TrialRecord, joint: int, slack: float) -> FloatArray:
+    """What the slack of a joint's transducer, N·m, takes off its torque, (N,).
 
     It is that of the torque as it was read, whatever the person adds to it.
     """
-    record = record.whole_periods
     wide = _Band(record, WIDE)
     torque = wide.signal(wide.of(record.torque[joint])) + record.torque[joint].mean()
-    return _like_motion(record, -slack * play(torque, slack))
+    return -slack * play(torque, slack)
 
 
-def locked_spring(record: TrialRecord, joint: int) -> FloatArray:
-    """What a spring of a locked joint adds to M, B and K from the perturbed one, (3,).
-
-    It is one that yields at 1 N·m, and is stretched by what that joint moves nonetheless.
-    """
-    record = record.whole_periods
+def _held(record: TrialRecord, joint: int, term: Term) -> FloatArray:
+    """Friction or a spring that yields of a locked joint, (N,), as it moves nonetheless."""
     band = _Band(record)
-    angle = band.signal(band.of(record.position[joint]))
-    size = float(np.std(angle[band.kept]))
-    return _like_motion(record, angle / size) if size > 0.0 else np.zeros(3)
+    angle = band.of(record.position[joint])
+    motion = band.signal(angle * (2j * np.pi * band.f) ** np.arange(2)[:, None])
+    sizes = np.maximum(np.std(motion[:, band.kept], axis=1), np.finfo(float).tiny)
+    angle, speed = motion / sizes[:, None]
+    return term.bend(np.stack((angle, angle, speed, np.zeros_like(angle))))
 
 
-def _like_motion(record: TrialRecord, signal: FloatArray) -> FloatArray:
-    """M, B and K that a signal, (N,) at either rate, is like of the perturbed joint, (3,).
+def response(record: TrialRecord, signal: FloatArray, f: FloatArray) -> ComplexArray:
+    """How a signal, (N,) at either rate, answers the perturbation at some frequencies, (n_freq,).
 
-    As far as the perturbation causes both.
+    From the cross-spectrum in bands of 1 Hz.
     """
-    band, k = _Band(record), record.perturbed_joint
-    caused = _onto(band.filters(record.perturbation[k])[:, band.kept])
-    angle = band.of(record.position[k])
-    motion = band.signal(angle * (2j * np.pi * band.f) ** np.arange(2, -1, -1)[:, None])
-    *terms, part = caused(np.vstack((motion, band.signal(band.of(signal))))[:, band.kept])
-    return np.asarray(np.linalg.lstsq(np.transpose(terms), part, rcond=None)[0])
+    wide = _Band(record, WIDE)
+    pushes, answer = wide.of(record.perturbation[record.perturbed_joint]), wide.of(signal)
+    cross, power = np.conj(pushes) * answer, np.abs(pushes) ** 2
+    middles, real, imaginary, powers = map(wide.means, (wide.f, cross.real, cross.imag, power))
+    told = powers > np.finfo(float).eps * np.max(powers)
+    answers = (real + 1j * imaginary)[told] / powers[told]
+    return np.asarray(np.interp(f, middles[told], answers), dtype=np.complex128)
 
 
 class _Linear:
@@ -588,28 +595,48 @@ def _slope(
 
 def judge_linearity(
     records: Sequence[TrialRecord],
-    arm: MBK,
+    estimate: ImpedanceEstimate,
+    fit: MBKFit,
     jump: HoldCorrection | None = None,
     reading: TorqueReading | None = None,
     *,
     resolved: NDArray[np.bool_],
 ) -> tuple[list[Problem], list[FloatArray], FloatArray]:
-    """Find what isn't linear; parameters are those of :func:`unexplained_torque`, of all trials.
+    """Find what isn't linear.
 
-    Where the motion of locked joints isn't `resolved`, its torque may look like that.
+    Parameters
+    ----------
+    records : sequence of TrialRecord
+        One trial for each joint, in order.
+    estimate : ImpedanceEstimate
+        What follows from them.
+    fit : MBKFit
+        M, B and K of that.
+    jump, reading : HoldCorrection and TorqueReading, optional
+        As :func:`unexplained_torque` takes them.
+    resolved : ndarray of bool, shape (n,)
+        Where the motion of locked joints isn't, its torque may look like what isn't linear.
 
     Returns
     -------
     problems : list of Problem
     doubts : list of ndarray, shape (3, n, n)
-        Standard errors of M, B and K that come of each trial: of the joint itself alone.
+        Changes of M, B and K that are in doubt, each independent of the others.
     gain : ndarray, shape (n,)
         Relative standard errors of the gains of the joints' transducers that come of it.
     """
     n = len(records)
     problems: list[Problem] = []
     doubts, gain, slack = [np.zeros((3, n, n)) for _ in records], np.zeros(n), 0.0
-    found = [deviations(record, arm, jump, reading) for record in records]
+    found = [deviations(record, fit.mbk, jump, reading) for record in records]
+
+    def of_torque(joint: int, trial: int, torque: FloatArray) -> FloatArray:
+        shift = np.zeros((3, n, n))
+        if estimate.inverse is not None:
+            answer = response(records[trial].whole_periods, torque, estimate.f)
+            shift[:, joint] = fit.of_row(joint, answer * estimate.inverse[trial])
+        return shift
+
     for k, record in enumerate(records):
         said: set[tuple[ProblemCode, Severity]] = set()
         elsewhere = [one for joint, one in enumerate(found) if joint != k and one]
@@ -623,8 +650,8 @@ def judge_linearity(
                 slack = max(slack, abs(doubt * one.slack))
             for m in range(n) if doubt * one.held else ():
                 if m != k:
-                    beside = doubt * one.held * locked_spring(records[m], k)
-                    doubts[k][:, k, m] = np.hypot(doubts[k][:, k, m], beside)
+                    held = _held(records[m].whole_periods, k, TERMS[name])
+                    doubts.append(of_torque(k, m, doubt * one.held * held))
             if one.significant and abs(one.share) < _NEGLIGIBLE:
                 continue
             if not one.slack:
@@ -646,7 +673,10 @@ def judge_linearity(
                 )
             )
     # Transducers of one rig are alike, and small torques tell little of what is lost of them.
-    for k, m in np.ndindex(n, n) if slack else ():
-        lag = lag_of_slack(records[m], k, slack)
-        doubts[k][:, k, m] = np.hypot(doubts[k][:, k, m], lag)
+    for k in range(n) if slack else ():
+        lags = [_lag(record.whole_periods, k, slack) for record in records]
+        lost = np.asarray(sum(of_torque(k, m, lag) for m, lag in enumerate(lags)))
+        if fit.delay is not None and fit.delay.error > 0.0:
+            lost[1] = 0.0  # in phase it is a delay, which was fitted, and has errors of its own
+        doubts.append(lost)
     return problems, doubts, gain
