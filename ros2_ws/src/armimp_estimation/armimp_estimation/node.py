@@ -34,7 +34,6 @@ from armimp_common.parameters import declare, guard, load, require_unchanged
 from armimp_common.pubsub import (
     PollingNode,
     subscribe_raw,
-    subscribe_unattended,
     take_all,
     wait_for_partners,
 )
@@ -108,7 +107,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         self._received = self.create_publisher(UInt64, topics.RECEIVED, qos.LATCHED)
         self._stopping = self.create_publisher(DiagnosticStatus, topics.STOPPING, qos.LATCHED)
         fetched = {
-            topic: subscribe_unattended(self, topic, _MESSAGE_CLASSES[topics.MESSAGE_TYPES[topic]])
+            topic: self.subscribe_unattended(topic, _MESSAGE_CLASSES[topics.MESSAGE_TYPES[topic]])
             for topic in FETCHED
         }
         self._late = steady_timer(self, _LATE_PERIOD, self._on_late, autostart=False)
