@@ -11,11 +11,11 @@ import numpy as np
 from armimp_bringup.config import load_config
 from armimp_bringup.offline import run_offline
 from armimp_bringup.parameters import NodeParameters, node_parameters
-from armimp_control import presets as control_presets
 from armimp_control.laws.law import Controller
 from armimp_control.safety_limiter import SafetyParameters
 from armimp_sim import presets as sim_presets
 from armimp_sim.plant import Plant
+from support.laws import preset_law
 from support.safety import torque_only
 
 
@@ -55,7 +55,7 @@ def main() -> None:
     Plant([brief_rig(joints=1).simulator.plant_config()]).tick(still, still)
     arm = sim_presets.human_arm(2)
     inertia = sim_presets.robot(2).mass_matrix(arm.posture)
-    law = Controller(control_presets.imbic(inertia, arm.posture), safety=torque_only(80.0))
+    law = Controller(preset_law(inertia, arm.posture), safety=torque_only(80.0))
     law.tick(arm.posture, np.zeros(2), np.zeros(2))
     law.release()
     law.continue_ramp(1)
