@@ -10,7 +10,7 @@ from dataclasses import replace
 from armimp_bringup.bench import Measured, available_cores
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import run_offline, simulate
-from armimp_bringup.parameters import Rig, node_parameters
+from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_bringup.study import Condition, select_conditions
 from armimp_bringup.study.engine import (
     Batch,
@@ -42,7 +42,7 @@ def time_study(tell: Callable[[str], None]) -> list[Measured]:
     """
     base = ExperimentConfig(duration=TRIAL)
     conditions = select_conditions([], "0")
-    rigs = [node_parameters(condition_config(base, one), None).rig() for one in conditions[:WIDTH]]
+    rigs = [node_parameters(condition_config(base, one), None) for one in conditions[:WIDTH]]
     cores = available_cores()
     tell("compiling")
     for lanes in (1, WIDTH):
@@ -90,15 +90,15 @@ def time_study(tell: Callable[[str], None]) -> list[Measured]:
     ]
 
 
-def _shortened(rig: Rig, duration: float) -> Rig:
+def _shortened(rig: NodeParameters, duration: float) -> NodeParameters:
     sequence = SequenceParameters(duration=duration, settle=_SETTLE, rest=_REST)
-    return replace(rig, sequence=sequence)
+    return replace(rig, controller=rig.controller.model_copy(update={"sequence": sequence}))
 
 
-def _per_trial(rigs: Sequence[Rig], duration: float, *, threads: int = 1) -> float:
+def _per_trial(rigs: Sequence[NodeParameters], duration: float, *, threads: int = 1) -> float:
     """Time for a trial of full length and one core, s."""
     short = [_shortened(rig, duration) for rig in rigs]
-    simulated = (_SETTLE + duration + _REST) * rigs[0].plant.joints * len(rigs)
+    simulated = (_SETTLE + duration + _REST) * len(rigs[0].controller.joints) * len(rigs)
     return _shortest(lambda: run_offline(short), threads) / simulated * TRIAL
 
 

@@ -80,7 +80,7 @@ class _Loop:
         t3 = perf_counter_ns()
         command = self.encode_command(experiment.command)
         perturbation = self.encoders[PERTURBATION].encode(stamp_ns, experiment.tau_delta)
-        self.command = self.decode_command(command)
+        _, self.command = self.decode_command(command)
         t4 = perf_counter_ns()
         self.receivers[JOINT_STATES](position)
         self.receivers[TORQUE_SENSORS](torque)

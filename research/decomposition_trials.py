@@ -15,7 +15,7 @@ from pydantic import JsonValue
 from armimp_bringup.bench import available_cores
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import SimulatedExperiment, run_segments
-from armimp_bringup.parameters import Rig, node_parameters
+from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_bringup.study.engine import as_ready
 from armimp_bringup.terminal import display
 from armimp_common.errors import ConfigurationError
@@ -93,10 +93,9 @@ def all_at_once(
         for one in configs
     ]
     parameters = [node_parameters(one, None) for one in free]
-    rigs = [one.rig() for one in parameters]
-    mixing = [input_mixing(rig.perturbation.peak, correlation) for rig in rigs]
+    mixing = [input_mixing(one.controller.perturbation.peak, correlation) for one in parameters]
     n = configs[0].joints
-    trials = run_together(rigs, trials=n, mixing=mixing if correlation else None)
+    trials = run_together(parameters, trials=n, mixing=mixing if correlation else None)
     return [
         SimulatedExperiment(config=config, parameters=one, records=tuple(of_config))
         for config, one, of_config in zip(free, parameters, trials, strict=True)
@@ -237,7 +236,10 @@ def matrices(mbk: MBK) -> FloatArray:
 
 
 def run_together(
-    rigs: Sequence[Rig], *, trials: int = 1, mixing: Sequence[FloatArray] | None = None
+    experiments: Sequence[NodeParameters],
+    *,
+    trials: int = 1,
+    mixing: Sequence[FloatArray] | None = None,
 ) -> list[list[TrialRecord]]:
     """Run, side by side, trials in which every joint yields and is perturbed at once.
 
@@ -246,33 +248,34 @@ def run_together(
 
     Parameters
     ----------
-    rigs : as for :func:`armimp_bringup.offline.run_offline`
+    experiments : as for :func:`armimp_bringup.offline.run_offline`
     trials : how many, one after the other
-    mixing : for each rig, if given, an (n, n) matrix that makes τ_Δ out of these perturbations;
+    mixing : for each of them, if given, an (n, n) matrix that makes τ_Δ out of these perturbations;
         off its diagonal it couples the inputs
 
     Returns
     -------
     list of list of TrialRecord
-        For each rig, its trials in order.
+        For each of them, its trials in order.
     """
-    n = rigs[0].plant.joints
+    laws = [one.controller for one in experiments]
+    n = len(laws[0].joints)
 
     def signals(segment: Segment) -> tuple[FloatArray, int | None]:
-        tau_delta = np.zeros((segment.ticks, len(rigs), n))
+        tau_delta = np.zeros((segment.ticks, len(laws), n))
         if segment.phase is Phase.PERTURB:
-            for (lane, rig), joint in itertools.product(enumerate(rigs), range(n)):
+            for (lane, one), joint in itertools.product(enumerate(laws), range(n)):
                 tau_delta[:, lane, joint] = perturbation(
-                    rig.perturbation,
+                    one.perturbation,
                     joint=joint,
                     trial=segment.joint * n + joint + 1,
                     ticks=segment.ticks,
-                    seed=rig.seed,
-                    prior=rig.priors[joint],
+                    seed=one.seed,
+                    prior=one.priors()[joint],
                 )
             for lane, matrix in enumerate(mixing or ()):
                 tau_delta[:, lane] = tau_delta[:, lane] @ matrix.T
         return tau_delta, None
 
-    segments = timetable(rigs[0].sequence, joints=trials, tare=rigs[0].tare)
-    return run_segments(rigs, segments, signals)
+    segments = timetable(laws[0].sequence, joints=trials, tare=laws[0].tare)
+    return run_segments(experiments, segments, signals)

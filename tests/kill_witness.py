@@ -18,6 +18,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 
 from armimp_common import qos, topics
+from armimp_common.errors import MalformedMessageError
 from armimp_common.executor import run_node, steady_timer
 from armimp_common.pubsub import (
     publisher_count,
@@ -34,6 +35,10 @@ _MOVING = 300
 """Samples of a perturbation: three times as many as a bag may lack."""
 
 
+def _raise(error: MalformedMessageError) -> None:
+    raise error
+
+
 class Witness(Node):
     """Hears commands, perturbations, trial states and the simulator's reports."""
 
@@ -47,13 +52,14 @@ class Witness(Node):
         self._statuses: list[tuple[float, dict[str, str]]] = []
         self._reports: list[tuple[float, str, str]] = []
         self._subscriptions = [
-            subscribe_commands(self, topics.COMMANDS, len(JOINTS), self._on_command),
+            subscribe_commands(self, topics.COMMANDS, len(JOINTS), self._on_command, _raise),
             subscribe_joint_states(
                 self,
                 topics.PERTURBATION,
                 JOINTS,
                 "effort",
                 self._on_perturbation,
+                _raise,
             ),
             self.create_subscription(DiagnosticStatus, topics.TRIAL, self._on_trial, qos.LATCHED),
             self.create_subscription(
@@ -75,7 +81,7 @@ class Witness(Node):
         if self._perturbed == _MOVING:
             self._file.with_suffix(".moving").touch()
 
-    def _on_command(self, command: tuple[float, ...]) -> None:
+    def _on_command(self, _: int, command: tuple[float, ...]) -> None:
         self._resting = not any(command)
         if not self._resting:
             self._torques.append(time.monotonic())

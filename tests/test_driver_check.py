@@ -14,7 +14,7 @@ import pytest
 
 from armimp_bringup.cli import main
 from armimp_bringup.config import CheckOptions
-from armimp_bringup.driver_check import Finding, Verdict, with_verdict
+from armimp_bringup.driver_check import Finding, Outcome, with_outcome
 from armimp_bringup.driver_check.command import ask
 from armimp_common.errors import ConfigurationError
 from armimp_sim.node import ArmSimNode
@@ -32,7 +32,7 @@ Check = Callable[..., dict[str, Finding]]
 
 
 def names(findings: dict[str, Finding]) -> list[str]:
-    return with_verdict(findings.values(), Verdict.FAIL)
+    return with_outcome(findings.values(), Outcome.FAIL)
 
 
 @pytest.mark.slow
@@ -45,7 +45,7 @@ def test_simulator_and_template_pass_every_check_that_lockstep_allows(
     findings = check(move=True)
 
     assert names(findings) == []
-    left = {name for name, f in findings.items() if f.verdict is Verdict.NOT_CHECKED}
+    left = {name for name, f in findings.items() if f.outcome is Outcome.NOT_CHECKED}
     assert left == set()
     # It was given back as it was found, so that it can be checked again.
     assert names(check()) == []
@@ -63,13 +63,13 @@ def test_a_plain_node_with_another_rate_is_judged_as_well(start: Start, check: C
 
     findings = check()
 
-    assert findings["lifecycle"].verdict is Verdict.NOT_CHECKED
+    assert findings["lifecycle"].outcome is Outcome.NOT_CHECKED
     expected = {f"service arm_sim/{name}" for name in ("emergency_stop", "reset")}
     expected |= {"torque_sensors: quality of service"}
     for check_name in ("rate", "stamps 1 ms apart", "clock"):
         expected |= {f"{topic}: {check_name}" for topic in ("joint_states", "torque_sensors")}
     assert expected <= set(names(findings))
-    assert findings["joint_states: joint names"].verdict is Verdict.PASS
+    assert findings["joint_states: joint names"].outcome is Outcome.PASS
 
 
 @pytest.mark.slow

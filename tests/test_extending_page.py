@@ -102,6 +102,6 @@ def test_the_examples_of_configurations_are_accepted(extended: Path) -> None:
     for number, block in enumerate(blocks):
         path = extended / f"own{number}.yaml"
         path.write_text(block, encoding="utf-8")
-        program.append(f"node_parameters(load_config(Path({str(path)!r}), {{}}), None).rig()")
+        program.append(f"node_parameters(load_config(Path({str(path)!r}), {{}}), None)")
     done = python(extended, "-c", "\n".join(program))
     assert done.returncode == 0, done.stderr

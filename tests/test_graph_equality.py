@@ -23,7 +23,7 @@ TICKS = 2_000
 
 def offline(**options: Any) -> list[TrialRecord]:
     config = ExperimentConfig.model_validate({"duration": TICKS / 1000, **options})
-    return run_offline([node_parameters(config, None).rig()])[0]
+    return run_offline([node_parameters(config, None)])[0]
 
 
 def test_default_experiment_is_valid(composed: FinishedRun) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import run_offline
-from armimp_bringup.parameters import Rig, node_parameters
+from armimp_bringup.parameters import NodeParameters, node_parameters
 
 pytestmark = pytest.mark.slow
 
@@ -22,7 +22,7 @@ class Person:
     duration: float
     voluntary: float
 
-    def rig(self, approach: float, internal_model: str = "observer") -> Rig:
+    def rig(self, approach: float, internal_model: str = "observer") -> NodeParameters:
         config = ExperimentConfig(
             friction=3,
             resolution=3,
@@ -35,7 +35,7 @@ class Person:
                 "law.internal_model": internal_model,
             },
         )
-        return node_parameters(config, None).rig()
+        return node_parameters(config, None)
 
 
 # At 0.037 rad, for which a target that jumps asks for about the torque limit: M̄ ω² times that.
@@ -51,9 +51,9 @@ def test_joint_is_locked_from_afar_without_a_clip_and_held_in_its_posture(person
     first, second = run_offline([rig])[0]
     for trial in (first, second):
         assert trial.command is not None
-        assert np.max(np.abs(trial.command)) < rig.safety.torque_limit
-        assert np.max(np.abs(np.diff(trial.command))) < rig.safety.rate_limit * 1e-3
-    target = rig.controller.target_posture
+        assert np.max(np.abs(trial.command)) < rig.controller.safety.torque_limit
+        assert np.max(np.abs(np.diff(trial.command))) < rig.controller.safety.rate_limit * 1e-3
+    target = rig.controller.target.posture
     # Here at the end of the first trial already, a rest before it gets locked.
     assert abs(first.position[0, -1] - target[0]) > 0.01
     assert np.max(np.abs(second.position[0] - target[0])) < 1e-3

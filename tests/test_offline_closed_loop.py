@@ -21,6 +21,7 @@ from armimp_control.laws.imbic import ImbicConfig
 from armimp_control.laws.law import Controller
 from armimp_control.stability import RigDynamics, check_stability
 from armimp_sim.plant import Plant, PlantConfig
+from support.laws import preset_law
 from support.plants import study_plant
 from support.safety import torque_only
 
@@ -30,7 +31,7 @@ PERIOD = 1e-3
 
 def _law(plant: PlantConfig, internal_model: control_presets.InternalModel = "tde") -> ImbicConfig:
     posture = plant.arm.posture
-    return control_presets.imbic(plant.robot.mass_matrix(posture), posture, internal_model)
+    return preset_law(plant.robot.mass_matrix(posture), posture, internal_model)
 
 
 def _run(plant_config: PlantConfig, law: ImbicConfig, tau_delta: Array, joint: int) -> Array:

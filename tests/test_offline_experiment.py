@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,14 +9,12 @@ import pytest
 from numpy.typing import NDArray
 
 from armimp_bringup.offline import run_offline
-from armimp_bringup.parameters import Rig
+from armimp_bringup.parameters import NodeParameters
 from armimp_common.errors import DataError
 from armimp_common.topics import PERIOD_NS
-from armimp_control import presets as control_presets
 from armimp_control.safety_limiter import Action
 from armimp_estimation.record import TrialRecord
-from armimp_sim import presets as sim_presets
-from armimp_sim.voluntary import VoluntaryParameters
+from armimp_sim.presets import human_arm
 from support.compiled import brief_rig
 from support.safety import torque_only
 
@@ -52,10 +49,10 @@ def test_records_have_the_shapes_and_order_that_are_stated(joints: int) -> None:
         assert np.array_equal(others, np.zeros((joints - 1, TICKS)))
         assert (
             np.max(np.abs(trial.perturbation))
-            == brief_rig(joints=joints).perturbation.peak[trial.perturbed_joint]
+            == brief_rig(joints=joints).controller.perturbation.peak[trial.perturbed_joint]
         )
         # The perturbed joint moves most, about the posture.
-        deflection = trial.position - sim_presets.human_arm(joints).posture[:, None]
+        deflection = trial.position - human_arm(joints).posture[:, None]
         assert np.argmax(np.std(deflection, axis=1)) == trial.perturbed_joint
 
 
@@ -67,16 +64,20 @@ def test_same_seed_gives_the_same_bits_and_another_seed_other_ones() -> None:
             assert not np.array_equal(values, _arrays(two)[name]), name
 
 
-def _another(level: int) -> Rig:
-    """A rig in which nothing is as in the one of another level."""
-    rig = brief_rig(friction=level, level=max(level, 1), seed=10 + level)
-    arm = replace(rig.plant.arm, posture=rig.plant.arm.posture + 0.1 * level)
-    law = control_presets.imbic(rig.plant.robot.mass_matrix(arm.posture), arm.posture)
-    return replace(
-        rig,
-        plant=replace(rig.plant, arm=arm),
-        voluntary=VoluntaryParameters(rms=0.1 * (level + 1)),
-        controller=replace(law, gamma=90.0 + level, target_damping=law.target_damping + level),
+def _another(level: int) -> NodeParameters:
+    """An experiment in which nothing is as in the one of another level."""
+    return brief_rig(
+        friction=level,
+        level=max(level, 1),
+        seed=10 + level,
+        arm_sim={
+            "arm.posture": (human_arm(2).posture + 0.1 * level).tolist(),
+            "voluntary.rms": 0.1 * (level + 1),
+        },
+        imbic_controller={
+            "law.gamma": 90.0 + level,
+            "target.damping": [2.0 + level, 1.0 + level],
+        },
         safety=torque_only(10.0 + level),
     )
 
@@ -102,6 +103,6 @@ def test_experiments_side_by_side_give_the_bits_that_each_gives_alone() -> None:
 def test_when_the_limiter_stops_an_experiment_expect_no_result_but_the_reason(
     limits: dict[str, Any], reason: str
 ) -> None:
-    rig = replace(brief_rig(), safety=brief_rig().safety.model_copy(update=limits))
+    rig = brief_rig(safety=torque_only(80.0).model_copy(update=limits))
     with pytest.raises(DataError, match=reason):
         run_offline([brief_rig(), rig])

@@ -111,7 +111,7 @@ def test_node_and_study_take_the_same_tare_and_give_the_same_bits() -> None:
         update={"sequence": case.controller.sequence.model_copy(update=short)}
     )
     case = NodeParameters(simulator=case.simulator, controller=controller, estimator=case.estimator)
-    (trials,) = run_offline([case.rig()])
+    (trials,) = run_offline([case])
 
     statuses: list[TrialStatus] = []
     experiment, rig = TrialSequencer(case.controller, statuses.append), SimulatedRig(case.simulator)

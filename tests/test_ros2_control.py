@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from armimp_bringup.driver_check import Finding, Verdict
+from armimp_bringup.driver_check import Finding, Outcome
 
 pytestmark = pytest.mark.slow
 
@@ -32,5 +32,5 @@ def test_the_bridge_in_front_of_ros2_control_keeps_the_contract_of_a_driver(
         expected |= {f"{topic}: type", f"{topic}: quality of service"}
     for name in ("joint names", "field", "finite", "range", "stamps increase", "clock"):
         expected |= {f"{topic}: {name}" for topic in STREAMS}
-    passed = {name for name, one in findings.items() if one.verdict is Verdict.PASS}
+    passed = {name for name, one in findings.items() if one.outcome is Outcome.PASS}
     assert expected <= passed, {name: findings[name].figure for name in expected - passed}

@@ -11,6 +11,7 @@ from armimp_control.laws.law import Controller
 from armimp_control.perturbation import perturbation
 from armimp_sim import presets as sim_presets
 from armimp_sim.plant import Plant
+from support.laws import preset_law
 from support.plants import study_plant
 
 pytestmark = pytest.mark.slow
@@ -30,7 +31,7 @@ def _fastest(
     config = study_plant(friction, sensors=sim_presets.sensors(resolution))
     plant, arm, robot = Plant([config]), config.arm, config.robot
     controller = Controller(
-        control_presets.imbic(robot.mass_matrix(arm.posture), arm.posture, law),
+        preset_law(robot.mass_matrix(arm.posture), arm.posture, law),
         safety=control_presets.safety(2, 9.0).model_copy(update={"ramp_time": ramp_time}),
     )
     signal = perturbation(

@@ -22,7 +22,7 @@ from armimp_common.topics import JOINT_STATES, PERIOD_NS, TORQUE_SENSORS, VALUE_
 from armimp_control.parameters import ControllerParameters
 from armimp_control.sequence import SequenceParameters
 from armimp_control.trial_sequencer import TrialSequencer
-from support.graph import PATIENCE, eventually
+from support.graph import PATIENCE, eventually, raised
 
 NAMES = ("shoulder", "elbow")
 POSTURE = tuple(np.radians([62.708, 77.260]).tolist())
@@ -109,7 +109,7 @@ class ScriptedController:
         self.received = node.create_publisher(UInt64, topics.RECEIVED, qos.LATCHED)
         self.subscriptions = [
             subscribe_joint_states(
-                node, topic, names, VALUE_FIELD[topic], partial(self.on_sample, topic)
+                node, topic, names, VALUE_FIELD[topic], partial(self.on_sample, topic), raised
             )
             for topic in self.samples
         ]

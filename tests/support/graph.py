@@ -20,6 +20,7 @@ from rclpy.subscription import Subscription
 
 from armimp_bringup.graph import DomainClaim
 from armimp_common import qos, topics
+from armimp_common.errors import MalformedMessageError
 from armimp_common.executor import Spinner
 from armimp_common.pubsub import (
     JointStatePublisher,
@@ -167,6 +168,11 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> HandedClock:
     return clock
 
 
+def raised(error: MalformedMessageError) -> None:
+    """Raise what is wrong with a message, so that it arrives at whoever spins."""
+    raise error
+
+
 class ScriptedDriver:
     """Stands for the rig: feeds samples to a controller, and keeps what comes back."""
 
@@ -183,13 +189,20 @@ class ScriptedDriver:
         self.messages: list[DiagnosticStatus] = []
         self._node = node
         self._subscriptions = [
-            subscribe_commands(node, topics.COMMANDS, len(names), self.commands.append),
+            subscribe_commands(
+                node,
+                topics.COMMANDS,
+                len(names),
+                lambda _, command: self.commands.append(command),
+                raised,
+            ),
             subscribe_joint_states(
                 node,
                 topics.PERTURBATION,
                 names,
                 "effort",
                 lambda stamp_ns, values: self.perturbations.append((stamp_ns, values)),
+                raised,
             ),
         ]
         self.trial: Subscription = node.create_subscription(

@@ -50,12 +50,12 @@ def _kind(plant: PlantConfig) -> str:
 
 
 def _compile_law(parameters: NodeParameters) -> None:
-    rig = parameters.rig()
-    controller = Controller(rig.controller, safety=rig.safety)
+    law = parameters.controller
+    controller = Controller(law.law_config(), safety=law.safety)
     controller.compute()
     controller.stop()
     controller.continue_ramp(1)
-    perturbation(rig.perturbation, joint=0, trial=1, ticks=1, seed=rig.seed, prior=rig.priors[0])
+    perturbation(law.perturbation, joint=0, trial=1, ticks=1, seed=law.seed, prior=law.priors()[0])
 
 
 def _compile_plant(parameters: SimulatorParameters) -> None:

@@ -13,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.parameters import NodeParameters, Rig, node_parameters
+from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_common.compiled import compiled_entry
-from armimp_common.errors import DataError
+from armimp_common.errors import ConfigurationError, DataError
 from armimp_common.status import Phase
 from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_control.laws import NO_JOINT
 from armimp_control.laws.law import Controller, packed_size, packed_tick
+from armimp_control.parameters import ControllerParameters
 from armimp_control.perturbation import perturbation
 from armimp_control.sequence import Segment, timetable
 from armimp_estimation.estimators.estimate import Estimator
@@ -106,76 +107,83 @@ Signals = Callable[[Segment], tuple[NDArray[np.float64], int | None]]
 """Gives τ_Δ (ticks, lanes, n) of a segment, N·m, and the joint that yields; None for all joints."""
 
 
-def run_offline(rigs: Sequence[Rig]) -> list[list[TrialRecord]]:
+def run_offline(experiments: Sequence[NodeParameters]) -> list[list[TrialRecord]]:
     """Run experiments side by side, with one perturbed joint in each trial.
 
     Parameters
     ----------
-    rigs : one per lane; they must agree in joints, timing and sequence
+    experiments : one per lane; they must agree in joints, timing and sequence
 
     Returns
     -------
     list of list of TrialRecord
-        For each rig, its trials in order.
+        Of each experiment, its trials in order.
 
     Raises
     ------
     DataError
-        If the sequences differ, or the safety limiter of a rig stopped the experiment.
+        If the sequences differ, or the safety limiter of one stopped the experiment.
     IntegrationError
         If the plant left the stability region of the integrator.
     """
-    first = rigs[0]
-    n = first.plant.joints
+    laws = [one.controller for one in experiments]
+    n = len(laws[0].joints)
 
     def signals(segment: Segment) -> tuple[NDArray[np.float64], int | None]:
-        tau_delta = np.zeros((segment.ticks, len(rigs), n))
+        tau_delta = np.zeros((segment.ticks, len(laws), n))
         if segment.phase is Phase.PERTURB:
-            for lane, rig in enumerate(rigs):
+            for lane, one in enumerate(laws):
                 tau_delta[:, lane, segment.joint] = perturbation(
-                    rig.perturbation,
+                    one.perturbation,
                     joint=segment.joint,
                     trial=segment.trial,
                     ticks=segment.ticks,
-                    seed=rig.seed,
-                    prior=rig.priors[segment.joint],
+                    seed=one.seed,
+                    prior=one.priors()[segment.joint],
                 )
         return tau_delta, segment.joint
 
-    return run_segments(rigs, timetable(first.sequence, joints=n, tare=first.tare), signals)
+    segments = timetable(laws[0].sequence, joints=n, tare=laws[0].tare)
+    return run_segments(experiments, segments, signals)
 
 
-def _tare(rig: Rig, torque: NDArray[np.float64]) -> tuple[float, ...]:
+def _tare(parameters: ControllerParameters, torque: NDArray[np.float64]) -> tuple[float, ...]:
     """Tare (n,) from the readings (n, ticks) of a rig at rest, N·m."""
-    found = rig.tare.of(torque)
-    if refusal := rig.tare.refusal(found, rig.joint_names):
+    found = parameters.tare.of(torque)
+    if refusal := parameters.tare.refusal(found, parameters.joints):
         raise DataError(f"offline run: {refusal}")
     return found.offset
 
 
 def run_segments(
-    rigs: Sequence[Rig], segments: Sequence[Segment], signals: Signals
+    experiments: Sequence[NodeParameters], segments: Sequence[Segment], signals: Signals
 ) -> list[list[TrialRecord]]:
     """Run a timetable side by side, as :func:`run_offline`, with any perturbation.
 
     Where all joints yield, the first one counts as the perturbed one.
     """
-    first = rigs[0]
-    if any((rig.sequence, rig.tare) != (first.sequence, first.tare) for rig in rigs):
+    of_laws = [one.controller for one in experiments]
+    first = of_laws[0]
+    if any((one.sequence, one.tare) != (first.sequence, first.tare) for one in of_laws):
         raise DataError("offline run: all rigs must have the same trial sequence")
-    plant = Plant([rig.plant for rig in rigs])
-    n, lanes = first.plant.joints, len(rigs)
-    laws = np.array([rig.controller.kind for rig in rigs])
+    rigs = [one.simulator for one in experiments]
+    plant = Plant([one.plant_config() for one in rigs])
+    n, lanes = len(first.joints), len(rigs)
+    if plant.config.joints != n:
+        raise ConfigurationError(
+            f"offline run: {plant.config.joints} joints of the plant, {n} of the controller"
+        )
     packed = np.zeros((lanes, packed_size(n)))
     controllers = [
-        Controller(rig.controller, safety=rig.safety, storage=own)
-        for rig, own in zip(rigs, packed, strict=True)
+        Controller(one.law_config(), safety=one.safety, storage=own)
+        for one, own in zip(of_laws, packed, strict=True)
     ]
+    laws = np.array([controller.config.kind for controller in controllers])
     streams = [
-        VoluntaryTorque(rig.voluntary, joints=n, period=rig.plant.period, seed=rig.seed)
-        for rig in rigs
+        VoluntaryTorque(one.voluntary, joints=n, period=plant.config.period, seed=one.seed)
+        for one in rigs
     ]
-    noises = [ReadingNoise(rig.plant.sensors, joints=n, seed=rig.seed) for rig in rigs]
+    noises = [ReadingNoise(one.sensors, joints=n, seed=one.seed) for one in rigs]
     trials: list[list[TrialRecord]] = [[] for _ in rigs]
     for segment in segments:
         tau_delta, yielding = signals(segment)
@@ -208,24 +216,24 @@ def run_segments(
                     f"offline run: the safety limiter stopped in trial {segment.trial}: {fault}"
                 )
         if segment.tare:
-            for lane, (rig, controller) in enumerate(zip(rigs, controllers, strict=True)):
-                controller.tare(_tare(rig, record[1, lane]))
+            for lane, (one, controller) in enumerate(zip(of_laws, controllers, strict=True)):
+                controller.tare(_tare(one, record[1, lane]))
         if segment.phase is not Phase.PERTURB:
             continue
-        for lane, rig in enumerate(rigs):
+        for lane, one in enumerate(of_laws):
             position, torque, command = record[:, lane].copy()
             trials[lane].append(
                 TrialRecord(
                     trial=segment.trial,
                     perturbed_joint=yielding or 0,
                     rate=RATE,
-                    joint_names=rig.joint_names,
+                    joint_names=one.joints,
                     perturbation=tau_delta[:, lane].T,
                     position=position,
                     torque=torque,
                     command=command,
                     start_ns=segment.first * PERIOD_NS,
-                    seed=rig.seed,
+                    seed=one.seed,
                 )
             )
     return trials
@@ -287,7 +295,7 @@ def simulate(configs: Sequence[ExperimentConfig]) -> list[SimulatedExperiment]:
         If a configuration does not make an experiment, or it cannot be simulated.
     """
     parameters = [node_parameters(one, None) for one in configs]
-    trials = run_offline([one.rig() for one in parameters])
+    trials = run_offline(parameters)
     return [
         SimulatedExperiment(config=config, parameters=one, records=tuple(of_config))
         for config, one, of_config in zip(configs, parameters, trials, strict=True)

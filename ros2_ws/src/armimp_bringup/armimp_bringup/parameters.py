@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,74 +16,20 @@ from armimp_common.errors import ConfigurationError
 from armimp_common.schema import build, dotted, flatten
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, NS_PER_S, PERIOD_NS, SIM_NODE
 from armimp_common.versions import git_revision, versions
-from armimp_control.laws.law import LawConfig
 from armimp_control.parameters import ControllerParameters
-from armimp_control.perturbation import JointPrior, PerturbationParameters
 from armimp_control.presets import LawName
-from armimp_control.safety_limiter import SafetyParameters
-from armimp_control.sequence import SequenceParameters, TareParameters
 from armimp_control.stability import RigDynamics
 from armimp_estimation.metadata import CALIBRATION_KEYS
 from armimp_estimation.parameters import EstimatorParameters, TorqueParameters
 from armimp_sim.parameters import SimulatorParameters
-from armimp_sim.plant import PlantConfig
-from armimp_sim.voluntary import VoluntaryParameters
 
 _LARGEST = 1e20
 """Beyond any quantity here, whatever its unit; products of a few such numbers are still numbers."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Rig:
-    """Everything that decides the course of one experiment.
-
-    Parameters
-    ----------
-    joint_names : of the n joints
-    plant : arm, robot, friction and sensors
-    voluntary : voluntary torque of the person
-    controller : the law: target impedance, and internal model or gains
-    safety : limits of the command
-    perturbation : τ_Δ
-    priors : what is expected of each joint while it is perturbed
-    sequence, tare : phases of the trials
-    seed : of perturbation and voluntary torque
-
-    Raises
-    ------
-    ConfigurationError
-        If the parts disagree in the number of joints or in the period.
-    """
-
-    joint_names: tuple[str, ...]
-    plant: PlantConfig
-    voluntary: VoluntaryParameters
-    controller: LawConfig
-    safety: SafetyParameters
-    perturbation: PerturbationParameters
-    priors: tuple[JointPrior, ...]
-    sequence: SequenceParameters
-    seed: int
-    tare: TareParameters = field(default_factory=TareParameters)
-
-    def __post_init__(self) -> None:
-        joints = (self.plant.joints, self.controller.joints, len(self.perturbation.peak))
-        if len(set(joints)) != 1:
-            raise ConfigurationError(
-                "offline run: plant, controller and perturbation have {}, {} and {} joints".format(
-                    *joints
-                )
-            )
-        if self.plant.period != self.controller.period:
-            raise ConfigurationError(
-                f"offline run: plant and controller have periods of {self.plant.period} and "
-                f"{self.controller.period} s"
-            )
-
-
 @dataclass(frozen=True, kw_only=True)
 class NodeParameters:
-    """The parameters of the three nodes."""
+    """The parameters of the three nodes, which decide the course of an experiment."""
 
     simulator: SimulatorParameters
     controller: ControllerParameters
@@ -96,21 +42,6 @@ class NodeParameters:
             CONTROLLER_NODE: self.controller,
             ESTIMATOR_NODE: self.estimator,
         }
-
-    def rig(self) -> Rig:
-        """The same experiment for the offline loop."""
-        return Rig(
-            joint_names=self.simulator.joints,
-            plant=self.simulator.plant_config(),
-            voluntary=self.simulator.voluntary,
-            controller=self.controller.law_config(),
-            safety=self.controller.safety,
-            perturbation=self.controller.perturbation,
-            priors=self.controller.priors(),
-            sequence=self.controller.sequence,
-            tare=self.controller.tare,
-            seed=self.controller.seed,
-        )
 
 
 def node_parameters(config: ExperimentConfig, directory: Path | None) -> NodeParameters:

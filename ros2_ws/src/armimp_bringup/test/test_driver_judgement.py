@@ -14,11 +14,11 @@ from armimp_bringup.driver_check import (
     Finding,
     Message,
     Moves,
+    Outcome,
     Push,
     Record,
-    Verdict,
     measure,
-    with_verdict,
+    with_outcome,
 )
 from armimp_bringup.driver_check.rules import judge
 from armimp_common import topics
@@ -126,11 +126,11 @@ def moved(record: Record, **changes: Any) -> Record:
 
 
 def failed(record: Record) -> list[str]:
-    return with_verdict(judge(record), Verdict.FAIL)
+    return with_outcome(judge(record), Outcome.FAIL)
 
 
 def unsure(record: Record) -> set[str]:
-    return set(with_verdict(judge(record), Verdict.INCONCLUSIVE))
+    return set(with_outcome(judge(record), Outcome.INCONCLUSIVE))
 
 
 def found(record: Record, check: str) -> Finding:
@@ -139,9 +139,9 @@ def found(record: Record, check: str) -> Finding:
 
 def test_a_sound_driver_passes(sound: Record) -> None:
     findings = judge(sound)
-    assert with_verdict(findings, Verdict.FAIL) == []
-    assert with_verdict(findings, Verdict.NOT_CHECKED) == []
-    assert with_verdict(findings, Verdict.INCONCLUSIVE) == []
+    assert with_outcome(findings, Outcome.FAIL) == []
+    assert with_outcome(findings, Outcome.NOT_CHECKED) == []
+    assert with_outcome(findings, Outcome.INCONCLUSIVE) == []
 
 
 def _held_up(message: Message) -> Message:
@@ -304,7 +304,7 @@ def test_when_torque_acts_again_before_the_reset_expect_that_named_alone(sound: 
     [
         ({"missing": "elbow went 0.31 rad", "astray": True}, ["torque: motion"]),
         ({"missing": "the driver stopped", "fault": "arm_sim: no"}, ["torque: no stop"]),
-        # The machine held commands up: no verdict on the driver.
+        # The machine held commands up: no judgement of the driver.
         ({"missing": "the driver stopped", "fault": "arm_sim: no", "gap": 0.012}, []),
     ],
 )

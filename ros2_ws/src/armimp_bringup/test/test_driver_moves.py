@@ -12,9 +12,9 @@ from armimp_bringup.driver_check import (
     Call,
     Finding,
     Moves,
+    Outcome,
     Record,
-    Verdict,
-    with_verdict,
+    with_outcome,
 )
 from armimp_bringup.driver_check.conversation import Answering, Error, Torque
 from armimp_bringup.driver_check.moves import Mover
@@ -157,20 +157,20 @@ def test_what_a_driver_does_without_commands_is_seen_in_real_time(
     defects: dict[str, bool], expected: list[str]
 ) -> None:
     moves, findings = moved(Driver(**defects))  # type: ignore[arg-type]
-    assert with_verdict(findings.values(), Verdict.FAIL) == expected
-    assert with_verdict(findings.values(), Verdict.INCONCLUSIVE) == []
+    assert with_outcome(findings.values(), Outcome.FAIL) == expected
+    assert with_outcome(findings.values(), Outcome.INCONCLUSIVE) == []
     assert moves.missing == ""
 
 
-def test_when_commands_are_held_up_and_the_driver_stops_expect_no_verdict() -> None:
+def test_when_commands_are_held_up_and_the_driver_stops_expect_no_judgement() -> None:
     moves, findings = moved(Driver(held_up=lambda tick: tick in range(1500, 1510)))
     assert moves.missing.startswith("the driver stopped: arm_sim: rig: no command")
     assert 0.009 < moves.gap < 0.012
-    assert findings["torque: no stop"].verdict is Verdict.INCONCLUSIVE
-    assert findings["torque: motion"].verdict is Verdict.PASS
+    assert findings["torque: no stop"].outcome is Outcome.INCONCLUSIVE
+    assert findings["torque: motion"].outcome is Outcome.PASS
 
 
 def test_a_driver_that_stops_under_regular_commands_is_named() -> None:
     moves, findings = moved(Driver(moody=True))
     assert moves.fault == "arm_sim: rig: the mood"
-    assert findings["torque: no stop"].verdict is Verdict.FAIL
+    assert findings["torque: no stop"].outcome is Outcome.FAIL

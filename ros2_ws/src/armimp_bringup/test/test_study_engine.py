@@ -21,6 +21,7 @@ from armimp_bringup.study.engine import (
     Batch,
     Dask,
     Threads,
+    as_ready,
     condition_config,
     run_batch,
     software,
@@ -135,7 +136,7 @@ def test_error_in_a_batch_is_raised_and_the_others_are_not_begun() -> None:
         return []
 
     with pytest.raises(DataError, match="this one failed"):
-        list(Threads(1, work).run(_batches(50)))
+        list(as_ready(work, _batches(50), 1))
     over.set()
     _await_threads()
     # One more may have begun before the error was heard of.

@@ -38,7 +38,6 @@ _STAMP: Final = struct.Struct("<iI")
 _UINT32, _UINT64 = struct.Struct("<I"), struct.Struct("<Q")
 _NUMBERS: Final = struct.Struct("<4x2I")
 """Number of dimensions and data offset of a command."""
-_FIELDS: Final[tuple[ValueField, ...]] = ("position", "effort")
 
 
 class CdrReader:
@@ -251,11 +250,11 @@ class JointStateEncoder:
     Raises
     ------
     ConfigurationError
-        If a name is empty, doubled or not encodable, or the field is not known.
+        If a name is empty, doubled or not encodable.
     """
 
     def __init__(self, names: Sequence[str], field: ValueField) -> None:
-        _check(names, field)
+        _check(names)
         count = len(names)
         before = bytearray(_string("") + struct.pack("<I", count))
         for name in names:
@@ -304,11 +303,11 @@ class JointStateDecoder(_Decoder):
     Raises
     ------
     ConfigurationError
-        If a name is empty, doubled or not encodable, or the field is not known.
+        If a name is empty, doubled or not encodable.
     """
 
     def __init__(self, names: Sequence[str], field: ValueField, *, others: bool = False) -> None:
-        _check(names, field)
+        _check(names)
         super().__init__(len(names))
         self._names = [name.encode() for name in names]
         self._field, self._others = field, others
@@ -392,15 +391,9 @@ class CommandEncoder:
     ----------
     n
         Number of joints.
-
-    Raises
-    ------
-    ConfigurationError
-        If `n` is not positive.
     """
 
     def __init__(self, n: int) -> None:
-        _check_joints(n)
         self._n = n
         # Doubles start on a multiple of 8.
         self._pack = struct.Struct(f"<4sIII4x{n}d").pack
@@ -443,30 +436,18 @@ class CommandDecoder(_Decoder):
     ----------
     n
         Number of joints, and so of numbers in every message.
-
-    Raises
-    ------
-    ConfigurationError
-        If `n` is not positive.
     """
 
-    def __init__(self, n: int) -> None:
-        _check_joints(n)
-        super().__init__(n)
+    def decode(self, data: Buffer) -> tuple[int, tuple[float, ...]]:
+        """Decode one message into its number, 0 if it has none, and n torques (N·m).
 
-    def decode(self, data: Buffer) -> tuple[float, ...]:
-        """Decode one message into n torques (N·m), NaN and infinities passed on as they are.
+        NaN and infinities are passed on as they are.
 
         Raises
         ------
         MalformedMessageError
             On truncated or foreign bytes, or another number of values.
         """
-        layout, items = self._unpacked(data)
-        return layout.values(items)
-
-    def decode_numbered(self, data: Buffer) -> tuple[int, tuple[float, ...]]:
-        """Decode as :meth:`decode` does, and return the number of the command before the values."""
         layout, items = self._unpacked(data)
         return 0 if items[0] else items[1], layout.values(items)
 
@@ -555,14 +536,7 @@ def _joint_state(data: Buffer) -> tuple[CdrReader, list[bytes], Span, Span]:
     return reader, names, position, effort
 
 
-def _check_joints(n: int) -> None:
-    if n < 1:
-        raise ConfigurationError(f"number of joints is not positive: {n}")
-
-
-def _check(names: Sequence[str], field: ValueField) -> None:
-    if field not in _FIELDS:
-        raise ConfigurationError(f"field is not one of {', '.join(_FIELDS)}: {field!r}")
+def _check(names: Sequence[str]) -> None:
     if not names or len(set(names)) != len(names):
         raise ConfigurationError(f"joint names are not distinct: {', '.join(names) or 'none'}")
     for name in names:

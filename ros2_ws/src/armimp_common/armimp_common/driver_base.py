@@ -154,13 +154,13 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT]):
         self.diagnostics = self.create_publisher(
             DiagnosticArray, topics.DIAGNOSTICS, qos.DIAGNOSTICS
         )
+
+        def on_numbered(number: int, command: tuple[float, ...]) -> None:
+            self._on_number(number)
+            on_command(command)
+
         self.commands = subscribe_commands(
-            self,
-            topics.COMMANDS,
-            len(joints),
-            on_command,
-            on_number=self._on_number,
-            on_malformed=on_malformed,
+            self, topics.COMMANDS, len(joints), on_numbered, on_malformed
         )
         self.own(self.joint_states.publisher, self.torque_sensors.publisher, self.diagnostics)
         self.own(self.commands, steady_timer(self, _CHECK_PERIOD, self.check))

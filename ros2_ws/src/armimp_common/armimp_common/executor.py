@@ -21,8 +21,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from types import FrameType
-from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
-from weakref import WeakSet
+from typing import TYPE_CHECKING, Any, Final
 
 import rclpy
 from rcl_interfaces.msg import SetParametersResult
@@ -43,9 +42,6 @@ from armimp_common.process import follow_parent
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-NodeT = TypeVar("NodeT", bound=Node)
-NodeT_co = TypeVar("NodeT_co", bound=Node, covariant=True)
-
 PERIOD: Final = 0.05
 """How often stop conditions are looked at (s); a node that is told to end does so that soon."""
 
@@ -60,7 +56,6 @@ _REFUSAL: Final = (
     f"parameter '{_USE_SIM_TIME}' cannot be true: watchdogs and ramps must not depend on a clock"
     " that somebody can set or stop"
 )
-_refusing: WeakSet[Node] = WeakSet()
 
 
 def _ahead() -> float:
@@ -99,19 +94,16 @@ def steady_timer(
 
 
 def refuse_simulated_time(node: Node) -> None:
-    """Refuse ``use_sim_time``, now and whenever it is set; calling it again does nothing.
+    """Refuse ``use_sim_time``, now and whenever it is set.
 
     Raises
     ------
     ConfigurationError
         If the node was started with it.
     """
-    if node in _refusing:
-        return
     if node.get_parameter(_USE_SIM_TIME).value is True:
         raise ConfigurationError(_REFUSAL)
     node.add_on_set_parameters_callback(_check)
-    _refusing.add(node)
 
 
 def _check(parameters: list[Parameter]) -> SetParametersResult:
@@ -275,34 +267,20 @@ def stop_on_signals() -> Iterator[Callable[[], bool]]:
             signal.signal(number, handler)
 
 
-class NodeFactory(Protocol[NodeT_co]):
-    """What `run_node` takes: usually the node class itself."""
-
-    def __call__(self, *, context: Context) -> NodeT_co:
-        """Return a new node of this context."""
-
-
-def run_node(
-    factory: NodeFactory[NodeT],
-    args: Sequence[str] | None = None,
-    *,
-    until: Callable[[NodeT], bool] | None = None,
-) -> int:
+def run_node(factory: Callable[..., Node], args: Sequence[str] | None = None) -> int:
     """Run one node as a process: the whole main function of a node executable.
 
     Parameters
     ----------
     factory
-        Makes the node; called with ``context=``.
+        Makes the node, usually its class; called with ``context=``.
     args
         Command line with the program name first, ``sys.argv`` by default.
-    until
-        Tells from the node that it has finished; by default only signals end it.
 
     Returns
     -------
     int
-        Exit status: 0 after SIGINT, SIGTERM or `until`; 2 after a `ConfigurationError`, 1 after
+        Exit status: 0 after SIGINT or SIGTERM; 2 after a `ConfigurationError`, 1 after
         another `ArmimpError`, each with one line on standard error.
     """
     arguments = list(sys.argv if args is None else args)
@@ -313,12 +291,11 @@ def run_node(
         with stop_on_signals() as stopped, _initialised(arguments) as context:
             follow_parent()
             node = factory(context=context)
-            plain: Node = node
             try:
-                with Spinner([plain]) as spinner:
-                    spinner.spin(lambda: stopped() or (until is not None and until(node)))
+                with Spinner([node]) as spinner:
+                    spinner.spin(stopped)
             finally:
-                plain.destroy_node()
+                node.destroy_node()
     except ArmimpError as error:
         program = arguments[0].rpartition("/")[2] if arguments else "node"
         print(f"{program}: {error}", file=sys.stderr)

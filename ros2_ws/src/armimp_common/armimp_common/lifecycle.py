@@ -150,10 +150,6 @@ class LifecycleManager:
         answer = self._ask(name, "get_state", GetState.Request(), "get_state")
         return str(answer.current_state.label)
 
-    def available(self, name: str) -> tuple[str, ...]:
-        """Return the transitions that a node can make now; GraphError if it does not answer."""
-        return tuple(self._available(name, "get_available_transitions"))
-
     def change(self, name: str, transition: TransitionName) -> None:
         """Ask a node for a transition and wait until it is made.
 

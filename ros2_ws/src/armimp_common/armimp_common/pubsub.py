@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
+from weakref import WeakSet
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,7 +117,7 @@ def subscribe_raw(
 def _decoded(
     decode: Callable[[bytes], tuple[int, tuple[float, ...]]],
     callback: Callable[[int, tuple[float, ...]], None],
-    on_malformed: OnMalformed | None,
+    on_malformed: OnMalformed,
 ) -> Callable[[bytes], None]:
     """Callback for bytes that hands on what is decoded of them, or the error."""
 
@@ -124,8 +125,6 @@ def _decoded(
         try:
             number, values = decode(data)
         except MalformedMessageError as error:
-            if on_malformed is None:
-                raise
             on_malformed(error)
         else:
             callback(number, values)
@@ -139,8 +138,7 @@ def subscribe_joint_states(
     names: Sequence[str],
     field: ValueField,
     callback: Callable[[int, tuple[float, ...]], None],
-    *,
-    on_malformed: OnMalformed | None = None,
+    on_malformed: OnMalformed,
 ) -> Subscription:
     """Return a subscription to JointState messages, decoded in the order of `names`.
 
@@ -153,8 +151,7 @@ def subscribe_joint_states(
     callback
         Called with the stamp (ns) and the values; NaN and infinities are passed on.
     on_malformed
-        Called instead for a message that cannot be decoded. Without it the error is raised and
-        arrives at whoever spins, since dropping such a message silently would not be safe.
+        Called instead for a message that cannot be decoded.
     """
     decode = cdr.JointStateDecoder(names, field).decode
     return subscribe_raw(node, topic, JointState, _decoded(decode, callback, on_malformed))
@@ -164,25 +161,15 @@ def subscribe_commands(
     node: Node,
     topic: str,
     n: int,
-    callback: Callable[[tuple[float, ...]], None],
-    *,
-    on_number: Callable[[int], None] = lambda _: None,
-    on_malformed: OnMalformed | None = None,
+    callback: Callable[[int, tuple[float, ...]], None],
+    on_malformed: OnMalformed,
 ) -> Subscription:
     """Return a subscription to commands for `n` joints; see `subscribe_joint_states`.
 
-    Parameters
-    ----------
-    on_number
-        Called before `callback` with the number of the command, 0 if it has none.
+    The callback gets the number of the command, 0 if it has none, in the place of the stamp.
     """
-
-    def on_command(number: int, values: tuple[float, ...]) -> None:
-        on_number(number)
-        callback(values)
-
-    on_message = _decoded(cdr.CommandDecoder(n).decode_numbered, on_command, on_malformed)
-    return subscribe_raw(node, topic, Float64MultiArray, on_message)
+    decode = cdr.CommandDecoder(n).decode
+    return subscribe_raw(node, topic, Float64MultiArray, _decoded(decode, callback, on_malformed))
 
 
 def subscribe_counts(node: Node, topic: str, callback: Callable[[int], None]) -> Subscription:
@@ -199,34 +186,33 @@ def subscribe_counts(node: Node, topic: str, callback: Callable[[int], None]) ->
     return subscribe_raw(node, topic, UInt64, on_message, qos.LATCHED)
 
 
-class _Unattended(Subscription):
-    """A subscription that is hidden from executors."""
-
-
 class PollingNode(Node):
     """Base of a node that has polled subscriptions: hides them from its executor."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        self._unattended = WeakSet[Subscription]()
+        super().__init__(*arguments, **options)
 
     @property
     def subscriptions(self) -> Iterator[Subscription]:
         """The subscriptions that an executor attends to."""
-        return (one for one in super().subscriptions if not isinstance(one, _Unattended))
+        return (one for one in super().subscriptions if one not in self._unattended)
 
+    def subscribe_unattended(
+        self, topic: str, message_type: type[Any], profile: QoSProfile = qos.SAMPLE
+    ) -> Subscription:
+        """Return a subscription whose messages wait in the middleware for :func:`take_all`.
 
-def subscribe_unattended(
-    node: PollingNode, topic: str, message_type: type[Any], profile: QoSProfile = qos.SAMPLE
-) -> Subscription:
-    """Return a subscription whose messages wait in the middleware for :func:`take_all`.
+        For every message that comes, an executor is told, wakes up, looks for the subscription that
+        it is meant for, and calls back: several times the cost of the message itself. Who wants the
+        messages of several streams together, or many at once, need not be told of each.
 
-    For every message that comes, an executor is told, wakes up, looks for the subscription that it
-    is meant for, and calls back: several times the cost of the message itself. Who wants the
-    messages of several streams together, or many at once, need not be told of each.
-
-    Beyond the depth of its profile, the oldest are lost. To be made in the thread of the executor,
-    which might attend to it otherwise before it is hidden.
-    """
-    made = subscribe_raw(node, topic, message_type, _nobody, profile)
-    made.__class__ = _Unattended
-    return made
+        Beyond the depth of its profile, the oldest are lost. To be made in the thread of the
+        executor, which might attend to it otherwise before it is hidden.
+        """
+        made = subscribe_raw(self, topic, message_type, _nobody, profile)
+        self._unattended.add(made)
+        return made
 
 
 def take_all(subscription: Subscription) -> list[bytes]:

@@ -215,7 +215,9 @@ def each(name: str, values: Sequence[Any], n: int) -> NDArray[Any]:
     ConfigurationError if there are not so many.
     """
     if len(values) not in {1, n}:
-        raise ConfigurationError(f"parameter '{name}' has {len(values)} values for {n} joints")
+        raise ConfigurationError(
+            f"parameter '{name}' has {len(values)} values for {n} joints, needs 1 or {n}"
+        )
     return np.resize(np.array(values), n)
 
 

@@ -37,9 +37,9 @@ def test_the_number_comes_with_the_values_whatever_the_layout() -> None:
         (CommandEncoder(2).encode((1.5, -2.5)), 0),
         (serialize_message(labelled([1.5, -2.5], "a")), 0),
     ):
-        assert decoder.decode_numbered(data) == (number, (1.5, -2.5))
+        assert decoder.decode(data) == (number, (1.5, -2.5))
     with pytest.raises(MalformedMessageError):
-        decoder.decode_numbered(CommandEncoder(3).encode((0.0, 0.0, 0.0), 1))
+        decoder.decode(CommandEncoder(3).encode((0.0, 0.0, 0.0), 1))
 
 
 @pytest.mark.parametrize("count", [0, 1, 3, 7])

@@ -192,14 +192,15 @@ sys.exit(run_node(factory, ["program"]))
 
 
 WATCHED = """
-import pathlib, sys
+import os, pathlib, signal, sys
 from rclpy.node import Node
 from armimp_common.executor import run_node
 class Watched(Node):
     def __init__(self, **kwargs):
         super().__init__("watched", **kwargs)
         print(pathlib.Path("/proc/self/maps").read_text())
-sys.exit(run_node(Watched, until=lambda _: True))
+        os.kill(os.getpid(), signal.SIGTERM)
+sys.exit(run_node(Watched))
 """
 
 

@@ -22,11 +22,10 @@ from armimp_common.pubsub import (
     subscribe_commands,
     subscribe_counts,
     subscribe_joint_states,
-    subscribe_unattended,
     take_all,
     wait_until_matched,
 )
-from support.graph import PATIENCE, eventually
+from support.graph import PATIENCE, eventually, raised
 
 NAMES = ["shoulder", "elbow"]
 PROFILE = QoSProfile(depth=10)
@@ -59,7 +58,9 @@ def test_when_bytes_are_malformed_expect_the_handler_called_instead(
     if kind == "command":
         publisher = CommandPublisher(node, "topic", 2)
         data = publisher.publish([1.0, 2.0])
-        subscription = subscribe_commands(node, "topic", 2, good.append, on_malformed=errors.append)
+        subscription = subscribe_commands(
+            node, "topic", 2, lambda *command: good.append(command), errors.append
+        )
     else:
         publisher = JointStatePublisher(node, "topic", NAMES, "position")
         data = publisher.publish(0, [1.0, 2.0])
@@ -69,7 +70,7 @@ def test_when_bytes_are_malformed_expect_the_handler_called_instead(
             NAMES,
             "position",
             lambda *sample: good.append(sample),
-            on_malformed=errors.append,
+            errors.append,
         )
     assert not wait_until_matched(
         node, publishers=[publisher], subscriptions=[subscription], timeout_s=PATIENCE
@@ -84,24 +85,9 @@ def test_when_bytes_are_malformed_expect_the_handler_called_instead(
     assert len(errors) == 5
 
 
-def test_when_bytes_are_malformed_without_handler_expect_the_error_raised(
-    node: Node, spinner: Spinner
-) -> None:
-    publisher = JointStatePublisher(node, "topic", ["other"], "position")
-    subscription = subscribe_joint_states(node, "topic", NAMES, "position", lambda *sample: None)
-    assert not wait_until_matched(
-        node, publishers=[publisher], subscriptions=[subscription], timeout_s=PATIENCE
-    )
-
-    publisher.publish(0, [1.0])
-
-    with pytest.raises(MalformedMessageError, match="lacks joint 'shoulder'"):
-        eventually(spinner, lambda: False, "what was sent")
-
-
 def test_when_peers_are_missing_expect_their_topics_named(node: Node) -> None:
     publisher = CommandPublisher(node, "spoken", 1)
-    subscription = subscribe_commands(node, "heard", 1, lambda values: None)
+    subscription = subscribe_commands(node, "heard", 1, lambda *_: None, raised)
     start = time.monotonic()
 
     lonely = wait_until_matched(
@@ -110,7 +96,7 @@ def test_when_peers_are_missing_expect_their_topics_named(node: Node) -> None:
 
     assert lonely == ("/spoken", "/heard")
     assert time.monotonic() - start >= 0.1
-    subscribe_commands(node, "spoken", 1, lambda values: None)
+    subscribe_commands(node, "spoken", 1, lambda *_: None, raised)
     assert not wait_until_matched(node, publishers=[publisher], timeout_s=PATIENCE)
     assert wait_until_matched(
         node, publishers=[publisher], subscriptions=[subscription], timeout_s=0.1
@@ -130,7 +116,7 @@ def numbers(messages: list[bytes]) -> list[int]:
 
 def test_messages_wait_in_their_order_while_the_node_is_spun(poller: PollingNode) -> None:
     heard: list[int] = []
-    polled = subscribe_unattended(poller, "number", UInt64, profile=PROFILE)
+    polled = poller.subscribe_unattended("number", UInt64, profile=PROFILE)
 
     def on_message(message: UInt64) -> None:
         heard.append(message.data)

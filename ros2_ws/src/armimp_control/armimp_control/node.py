@@ -108,7 +108,7 @@ class ImbicControllerNode(ManagedNode):
                 names,
                 topics.VALUE_FIELD[topic],
                 partial(self._on_reading, kind),
-                on_malformed=self._on_malformed,
+                self._on_malformed,
             )
             for kind, topic in enumerate((topics.JOINT_STATES, topics.TORQUE_SENSORS))
         ]

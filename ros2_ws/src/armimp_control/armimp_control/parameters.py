@@ -138,36 +138,38 @@ class ControllerParameters(Schema):
         encoder_resolution : rad per count, for the dither of locked joints and the observer
         law : name of one of :data:`armimp_control.presets.LAWS`
         """
-        preset = presets.LAWS[law]
-        config = presets.imbic(robot_inertia, posture, law, encoder_resolution)
-        observer = presets.observer(len(joints), encoder_resolution, preset.finest)
-        perturbing = presets.perturbation(perturbation, len(joints), perturbation_kind)
+        preset, n = presets.LAWS[law], len(joints)
+        inertia, damping, stiffness = presets.target(robot_inertia)
+        perturbed, locked = presets.unknown_torque(n)
+        # With encoders as coarse as can be, dither would be a motion to be felt.
+        count = min(encoder_resolution, presets.COARSEST)
+        perturbing = presets.perturbation(perturbation, n, perturbation_kind)
         return cls(
             joints=joints,
             seed=seed,
             target=TargetParameters(
-                posture=_flat(config.target_posture),
-                inertia=_flat(config.target_inertia),
-                damping=_flat(config.target_damping),
-                stiffness=_flat(config.target_stiffness),
-                lock_frequency=config.lock_frequency,
-                lock_approach=config.lock_approach,
-                lock_dither=config.lock_dither,
+                posture=_flat(posture),
+                inertia=_flat(inertia),
+                damping=_flat(damping),
+                stiffness=_flat(stiffness),
+                lock_frequency=preset.lock_frequency,
+                lock_approach=preset.lock_approach,
+                lock_dither=preset.dither * count,
             ),
             law=LawParameters(
                 internal_model=preset.internal_model,
-                model_inertia=_flat(config.model_inertia),
-                gamma=config.gamma,
-                encoder_resolution=observer.resolution,
-                perturbed_walk=_flat(observer.perturbed),
-                locked_walk=_flat(observer.locked),
+                model_inertia=_flat(preset.inertia * robot_inertia),
+                gamma=preset.gamma,
+                encoder_resolution=max(count, preset.finest),
+                perturbed_walk=_flat(perturbed),
+                locked_walk=_flat(locked),
             ),
             known=KnownParameters(
                 robot_inertia=_flat(robot_inertia), arm_inertia=_flat(arm_inertia)
             ),
             perturbation=perturbing,
             sequence=SequenceParameters(duration=duration),
-            safety=presets.safety(len(joints), max(perturbing.peak), preset.internal_model),
+            safety=presets.safety(n, max(perturbing.peak), preset.internal_model),
         )
 
     def law_config(self) -> LawConfig:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
 from armimp_common.sizes import JOINT_SIZES
-from armimp_control.laws.imbic import ImbicConfig, Observer
 from armimp_control.perturbation import PerturbationKind, PerturbationParameters
 from armimp_control.safety_limiter import SafetyParameters
 from armimp_control.sequence import PERIOD
@@ -62,7 +61,8 @@ time-delay estimation, where it is a gain. A third of a count of dither is enoug
 estimation joints follow less well, and are asked for twice that.
 """
 
-_COARSEST = 0.01  # rad per count, eighty times the coarsest encoders of the study
+COARSEST = 0.01
+"""Rounding of encoders (rad) for which laws are made at most: eighty times that of the study."""
 _PEAK = 3.0  # N·m of a shoulder at level 1; the levels are multiples (Table III)
 
 
@@ -132,67 +132,31 @@ def safety(
     )
 
 
-def observer(joints: int, encoder_resolution: float, finest: float = FINEST) -> Observer:
-    """What the observer has to expect. Assumptions, chosen by ``make research ARGS=controller``.
+def target(
+    robot_inertia: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Diagonals (n,) of M_rd, B_rd and K_rd for a robot of M_r(θ_0) (n, n); SI units. Assumptions.
 
-    Friction at a joint that reverses changes by some N·m within ten milliseconds; that of a locked
-    joint, which moves by a count or so, hardly changes. Both are in proportion to the size of the
-    joint, see :data:`armimp_common.sizes.JOINT_SIZES`.
+    For two joints they are those of the study's rig. For other numbers M_rd = 0.56·diag(M_r(θ_0)),
+    and a perturbed joint has B_rd/M_rd = 10 1/s, as the rig of the study, and K_rd/M_rd = 100 1/s²,
+    as its elbow.
+    """
+    if len(robot_inertia) == 2:
+        return np.array([0.2, 0.1]), np.array([2.0, 1.0]), np.array([10.0, 10.0])
+    inertia = 0.56 * np.diag(robot_inertia)
+    return inertia, 10.0 * inertia, 100.0 * inertia
 
-    Parameters
-    ----------
-    joints : n
-    encoder_resolution : rad per count
-    finest : resolution below which the observer gets no faster, rad per count
+
+def unknown_torque(joints: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Rms change within a period that the observer expects, perturbed and locked, (n,) each, N·m.
+
+    Assumptions, chosen by ``make research ARGS=controller``. Friction at a joint that reverses
+    changes by some N·m within ten milliseconds; that of a locked joint, which moves by a count or
+    so, hardly changes. Both are in proportion to the size of the joint, see
+    :data:`armimp_common.sizes.JOINT_SIZES`.
     """
     sizes = np.array(_sizes("observer", joints))
-    return Observer(
-        resolution=min(max(encoder_resolution, finest), _COARSEST),
-        perturbed=0.4 * sizes,
-        locked=0.02 * sizes,
-    )
-
-
-def imbic(
-    robot_inertia: NDArray[np.float64],
-    posture: NDArray[np.float64],
-    law: LawName = "observer",
-    encoder_resolution: float = 0.0,
-) -> ImbicConfig:
-    """One of :data:`LAWS` for a robot and a posture. Assumptions.
-
-    For two joints M_rd, B_rd and K_rd are those of the study's rig. For other numbers
-    M_rd = 0.56·diag(M_r(θ_0)), and a perturbed joint has B_rd/M_rd = 10 1/s, as the rig of the
-    study, and K_rd/M_rd = 100 1/s², as its elbow.
-
-    Parameters
-    ----------
-    robot_inertia : (n, n) M_r(θ_0), kg·m²
-    posture : (n,) θ_0, rad, which becomes the target posture
-    law : name of the preset
-    encoder_resolution : rad per count, for the dither of locked joints and the observer
-    """
-    if posture.size == 2:
-        inertia = np.array([0.2, 0.1])
-        damping, stiffness = np.array([2.0, 1.0]), np.array([10.0, 10.0])
-    else:
-        inertia = 0.56 * np.diag(robot_inertia)
-        damping, stiffness = 10.0 * inertia, 100.0 * inertia
-    preset = LAWS[law]
-    observes = preset.internal_model == "observer"
-    return ImbicConfig(
-        target_posture=posture,
-        target_inertia=inertia,
-        target_damping=damping,
-        target_stiffness=stiffness,
-        model_inertia=preset.inertia * robot_inertia,
-        lock_frequency=preset.lock_frequency,
-        lock_approach=preset.lock_approach,
-        # With encoders as coarse as can be, dither would be a motion to be felt.
-        lock_dither=preset.dither * min(encoder_resolution, _COARSEST),
-        gamma=preset.gamma,
-        observer=observer(posture.size, encoder_resolution, preset.finest) if observes else None,
-    )
+    return 0.4 * sizes, 0.02 * sizes
 
 
 def _sizes(what: str, joints: int) -> tuple[float, ...]:

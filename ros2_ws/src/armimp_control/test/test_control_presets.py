@@ -7,6 +7,7 @@ import pytest
 
 from armimp_common.errors import ConfigurationError
 from armimp_control import presets
+from support.laws import preset_law
 
 ROBOT = np.array([[0.3543, 0.1909], [0.1909, 0.1800]])
 POSTURE = np.array([1.0945, 1.3484])
@@ -26,14 +27,14 @@ def test_number_of_joints_without_a_preset_is_refused(joints: int) -> None:
 
 
 def test_law_for_two_joints_is_that_of_the_design() -> None:
-    config = presets.imbic(ROBOT, POSTURE)
+    config = preset_law(ROBOT, POSTURE)
     assert np.array_equal(config.target_posture, POSTURE)
     assert config.target_inertia.tolist() == [0.2, 0.1]
     assert config.target_damping.tolist() == [2.0, 1.0]
     assert config.target_stiffness.tolist() == [10.0, 10.0]
     assert np.array_equal(config.model_inertia, ROBOT)
     assert (config.lock_frequency, config.lock_damping_ratio, config.gamma) == (120.0, 1.0, 100.0)
-    reference = presets.imbic(ROBOT, POSTURE, "tde")
+    reference = preset_law(ROBOT, POSTURE, "tde")
     assert reference.observer is None
     assert reference.model_inertia == pytest.approx(0.6 * ROBOT)
     assert (reference.lock_frequency, reference.gamma) == (100.0, 100.0)
@@ -43,7 +44,7 @@ def test_law_for_two_joints_is_that_of_the_design() -> None:
 def test_law_for_other_numbers_of_joints_follows_the_robot(n: int) -> None:
     root = np.random.default_rng(n).normal(size=(n, n))
     robot = root @ root.T + np.eye(n)
-    config = presets.imbic(robot, np.zeros(n))
+    config = preset_law(robot, np.zeros(n))
     assert config.target_inertia == pytest.approx(0.56 * np.diag(robot))
     assert config.target_damping / config.target_inertia == pytest.approx(np.full(n, 10.0))
     assert config.target_stiffness / config.target_inertia == pytest.approx(np.full(n, 100.0))

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from armimp_common.compiled import compiled, compiled_entry
 from armimp_common.errors import ConfigurationError
-from armimp_control import presets
 from armimp_control.laws.law import Controller
 from armimp_control.safety_limiter import (
     CENTRE,
@@ -36,6 +35,7 @@ from armimp_control.safety_limiter import (
     stop_commands,
 )
 from support.fault_figures import Figures
+from support.laws import preset_law
 
 ANY = st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True)
 SENSIBLE = st.floats(-0.6, 0.6)
@@ -63,7 +63,7 @@ def configs(draw: st.DrawFn) -> SafetyParameters:
 def _controller(config: SafetyParameters) -> Controller | None:
     try:
         return Controller(
-            presets.imbic(np.array([[0.354, 0.191], [0.191, 0.180]]), np.zeros(2)), safety=config
+            preset_law(np.array([[0.354, 0.191], [0.191, 0.180]]), np.zeros(2)), safety=config
         )
     except ConfigurationError:
         return None  # the ramp does not fit the rate

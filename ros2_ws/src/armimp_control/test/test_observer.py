@@ -9,11 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
-from armimp_control import presets
 from armimp_control.laws import ANGLE_GAIN, DISTURBANCE_GAIN, VELOCITY_GAIN
 from armimp_control.laws.imbic import ImbicConfig, Observer
 from armimp_control.laws.law import Controller
 from armimp_control.stability import RigDynamics, check_stability
+from support.laws import preset_law
 from support.safety import torque_only, within_torque
 
 Array = NDArray[np.float64]
@@ -30,7 +30,7 @@ def _config(n: int = 2, delay: int = 0) -> ImbicConfig:
     if n != 2:
         root = np.random.default_rng(n).normal(size=(n, n))
         robot, posture = 0.05 * root @ root.T + 0.2 * np.eye(n), np.zeros(n)
-    config = presets.imbic(robot, posture, "observer")
+    config = preset_law(robot, posture, "observer")
     assert config.observer is not None
     return replace(config, observer=replace(config.observer, delay=delay))
 

@@ -11,6 +11,7 @@ from armimp_control import presets
 from armimp_control.parameters import ControllerParameters
 from armimp_control.safety_limiter import SafetyParameters
 from armimp_control.sequence import PERIOD
+from support.laws import preset_law
 
 POSTURE = np.radians([62.708, 77.260])
 PRESET = flatten(
@@ -76,7 +77,5 @@ def test_the_slowest_rate_limit_brings_the_torque_down_just_in_time() -> None:
 def test_dither_is_a_share_of_a_count_unless_the_encoders_are_no_good(
     law: presets.LawName, share: float
 ) -> None:
-    dither = [
-        presets.imbic(np.eye(2), POSTURE, law, count).lock_dither for count in (1e-3, 0.01, 0.5)
-    ]
+    dither = [preset_law(np.eye(2), POSTURE, law, count).lock_dither for count in (1e-3, 0.01, 0.5)]
     assert dither == pytest.approx([share * 1e-3, share * 0.01, share * 0.01])

@@ -10,10 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
-from armimp_control import presets
 from armimp_control.laws.imbic import ImbicConfig
 from armimp_control.laws.law import Controller
 from armimp_control.stability import RigDynamics, check_stability, spectral_radius
+from support.laws import preset_law
 from support.safety import torque_only
 
 Array = NDArray[np.float64]
@@ -24,7 +24,7 @@ POSTURE = np.array([1.0945, 1.3484])
 
 def _config(*, model: float = 1.0, target: float = 1.0) -> ImbicConfig:
     """Time-delay estimation with factors on M̄ and on the whole target impedance."""
-    config = presets.imbic(ROBOT, POSTURE, "tde")
+    config = preset_law(ROBOT, POSTURE, "tde")
     return replace(
         config,
         model_inertia=model * config.model_inertia,
@@ -65,7 +65,7 @@ def _late(
     return sizes
 
 
-WITH_OBSERVER = replace(presets.imbic(ROBOT, POSTURE), gamma=200.0, lock_frequency=200.0)
+WITH_OBSERVER = replace(preset_law(ROBOT, POSTURE), gamma=200.0, lock_frequency=200.0)
 
 
 @pytest.mark.parametrize(
@@ -124,7 +124,7 @@ def test_the_law_of_the_study_bears_the_delays_that_the_documents_say(
 
 
 def test_the_default_is_accepted_without_a_warning_and_tde_with_one_of_late_commands() -> None:
-    default = presets.imbic(ROBOT, POSTURE)
+    default = preset_law(ROBOT, POSTURE)
     assert check_stability(default, robot_inertia=ROBOT, arm_inertia=ARM) == ()
     (warning,) = check_stability(_config(), robot_inertia=ROBOT, arm_inertia=ARM)
     assert "commands that act 1 ms later" in warning

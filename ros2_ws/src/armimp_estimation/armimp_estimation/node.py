@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,6 @@ from armimp_common.parameters import declare, guard, load, require_unchanged
 from armimp_common.pubsub import (
     PollingNode,
     subscribe_raw,
-    subscribe_unattended,
     take_all,
     wait_for_partners,
 )
@@ -108,7 +107,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         self._received = self.create_publisher(UInt64, topics.RECEIVED, qos.LATCHED)
         self._stopping = self.create_publisher(DiagnosticStatus, topics.STOPPING, qos.LATCHED)
         fetched = {
-            topic: subscribe_unattended(self, topic, _MESSAGE_CLASSES[topics.MESSAGE_TYPES[topic]])
+            topic: self.subscribe_unattended(topic, _MESSAGE_CLASSES[topics.MESSAGE_TYPES[topic]])
             for topic in FETCHED
         }
         self._late = steady_timer(self, _LATE_PERIOD, self._on_late, autostart=False)
@@ -122,7 +121,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             self, topics.PERTURBATION, JointState, self._synchronizer.receive
         )
         self._streams: list[Subscription] = [*fetched.values(), self._leading]
-        self._beside = [
+        beside = [
             subscribe_raw(
                 self,
                 topic,
@@ -135,6 +134,8 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         self._timer = steady_timer(
             self, self._settings.progress_period, self._on_timer, autostart=False
         )
+        self.own(self._timer, self._late, *self._streams, *beside)
+        self.own(self._received, self._stopping, self._progress, self._result)
         return TransitionCallbackReturn.SUCCESS
 
     @reported
@@ -167,12 +168,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
     @reported
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Forget everything, so that new parameters can be used."""
-        self.destroy_timer(self._timer)
-        self.destroy_timer(self._late)
-        for stream in [*self._streams, *self._beside]:
-            self.destroy_subscription(stream)
-        for publisher in (self._received, self._stopping, self._progress, self._result):
-            self.destroy_publisher(publisher)
+        self.disown()
         return TransitionCallbackReturn.SUCCESS
 
     @reported
@@ -244,29 +240,40 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             self._acknowledged = samples
             self._received.publish(UInt64(data=samples))
 
+    @contextmanager
+    def _giving_up(self) -> Iterator[None]:
+        """Give up where recording fails: keep what there is, and say so."""
+        try:
+            yield
+        except ArmimpError as error:
+            self._note(Problem.of(error, ProblemCode.RECORDING_FAILED))
+            self._end_recording()
+            with suppress(ArmimpError):
+                # Goes into the bag as that is closed.
+                self._recording.add(self._synchronizer.take())
+            try:
+                self._recording.close()
+            except ArmimpError as again:
+                self._note(Problem.of(again, ProblemCode.RECORDING_FAILED))
+            self._conclude()
+
     def _record(self, *, incomplete: bool = False) -> None:
         """Record the messages that wait for it."""
-        try:
+        with self._giving_up():
             self._recording.add(self._synchronizer.take(incomplete=incomplete))
-        except ArmimpError as error:
-            self._give_up(error)
 
     def _flush(self) -> None:
         """Hand on what was recorded, so that a kill of this process cannot reach it."""
-        try:
+        with self._giving_up():
             self._recording.flush()
-        except ArmimpError as error:
-            self._give_up(error)
 
     def _on_beside(self, topic: str, message: bytes) -> None:
         if not self._active:
             return
         if topic == topics.DIAGNOSTICS:
             self._note_timing(message)
-        try:
+        with self._giving_up():
             self._recording.add_beside(topic, message, self._synchronizer.newest_ns)
-        except ArmimpError as error:
-            self._give_up(error)
 
     def _note_timing(self, message: bytes) -> None:
         """Keep the timing that the rig reports in real time."""
@@ -285,21 +292,20 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             return
         try:
             status = TrialStatus.from_values(values_of(message))
-            if reason := self._announced.contradiction(status):
-                self._refuse(topics.TRIAL, reason)
-                return
-            fault = fault_of(status)
-            if fault is not None and fault.code is not ProblemCode.SAMPLES_LOST:
-                self._note(fault)
-            self._record(incomplete=status.phase is Phase.ABORTED)
-            if not self._active:
-                return
-            self._recording.add_status(status)
         except MalformedMessageError as error:
             self._refuse(topics.TRIAL, error)
             return
-        except ArmimpError as error:
-            self._give_up(error)
+        if reason := self._announced.contradiction(status):
+            self._refuse(topics.TRIAL, reason)
+            return
+        fault = fault_of(status)
+        if fault is not None and fault.code is not ProblemCode.SAMPLES_LOST:
+            self._note(fault)
+        self._record(incomplete=status.phase is Phase.ABORTED)
+        if self._active:
+            with self._giving_up():
+                self._recording.add_status(status)
+        if not self._active:
             return
         if status.phase is Phase.ABORTED:
             self._finish()
@@ -366,18 +372,6 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
 
     def _refuse(self, topic: str, reason: object) -> None:
         self._note(problem(ProblemCode.MESSAGE_REFUSED, stream=topic, reason=str(reason)))
-
-    def _give_up(self, error: ArmimpError) -> None:
-        """Recording failed: keep what there is, and say so."""
-        self._note(Problem.of(error, ProblemCode.RECORDING_FAILED))
-        self._end_recording()
-        with suppress(ArmimpError):
-            self._recording.add(self._synchronizer.take())  # goes into the bag as that is closed
-        try:
-            self._recording.close()
-        except ArmimpError as again:
-            self._note(Problem.of(again, ProblemCode.RECORDING_FAILED))
-        self._conclude()
 
     def _on_late(self) -> None:
         """Poll for messages that the perturbation of their sample has overtaken."""

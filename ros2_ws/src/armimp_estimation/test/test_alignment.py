@@ -436,7 +436,7 @@ def test_commands_that_are_numbered_anew_for_each_trial_belong_to_their_samples(
     decode = CommandDecoder(len(NAMES)).decode
     encode = CommandEncoder(len(NAMES)).encode
     topics[COMMANDS] = [
-        encode(decode(raw), index % (TICKS + rest) + 1)
+        encode(decode(raw)[1], index % (TICKS + rest) + 1)
         for index, raw in enumerate(topics[COMMANDS])
     ]
     trials = trials_of(topics, statuses_of(several))

@@ -20,7 +20,7 @@ _GOING = 60
 _SIGMAS = 5.0
 
 
-class Verdict(str, Enum):
+class Outcome(str, Enum):
     """How one check ended.
 
     A check is not made where it does not apply, or was not asked for. It is inconclusive where it
@@ -38,14 +38,14 @@ class Finding:
     """Outcome of one check."""
 
     check: str  # such as ``joint_states: rate``
-    verdict: Verdict
+    outcome: Outcome
     figure: str  # what was found, or why nothing could be
     limit: str  # what is asked for
 
 
-def with_verdict(findings: Iterable[Finding], verdict: Verdict) -> list[str]:
-    """Return the names of the checks with this verdict, in their order."""
-    return [finding.check for finding in findings if finding.verdict is verdict]
+def with_outcome(findings: Iterable[Finding], outcome: Outcome) -> list[str]:
+    """Return the names of the checks with this outcome, in their order."""
+    return [finding.check for finding in findings if finding.outcome is outcome]
 
 
 class Message(NamedTuple):

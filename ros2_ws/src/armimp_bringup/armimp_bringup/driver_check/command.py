@@ -14,17 +14,17 @@ from rich.markup import escape
 from rich.table import Table
 
 from armimp_bringup.config import CheckOptions
-from armimp_bringup.driver_check import Finding, Record, Verdict, with_verdict
+from armimp_bringup.driver_check import Finding, Outcome, Record, with_outcome
 from armimp_bringup.driver_check.probe import probe
 from armimp_bringup.driver_check.rules import judge
 from armimp_bringup.graph import external_domain
 from armimp_common.errors import ConfigurationError
 
 _COLOURS = {
-    Verdict.PASS: "green",
-    Verdict.FAIL: "bold red",
-    Verdict.INCONCLUSIVE: "yellow",
-    Verdict.NOT_CHECKED: "dim",
+    Outcome.PASS: "green",
+    Outcome.FAIL: "bold red",
+    Outcome.INCONCLUSIVE: "yellow",
+    Outcome.NOT_CHECKED: "dim",
 }
 
 
@@ -47,7 +47,7 @@ def check_driver(options: CheckOptions, *, domain_id: int | None, yes: bool, as_
         print(json.dumps(report(findings, record, options, domain)))
     else:
         print_findings(findings)
-    bad = with_verdict(findings, Verdict.FAIL) or with_verdict(findings, Verdict.INCONCLUSIVE)
+    bad = with_outcome(findings, Outcome.FAIL) or with_outcome(findings, Outcome.INCONCLUSIVE)
     return 1 if bad else 0
 
 
@@ -80,7 +80,7 @@ def report(
     findings: Sequence[Finding], record: Record, options: CheckOptions, domain: int
 ) -> dict[str, Any]:
     """Return what ``--json`` prints."""
-    count = {one.name.lower(): len(with_verdict(findings, one)) for one in Verdict}
+    count = {one.name.lower(): len(with_outcome(findings, one)) for one in Outcome}
     return {
         "schema": 1,
         "passed": not count["fail"] and not count["inconclusive"],
@@ -94,21 +94,21 @@ def report(
 
 
 def print_findings(findings: Sequence[Finding], console: Console | None = None) -> None:
-    """Print a table of all findings, and the verdict."""
+    """Print a table of all findings, and the outcome."""
     out = console if console is not None else Console(soft_wrap=True)
     table = Table(box=SIMPLE_HEAD)
     for column in ("check", "", "found", "limit"):
         table.add_column(column)
     for finding in findings:
-        colour = _COLOURS[finding.verdict]
+        colour = _COLOURS[finding.outcome]
         # What a driver has put into its messages is no markup.
         cells = (escape(text) for text in (finding.figure, finding.limit))
-        table.add_row(escape(finding.check), f"[{colour}]{finding.verdict.value}[/]", *cells)
+        table.add_row(escape(finding.check), f"[{colour}]{finding.outcome.value}[/]", *cells)
     out.print(table)
-    count = {verdict: len(with_verdict(findings, verdict)) for verdict in Verdict}
-    failed, unsure = count[Verdict.FAIL], count[Verdict.INCONCLUSIVE]
+    count = {outcome: len(with_outcome(findings, outcome)) for outcome in Outcome}
+    failed, unsure = count[Outcome.FAIL], count[Outcome.INCONCLUSIVE]
     words = f"{failed} of {len(findings)} checks failed" if failed else "no check failed"
     words = f"[bold{' red' if failed else ''}]{words}[/]"
     if unsure:
         words += f", [yellow]{unsure} inconclusive[/]"
-    out.print(f"{words}; {count[Verdict.NOT_CHECKED]} not made")
+    out.print(f"{words}; {count[Outcome.NOT_CHECKED]} not made")

@@ -14,9 +14,9 @@ from armimp_bringup.driver_check import (
     Ending,
     Finding,
     Message,
+    Outcome,
     Push,
     Record,
-    Verdict,
     readings,
 )
 from armimp_common import topics
@@ -59,7 +59,7 @@ def judge(record: Record) -> list[Finding]:
 
 
 def _judged(check: str, good: bool, figure: str, limit: str) -> Finding:
-    return Finding(check, Verdict.PASS if good else Verdict.FAIL, figure, limit)
+    return Finding(check, Outcome.PASS if good else Outcome.FAIL, figure, limit)
 
 
 def _judge_contract(record: Record) -> Iterator[Finding]:
@@ -72,7 +72,7 @@ def _judge_contract(record: Record) -> Iterator[Finding]:
     limit = "lifecycle services, for armimp run --processes external"
     if record.lifecycle is None:
         figure = "none: nobody can lead this node through its life"
-        yield Finding("lifecycle", Verdict.NOT_CHECKED, figure, limit)
+        yield Finding("lifecycle", Outcome.NOT_CHECKED, figure, limit)
     else:
         yield _judged("lifecycle", True, f"was {record.lifecycle}", limit)
     # Whoever says so: armimp run takes it for a problem of the run.
@@ -135,7 +135,7 @@ def _judge_values(record: Record, topic: str, messages: Sequence[Message]) -> It
     yield _judged(f"{topic}: finite", bad == 0, figure, "no NaN, no infinity")
     limit = f"|value| ≤ {bound:.4g} {unit}"
     if not still.size:
-        yield Finding(f"{topic}: range", Verdict.NOT_CHECKED, "no whole message", limit)
+        yield Finding(f"{topic}: range", Outcome.NOT_CHECKED, "no whole message", limit)
         return
     parts = [np.where(np.isfinite(part), part, 0.0) for part in (still, moving)]
     largest = float(max(np.max(np.abs(part), initial=0.0) for part in parts))
@@ -200,8 +200,8 @@ def _judge_pace(topic: str, messages: Sequence[Message]) -> Iterator[Finding]:
     figure = f"{100 * share:.3g} %; worst {1e3 * float(np.max(delay)):.3g} ms"
     limit = f"≤ {100 * _LATE_SHARE:g} % arrive more than {1e3 * _LATE:g} ms late"
     # Other work on this machine spoils it as well as a driver does.
-    verdict = Verdict.PASS if share <= _LATE_SHARE else Verdict.INCONCLUSIVE
-    yield Finding(f"{topic}: jitter", verdict, figure, limit)
+    outcome = Outcome.PASS if share <= _LATE_SHARE else Outcome.INCONCLUSIVE
+    yield Finding(f"{topic}: jitter", outcome, figure, limit)
 
 
 def _judge_pairs(record: Record) -> Finding:
@@ -234,7 +234,7 @@ def _judge_moves(record: Record) -> Iterator[Finding]:
         yield _missing(record, check, limit)
     elif moves.fault and record.paced and moves.gap > _REGULAR:
         figure = f"{moves.fault}; commands were held up for {1e3 * moves.gap:.3g} ms"
-        yield Finding(check, Verdict.INCONCLUSIVE, figure, limit)
+        yield Finding(check, Outcome.INCONCLUSIVE, figure, limit)
     else:
         yield _judged(check, not moves.fault, moves.fault or "none", limit)
     if moves.pushes:
@@ -255,8 +255,8 @@ def _missing(record: Record, check: str, limit: str) -> Finding:
     """Return the finding for something that was not done: why, and whether it was asked for."""
     moves = record.moves
     in_vain = moves.asked and moves.missing
-    verdict = Verdict.INCONCLUSIVE if in_vain else Verdict.NOT_CHECKED
-    return Finding(check, verdict, moves.missing or "not tried", limit)
+    outcome = Outcome.INCONCLUSIVE if in_vain else Outcome.NOT_CHECKED
+    return Finding(check, outcome, moves.missing or "not tried", limit)
 
 
 def _judge_pushes(record: Record) -> Iterator[Finding]:
@@ -280,7 +280,7 @@ def _judge_pushes(record: Record) -> Iterator[Finding]:
         yield _judged(check, False, "; ".join(wrong), _WAYS_LIMIT)
     elif still:
         figure = f"{' and '.join(still)} did not move: {_LARGER}"
-        yield Finding(check, Verdict.INCONCLUSIVE, figure, _WAYS_LIMIT)
+        yield Finding(check, Outcome.INCONCLUSIVE, figure, _WAYS_LIMIT)
     else:
         yield _judged(check, True, ", ".join(told), _WAYS_LIMIT)
     delays = [push.delay for push in pushes if push.delay is not None]
@@ -288,7 +288,7 @@ def _judge_pushes(record: Record) -> Iterator[Finding]:
         "torque acts on another joint" if mixed else f"readings of torque do not answer: {_LARGER}"
     )
     if mixed or len(delays) < len(pushes):
-        yield Finding("torque_sensors: sign", Verdict.INCONCLUSIVE, why, _SIGN_LIMIT)
+        yield Finding("torque_sensors: sign", Outcome.INCONCLUSIVE, why, _SIGN_LIMIT)
     else:
         changes = [
             push.change * way * float(np.sign(push.torque))
@@ -297,7 +297,7 @@ def _judge_pushes(record: Record) -> Iterator[Finding]:
         told = (f"{name} {change:+.3g} N·m" for name, change in zip(names, changes, strict=True))
         yield _judged("torque_sensors: sign", min(changes) > 0.0, ", ".join(told), _SIGN_LIMIT)
     if mixed or not delays:
-        yield Finding("torque: delay", Verdict.INCONCLUSIVE, why, _DELAY_LIMIT)
+        yield Finding("torque: delay", Outcome.INCONCLUSIVE, why, _DELAY_LIMIT)
     else:
         good = max(delays) <= _REACTION
         yield _judged("torque: delay", good, f"{max(delays)} periods", _DELAY_LIMIT)
@@ -349,7 +349,7 @@ def _judge_ending(record: Record, of: str, ending: Ending | None) -> Iterator[Fi
     if ending.told is None and record.faults:
         # That would go on, whatever the driver has to say.
         figure = f"there was a fault before: {record.faults[0]}"
-        yield Finding(check, Verdict.INCONCLUSIVE, figure, limit)
+        yield Finding(check, Outcome.INCONCLUSIVE, figure, limit)
     else:
         figure = "none" if ending.told is None else f"after {ending.told:.3f} s"
         yield _judged(check, ending.told is not None and ending.told <= _TOLD, figure, limit)
@@ -367,7 +367,7 @@ def _judge_end(record: Record, of: str, ended: Push) -> Finding:
     """Compare how the joint went back with a push that a command of zero ended."""
     usual, check = record.moves.pushes[ended.joint], f"{of}: torque"
     if abs(usual.back) <= usual.still[usual.joint]:
-        return Finding(check, Verdict.INCONCLUSIVE, f"no effect: {_LARGER}", _GONE_LIMIT)
+        return Finding(check, Outcome.INCONCLUSIVE, f"no effect: {_LARGER}", _GONE_LIMIT)
     share = ended.back / usual.back
     figure = f"{100 * share:.0f} % of the usual way back"
     return _judged(check, share >= 1.0 - _USUAL, figure, _GONE_LIMIT)
@@ -377,11 +377,11 @@ def _judge_latch(record: Record, of: str, ending: Ending) -> Finding:
     """Compare a push that must not act with the first one of the same joint."""
     again, check = ending.again, f"{of}: latched"
     if again is None:
-        return Finding(check, Verdict.NOT_CHECKED, "no torque was there: --move", _LATCH_LIMIT)
+        return Finding(check, Outcome.NOT_CHECKED, "no torque was there: --move", _LATCH_LIMIT)
     usual = record.moves.pushes[again.joint]
     moved = abs(float(usual.moved[again.joint]))
     if moved <= usual.still[again.joint]:
-        return Finding(check, Verdict.INCONCLUSIVE, f"no effect: {_LARGER}", _LATCH_LIMIT)
+        return Finding(check, Outcome.INCONCLUSIVE, f"no effect: {_LARGER}", _LATCH_LIMIT)
     share = abs(float(again.moved[again.joint])) / moved
     figure = f"{100 * share:.0f} % of the usual motion"
     return _judged(check, share <= _USUAL, figure, _LATCH_LIMIT)

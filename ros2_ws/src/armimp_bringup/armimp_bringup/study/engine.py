@@ -152,22 +152,19 @@ class Threads:
     ----------
     workers : int
         Number of threads.
-    work : callable
-        What to do with a batch.
     """
 
-    def __init__(self, workers: int, work: Callable[[Batch], Results] = run_batch) -> None:
+    def __init__(self, workers: int) -> None:
         if workers < 1:
             raise ConfigurationError(f"--workers must be at least 1, got {workers}")
         self.workers = workers
-        self._work = work
 
     def run(self, batches: Sequence[Batch]) -> Iterator[Results]:
         """Yield the results of the batches, in the order in which they are ready.
 
         The first error of a batch is raised, and ends the others.
         """
-        return as_ready(self._work, batches, self.workers)
+        return as_ready(run_batch, batches, self.workers)
 
 
 class Dask:

@@ -45,78 +45,17 @@ from armimp_control.safety_limiter import (
 LawConfig: TypeAlias = ImbicConfig | PdConfig
 
 
-@compiled
-def control_tick(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
-    law: int,
-    theta: NDArray[np.float64],
-    tau_h: NDArray[np.float64],
-    tau_delta: NDArray[np.float64],
-    role: NDArray[np.float64],
-    target: NDArray[np.float64],
-    model: NDArray[np.float64],
-    gamma: float,
-    period: float,
-    rules: NDArray[np.float64],
-    memory: NDArray[np.float64],
-    limiter: NDArray[np.float64],
-    journal: NDArray[np.float64],
-    command: NDArray[np.float64],
-) -> int:
-    """One tick of a law, with the safety limiter before and after it.
-
-    Parameters
-    ----------
-    law : `kind` of the configuration of the law
-    theta, tau_h, tau_delta : (n,) rad, N·m, N·m: encoders, torque transducers, perturbation
-    role : (ROLE_ROWS, n) from the configuration of the law
-    target, gamma, period : (n,) θ_rd, rad; Γ, rad/s; L, s
-    model : (MODEL_ROWS, n, n) from the configuration of the law
-    rules : (RULE_ROWS, n) from :meth:`SafetyParameters.rules`
-    memory : (MEMORY_ROWS, n), updated; zeros before the first tick
-    limiter, journal : (LIMITER_ROWS, n) and (JOURNAL,) of the safety limiter, likewise
-    command : (n,) N·m, written
-
-    Returns
-    -------
-    int
-        Number of joints whose command was clipped. After a stop, which the journal tells, the law
-        is not computed any more and its memory is empty.
-    """
-    if check_sample(theta, tau_h, tau_delta, rules, period, limiter, journal):
-        if law == PD:
-            pd(theta, tau_delta, role, target, period, memory, command)
-        else:
-            observer = law == IMBIC_OBSERVER
-            imbic(
-                observer,
-                theta,
-                tau_h,
-                tau_delta,
-                role,
-                target,
-                model,
-                gamma,
-                period,
-                memory,
-                command,
-            )
-    clipped = limit_command(command, rules, limiter, journal)
-    if journal[STOPPED] != 0.0:
-        memory[:] = 0.0
-    else:
-        if law == IMBIC_OBSERVER and clipped > 0:
-            forgo(command, model, period, memory)
-        copy_values(command, memory[COMMAND])
-    return clipped
-
-
 Arrays: TypeAlias = NDArray[np.float64]
 
 
 def _unpacked(
     w: Arrays, n: int
 ) -> tuple[Arrays, Arrays, Arrays, Arrays, Arrays, Arrays, Arrays, Arrays, Arrays]:
-    """Views of what a controller works on: sample, command and target, role, rules and so on."""
+    """Views of what a controller works on.
+
+    They are sample; command and target posture; role; rules, memory of the law and of the limiter;
+    internal model; journal; Γ (rad/s) and L (s).
+    """
     a = 3 * n
     b = a + 2 * n
     c = b + ROLE_ROWS * n
@@ -149,27 +88,50 @@ _views = inlined(_unpacked)
 
 @compiled
 def packed_tick(law: int, n: int, w: Arrays) -> int:
-    """:func:`control_tick` of a controller in one array, see :func:`_unpacked`.
+    """One tick of a law, with the safety limiter before and after it.
 
-    The sample comes first: θ, τ_h and τ_Δ; then the command.
+    Parameters
+    ----------
+    law : `kind` of the configuration of the law
+    n : number of joints
+    w : (packed_size(n),) all that a controller works on, see :func:`_unpacked`; the sample comes
+        first: θ (rad), τ_h and τ_Δ (N·m), then the command, which is written (N·m)
+
+    Returns
+    -------
+    int
+        Number of joints whose command was clipped. After a stop, which the journal tells, the law
+        is not computed any more and its memory is empty.
     """
     sample, posture, role, rules, memory, limiter, model, journal, scalars = _views(w, n)
-    return control_tick(
-        law,
-        sample[0],
-        sample[1],
-        sample[2],
-        role,
-        posture[1],
-        model,
-        scalars[0],
-        scalars[1],
-        rules,
-        memory,
-        limiter,
-        journal,
-        posture[0],
-    )
+    theta, tau_h, tau_delta = sample[0], sample[1], sample[2]
+    command, target, gamma, period = posture[0], posture[1], scalars[0], scalars[1]
+    if check_sample(theta, tau_h, tau_delta, rules, period, limiter, journal):
+        if law == PD:
+            pd(theta, tau_delta, role, target, period, memory, command)
+        else:
+            observer = law == IMBIC_OBSERVER
+            imbic(
+                observer,
+                theta,
+                tau_h,
+                tau_delta,
+                role,
+                target,
+                model,
+                gamma,
+                period,
+                memory,
+                command,
+            )
+    clipped = limit_command(command, rules, limiter, journal)
+    if journal[STOPPED] != 0.0:
+        memory[:] = 0.0
+    else:
+        if law == IMBIC_OBSERVER and clipped > 0:
+            forgo(command, model, period, memory)
+        copy_values(command, memory[COMMAND])
+    return clipped
 
 
 @compiled_entry
@@ -287,7 +249,7 @@ class Controller:
         tau_h: NDArray[np.float64],
         tau_delta: NDArray[np.float64],
     ) -> int:
-        """Compute :attr:`command` from a sample; parameters and result as of :func:`control_tick`.
+        """Compute :attr:`command` from a sample; parameters and result as of :func:`packed_tick`.
 
         Raises
         ------

@@ -372,12 +372,14 @@ def bode_chart(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, 
     parted, ends = distances(curves, truth, i, k)
     lines: list[Line] = []
     for name, stroke in strokes(curves).items():
-        one = BodeCurve.of(curves[name], i, k)
+        z = curves[name].Z[i, k]
+        magnitude, phase = np.abs(z), phase_of(z)
+        bands = bands_of(magnitude, phase, circle_radius(curves[name], i, k))
         f, off, radius = parted[name]
         thin, circle = replace(stroke, width=1.1), (np.zeros(f.size), radius)
         lines += [
-            Line(x=f, y=one.magnitude, stroke=stroke, unit=IMPEDANCE, ends=one.magnitude_band),
-            Line(x=f, y=one.phase, stroke=stroke, row=2, unit="°", ends=one.phase_band),
+            Line(x=f, y=magnitude, stroke=stroke, unit=IMPEDANCE, ends=bands[0]),
+            Line(x=f, y=phase, stroke=stroke, row=2, unit="°", ends=bands[1]),
             Line(x=f, y=off, stroke=thin, row=3, unit="%", ends=circle),
         ]
     if truth is not None:
@@ -593,43 +595,25 @@ def trace_chart(
     return Chart(abscissa=abscissa, rows=ordinates, lines=lines)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class BodeCurve:
-    """Magnitude and phase of one element of the impedance matrix over frequency, with bands."""
+def circle_radius(curve: ImpedanceCurve, i: int, k: int) -> FloatArray:
+    """Radius of the circle about each value of ``Z_ik`` that holds the truth in 95 %, N·m/rad.
 
-    f: FloatArray
-    """Frequencies, Hz; shape (n_freq,)."""
-    magnitude: FloatArray
-    phase: FloatArray
-    """Magnitude (N·m/rad) and phase (degrees), each of shape (n_freq,)."""
-    radius: FloatArray
-    """Radius of the circle about each value that holds the truth in 95 %, N·m/rad; NaN if unknown;
-    shape (n_freq,)."""
+    The element is 0-based. NaN where that is unknown; shape (n_freq,).
+    """
+    if curve.averages > 1.0:
+        return confidence_radius(curve.variance[i, k], curve.averages)
+    return np.full(curve.f.size, np.nan)
 
-    @classmethod
-    def of(cls, curve: ImpedanceCurve, i: int, k: int) -> BodeCurve:
-        """Curve of an estimate of ``Z_ik`` (0-based)."""
-        f, z = curve.f, curve.Z[i, k]
-        radius = np.full(f.size, np.nan)
-        if curve.averages > 1.0:
-            radius = confidence_radius(curve.variance[i, k], curve.averages)
-        return cls(f=f, magnitude=np.abs(z), phase=phase_of(z), radius=radius)
 
-    @property
-    def magnitude_band(self) -> Band:
-        """The 95 % band of the magnitude, N·m/rad."""
-        # A logarithmic axis has no zero: the lower end stays positive, far below the curve.
-        lower = np.maximum(self.magnitude - self.radius, 1e-3 * self.magnitude)
-        return lower, self.magnitude + self.radius
-
-    @property
-    def phase_band(self) -> Band:
-        """The 95 % band of the phase, degrees."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            sine = self.radius / self.magnitude
-        # The circle is seen from the origin under this angle; from within it, all around.
-        spread = np.degrees(np.where(sine < 1.0, np.arcsin(np.minimum(sine, 1.0)), np.pi))
-        return self.phase - spread, self.phase + spread
+def bands_of(magnitude: FloatArray, phase: FloatArray, radius: FloatArray) -> tuple[Band, Band]:
+    """The 95 % bands of magnitude (N·m/rad) and phase (degrees) from that of the circle."""
+    # A logarithmic axis has no zero: the lower end stays positive, far below the curve.
+    lower = np.maximum(magnitude - radius, 1e-3 * magnitude)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sine = radius / magnitude
+    # The circle is seen from the origin under this angle; from within it, all around.
+    spread = np.degrees(np.where(sine < 1.0, np.arcsin(np.minimum(sine, 1.0)), np.pi))
+    return (lower, magnitude + radius), (phase - spread, phase + spread)
 
 
 def phase_of(z: ComplexArray) -> FloatArray:
@@ -676,7 +660,7 @@ def distances(
             other = curves[reference]
             centre = np.interp(curve.f, other.f, other.Z[i, k])
         off = None if name == reference else deviation_percent(centre, curve.Z[i, k])
-        radius = 100.0 * BodeCurve.of(curve, i, k).radius / np.abs(centre)
+        radius = 100.0 * circle_radius(curve, i, k) / np.abs(centre)
         lines[name] = curve.f, off, radius
         found += [radius] if off is None else [radius, off]
     values = np.concatenate(found)
