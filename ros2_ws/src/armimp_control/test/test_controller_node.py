@@ -24,8 +24,6 @@ from support.controller import (
     NAMES,
     POSTURE,
     SUCCESS,
-    Sample,
-    SequencerBench,
     ask,
     controller_parameters,
     wobble,
@@ -47,15 +45,6 @@ PARAMETERS = controller_parameters(
     SETTLE, PERTURB, REST, safety=SafetyParameters(slowest_tick=10.0)
 )
 IMPATIENT: dict[str, Value] = {"safety.slowest_tick": 0.06, "safety.watchdog_ticks": 5}
-
-
-def expected_answers(ticks: int) -> tuple[list[tuple[float, ...]], list[Sample]]:
-    bench = SequencerBench(PARAMETERS, START)
-    bench.wobble(ticks)
-    stamps = [START + tick * PERIOD_NS for tick in range(ticks)]
-    perturbations = [tuple(one.tolist()) for one in bench.perturbations]
-    commands = [tuple(one.tolist()) for one in bench.commands]
-    return commands, list(zip(stamps, perturbations, strict=True))
 
 
 MakeController = Callable[..., ImbicControllerNode]
@@ -89,24 +78,6 @@ def start(controller: ImbicControllerNode, driver: ScriptedDriver, spinner: Spin
 def feed_still(driver: ScriptedDriver, ticks: int) -> None:
     for _ in range(ticks):
         driver.feed(POSTURE, (0.0, 0.0))
-
-
-class TestAnswers:
-    def test_each_sample_is_answered_once_as_the_experiment_without_ros_does(
-        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner
-    ) -> None:
-        bring_up(make(), driver)
-        for theta, tau_h in wobble(SETTLE + 60):
-            driver.feed(theta, tau_h)
-        eventually(spinner, lambda: driver.answered, "an answer to every sample")
-        a_moment(spinner)
-
-        commands, perturbations = expected_answers(SETTLE + 60)
-        assert driver.commands == commands
-        assert driver.perturbations == perturbations
-        assert any(command != (0.0, 0.0) for command in commands)
-        assert [status.phase for status in driver.statuses] == [Phase.SETTLE, Phase.PERTURB]
-        assert driver.statuses[1].start_ns == START + SETTLE * PERIOD_NS
 
 
 def encoded(names: Sequence[str], values: Sequence[float], field: str = "position") -> bytes:

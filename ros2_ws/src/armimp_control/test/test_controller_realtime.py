@@ -10,27 +10,13 @@ from armimp_common.schema import build, flatten
 from armimp_common.status import Phase
 from armimp_control.node import ImbicControllerNode
 from armimp_control.parameters import ControllerParameters
-from support.controller import NAMES, POSTURE, SUCCESS, SequencerBench, controller_parameters
+from support.controller import NAMES, POSTURE, SUCCESS, controller_parameters
 from support.graph import HandedClock, Launch, ScriptedDriver, eventually
 
 OFF = (POSTURE[0] + 1e-4, POSTURE[1])
 LOCKSTEP = controller_parameters(300, 200, 300)
 PARAMETERS = build(ControllerParameters, {**flatten(LOCKSTEP), "mode": "realtime"})
 SILENCE = "no sensor sample arrived any more"
-
-
-def answers(parameters: ControllerParameters) -> list[tuple[bytes, bytes]]:
-    """Commands and perturbations of a whole experiment with an arm that shakes a little."""
-    bench = SequencerBench(parameters)
-    bench.wobble(1601)
-    assert bench.experiment.finished
-    assert bench.experiment.fault == ""
-    pairs = zip(bench.commands, bench.perturbations, strict=True)
-    return [(command.tobytes(), tau_delta.tobytes()) for command, tau_delta in pairs]
-
-
-def test_answers_are_those_of_lockstep_bit_for_bit() -> None:
-    assert answers(PARAMETERS) == answers(LOCKSTEP)
 
 
 @pytest.fixture

@@ -132,12 +132,6 @@ def test_when_estimators_are_not_distinct_known_names_expect_configuration_error
         identify(trials(), estimators, None, CONFIG)
 
 
-def test_when_the_truth_is_of_another_arm_expect_configuration_error() -> None:
-    truth = MBK(M=np.eye(3), B=np.eye(3), K=np.eye(3))
-    with pytest.raises(ConfigurationError, match="truth is of 3 joints, the data of 2"):
-        identify(trials(), ESTIMATORS, truth, CONFIG)
-
-
 def test_scores_that_are_not_numbers_fail_the_verdict() -> None:
     names = ("a", "b")
     nan = np.full((2, 2), np.nan)

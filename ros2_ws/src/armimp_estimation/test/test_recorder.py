@@ -42,7 +42,7 @@ from support.bag_files import iterate_messages
 from support.streams import record
 from support.synthetic_bags import Message, recorded_arm, synthetic_recording
 from support.synthetic_trials import TWO_JOINT_ARM as ARM
-from support.synthetic_trials import SyntheticConfig, synthetic_trial
+from support.synthetic_trials import SyntheticConfig, part_of, synthetic_trial
 
 SETTLE, TICKS, REST = 10, 100, 10
 MADE_UP = synthetic_recording(perturbed=(0, 1), ticks=TICKS, settle=SETTLE, rest=REST)
@@ -308,17 +308,17 @@ def test_when_a_trial_ends_depends_on_its_first_samples_and_the_trials_before() 
     assert told == [(k, samples, samples > 0) for k in (1, 2) for samples in (0, considered)]
     past: list[TrialRecord] = []
     for decision, whole in zip(decisions[1::2], ARM_RECORDING.records, strict=True):
-        column = LpmFull().column(cut(whole, considered, commands=True), past)
+        column = LpmFull().column(with_commands(part_of(whole, 0, considered)), past)
         assert (decision.largest, decision.element) == largest_error(column)
-        past.append(replace(whole, command=whole.perturbation))
+        past.append(with_commands(whole))
 
 
 # --- running figures --------------------------------------------------------------------------
 
 
-def cut(record: TrialRecord, samples: int, *, commands: bool = False) -> TrialRecord:
-    parts = {n: getattr(record, n)[:, :samples] for n in ("position", "torque", "perturbation")}
-    return replace(record, **parts, command=parts["perturbation"] if commands else None)
+def with_commands(record: TrialRecord) -> TrialRecord:
+    """Commands are the perturbation alone."""
+    return replace(record, command=record.perturbation)
 
 
 def so_far(
@@ -353,7 +353,7 @@ def test_first_samples_of_a_running_trial_are_the_same_however_they_arrived(
 ) -> None:
     found = so_far(ARM_MESSAGES, samples, stops)
     assert found is not None
-    expected = cut(ARM_RECORDING.records[0], samples, commands=True)
+    expected = with_commands(part_of(ARM_RECORDING.records[0], 0, samples))
     assert_equal(found, replace(expected, start_ns=0))
     np.testing.assert_array_equal(found.command, expected.command)
     assert so_far(ARM_MESSAGES, SAMPLES + 1) is None

@@ -1,4 +1,4 @@
-"""A trial: its record as arrays, and its spectra."""
+"""Records of trials whose parts do not fit, or hold no numbers, are refused."""
 
 import math
 from typing import Any
@@ -8,27 +8,13 @@ import pytest
 
 from armimp_common.errors import DataError
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import TrialData
-from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
-
-CONFIG = WelchConfig(segment=256, overlap=192)
-LOOP = SyntheticConfig(rate=125.0, samples=1000, voluntary=0.1)
+from support.synthetic_trials import made_record
 
 
 def record(**changes: Any) -> TrialRecord:
-    values: dict[str, Any] = {
-        "trial": 2,
-        "perturbed_joint": 1,
-        "rate": 1000.0,
-        "joint_names": ("shoulder", "elbow"),
-        "perturbation": np.zeros((2, 5)),
-        "position": np.zeros((2, 5)),
-        "torque": np.zeros((2, 5)),
-        "start_ns": 7,
-        "seed": None,
-    }
-    return TrialRecord(**(values | changes))
+    names = {"joint_names": ("shoulder", "elbow"), "trial": 2, "perturbed_joint": 1}
+    return made_record(np.zeros((2, 5)), **{**names, **changes})
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
@@ -64,36 +50,6 @@ def test_when_the_parts_do_not_fit_expect_a_data_error(
         record(**changes)
 
 
-def perturbed(joint: int = 1) -> TrialRecord:
-    return synthetic_trial(TWO_JOINT_ARM, joint, LOOP, seed=3)
-
-
-@pytest.mark.parametrize("joint", [0, 1])
-def test_channels_are_perturbation_of_the_joint_then_angles_then_torques(joint: int) -> None:
-    source = perturbed(joint)
-    trial = TrialData.of(source, welch=CONFIG)
-    angle = trial.position_channel(1)
-    torque = trial.torque_channel(0)
-    assert (angle, torque) == (2, 3)
-    scaled = TrialRecord(
-        trial=1,
-        perturbed_joint=joint,
-        rate=125.0,
-        joint_names=source.joint_names,
-        perturbation=source.perturbation * 2.0,
-        position=source.position * np.array([[1.0], [4.0]]),
-        torque=source.torque * np.array([[8.0], [1.0]]),
-        start_ns=0,
-        seed=None,
-    )
-    # Powers of two scale without rounding.
-    other = TrialData.of(scaled, welch=CONFIG)
-    np.testing.assert_array_equal(other.input_power, 4.0 * trial.input_power)
-    factors = np.array([2.0, 1.0, 4.0, 8.0, 1.0])
-    expected = factors[:, None, None] * factors[None, :, None] * trial.spectra.matrix
-    np.testing.assert_array_equal(other.spectra.matrix, expected)
-
-
 def test_when_the_record_is_too_short_expect_its_trial_in_the_error() -> None:
     with pytest.raises(DataError, match="trial 2: record of 1000 samples is shorter than one"):
-        TrialData.of(perturbed())
+        TrialData.of(made_record(np.zeros((2, 1000)), trial=2))
