@@ -16,20 +16,16 @@ PARAMETERS = controller_parameters(SETTLE, PERTURB, REST)
 ENOUGH = StoppingDecision(trial=1, samples=JUDGED, enough=True, due=None, bound=0.02, largest=0.01)
 
 
-class Bench(SequencerBench):
-    """An experiment at rest in its posture, with what it says."""
-
-    def run_into_perturbation(self, ticks: int) -> None:
-        self.run(SETTLE + ticks)
-
-
 @pytest.fixture
-def bench() -> Bench:
-    return Bench(PARAMETERS)
+def bench() -> SequencerBench:
+    """An experiment at rest in its posture, with what it says."""
+    return SequencerBench(PARAMETERS)
 
 
-def test_when_a_trial_is_good_enough_expect_its_end_announced_and_kept(bench: Bench) -> None:
-    bench.run_into_perturbation(JUDGED + 40)
+def test_when_a_trial_is_good_enough_expect_its_end_announced_and_kept(
+    bench: SequencerBench,
+) -> None:
+    bench.run(SETTLE + JUDGED + 40)
     bench.experiment.decide(ENOUGH)
     bench.run(PERTURB)
 
@@ -48,8 +44,8 @@ def test_when_a_trial_is_good_enough_expect_its_end_announced_and_kept(bench: Be
     assert not any(torques[start + END : start + END + REST])
 
 
-def test_the_next_trial_follows_at_once_and_lasts_as_planned(bench: Bench) -> None:
-    bench.run_into_perturbation(JUDGED)
+def test_the_next_trial_follows_at_once_and_lasts_as_planned(bench: SequencerBench) -> None:
+    bench.run(SETTLE + JUDGED)
     bench.experiment.decide(ENOUGH)
     bench.run(NOTICE_TICKS + REST + SETTLE + PERTURB + REST + 1)
 
@@ -65,8 +61,8 @@ def test_the_next_trial_follows_at_once_and_lasts_as_planned(bench: Bench) -> No
     assert {one.ticks for one in (settle, perturb, rest, done)} == {PERTURB}
 
 
-def test_a_decision_that_comes_late_leaves_time_to_hear_of_the_end(bench: Bench) -> None:
-    bench.run_into_perturbation(END + 100)
+def test_a_decision_that_comes_late_leaves_time_to_hear_of_the_end(bench: SequencerBench) -> None:
+    bench.run(SETTLE + END + 100)
     bench.experiment.decide(ENOUGH)
     bench.run(PERTURB)
 
@@ -87,9 +83,9 @@ def test_a_decision_that_comes_late_leaves_time_to_hear_of_the_end(bench: Bench)
     ids=["another trial", "samples that were not there", "at the end", "at rest", "settling"],
 )
 def test_when_a_decision_does_not_fit_expect_it_ignored(
-    bench: Bench, ticks: int, decision: StoppingDecision
+    bench: SequencerBench, ticks: int, decision: StoppingDecision
 ) -> None:
-    bench.run_into_perturbation(ticks)
+    bench.run(SETTLE + ticks)
     bench.experiment.decide(decision)
     bench.run(PERTURB + REST - ticks)
 

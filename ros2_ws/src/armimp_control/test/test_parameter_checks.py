@@ -11,16 +11,9 @@ from armimp_control import presets
 from armimp_control.parameters import ControllerParameters
 from armimp_control.safety_limiter import SafetyParameters
 from armimp_control.sequence import PERIOD
+from support.controller import controller_parameters
 
-POSTURE = np.radians([62.708, 77.260])
-PRESET = flatten(
-    ControllerParameters.preset(
-        joints=("shoulder", "elbow"),
-        posture=POSTURE,
-        robot_inertia=np.array([[0.354, 0.191], [0.191, 0.180]]),
-        arm_inertia=np.array([[0.187, 0.084], [0.079, 0.060]]),
-    )
-)
+PRESET = flatten(controller_parameters())
 NAN, INF = float("nan"), float("inf")
 
 
@@ -77,6 +70,6 @@ def test_dither_is_a_share_of_a_count_unless_the_encoders_are_no_good(
     law: presets.LawName, share: float
 ) -> None:
     dither = [
-        presets.imbic(np.eye(2), POSTURE, law, count).lock_dither for count in (1e-3, 0.01, 0.5)
+        presets.imbic(np.eye(2), np.zeros(2), law, count).lock_dither for count in (1e-3, 0.01, 0.5)
     ]
     assert dither == pytest.approx([share * 1e-3, share * 0.01, share * 0.01])

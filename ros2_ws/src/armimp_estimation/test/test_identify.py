@@ -113,14 +113,8 @@ def test_when_locking_fails_expect_it_in_the_verdict_though_derived_coherence_is
     assert not result.valid
     assert (result.estimators["welch_siso"].coherence_derived > 0.9).all()
     said = "\n".join(map(str, result.problems))
-    assert (
-        "joint_2 was not held still while joint_1 was perturbed: within the band it moved by "
-        in said
-    )
-    assert (
-        "joint_1 was not held still while joint_2 was perturbed: within the band it moved by "
-        in said
-    )
+    for locked, moved in (("joint_2", "joint_1"), ("joint_1", "joint_2")):
+        assert f"{locked} was not held still while {moved} was perturbed: within the band" in said
     assert "element (1, 2) may be biased" in said
 
 

@@ -45,33 +45,6 @@ def test_at_constant_speed_friction_is_the_steady_state_law(speed: float, direct
     assert bristle == pytest.approx(direction * level / 2000.0, rel=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("coulomb", -0.25),
-        ("coulomb", float("nan")),
-        ("static", float("inf")),
-        ("static", 1.75),
-        ("sigma_0", -3.5),
-        ("sigma_1", float("nan")),
-        ("sigma_2", -1e-9),
-        ("stribeck_velocity", 0.0),
-    ],
-)
-def test_impossible_friction_is_refused_with_the_offending_value(name: str, value: float) -> None:
-    values = {
-        "coulomb": 2.0,
-        "static": 2.5,
-        "sigma_0": 2000.0,
-        "sigma_1": 4.0,
-        "sigma_2": 0.2,
-        "stribeck_velocity": 0.01,
-    }
-    with pytest.raises(ConfigurationError, match=f"^friction: .*{value}") as caught:
-        LuGre(**{**values, name: value})
-    assert "\n" not in str(caught.value)
-
-
 def test_bristles_without_a_friction_level_are_refused() -> None:
     with pytest.raises(ConfigurationError, match=r"sigma_0 = 400\.0 needs a positive"):
         LuGre(coulomb=0.0, static=0.5, sigma_0=400.0, sigma_1=0.0, sigma_2=0.0)
