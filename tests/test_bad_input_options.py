@@ -62,7 +62,27 @@ def test_a_wrong_value_of_run_ends_in_one_line_with_the_value(
     assert not made
 
 
-@pytest.mark.parametrize("name", ["no\nwhere", "\x1b[31mred", "a\u2028b"])
+@pytest.mark.parametrize(
+    ("arguments", "status", "words"),
+    [
+        (["estimate", __file__], 1, "neither an MCAP nor an SQLite3 file"),
+        (["replay", __file__], 1, "neither an MCAP nor an SQLite3 file"),
+        (["estimate", str(Path(__file__).parent)], 1, "is not a bag"),
+        (["run", "--frition", "2"], 2, "--friction"),
+        (["estimat", "nowhere"], 2, "Did you mean 'estimate'"),
+        (["estimate"], 2, "bags"),
+        (["frobnicate"], 2, "frobnicate"),
+    ],
+)
+def test_what_is_no_bag_or_no_command_is_named(
+    arguments: list[str], status: int, words: str
+) -> None:
+    told = refused(*arguments)
+    assert told.status == status
+    assert words in told.err
+
+
+@pytest.mark.parametrize("name", ["nowhere", "no\nwhere", "\x1b[31mred", "a\u2028b"])
 @pytest.mark.parametrize("command", ["estimate", "replay"])
 def test_a_name_with_strange_characters_is_shown_on_one_line(command: str, name: str) -> None:
     told = refused(command, name)

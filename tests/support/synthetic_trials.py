@@ -209,3 +209,9 @@ def share_within(estimates: Sequence[ImpedanceEstimate], true: ComplexArray, lev
         for one in estimates
     ]
     return float(np.mean(inside))
+
+
+def worst_errors(found: Any, true: Any) -> dict[str, float]:
+    """Largest relative error of M, of B and of K."""
+    pairs = {letter: (getattr(found, letter), getattr(true, letter)) for letter in "MBK"}
+    return {name: float(np.max(np.abs(np.array(a) / b - 1.0))) for name, (a, b) in pairs.items()}

@@ -18,7 +18,7 @@ from armimp_estimation.record import TrialRecord
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from support.held_commands import TRANSMISSION, rig_record
-from support.synthetic_trials import TWO_JOINT_ARM
+from support.synthetic_trials import TWO_JOINT_ARM, worst_errors
 
 FloatArray = NDArray[np.float64]
 
@@ -66,14 +66,6 @@ def fitted(records: list[TrialRecord], reading: TorqueReading) -> MBK:
     return fit_mbk(LpmFull(config=LpmConfig(reading=reading)).estimate(data)).mbk
 
 
-def errors(found: MBK) -> dict[str, float]:
-    """Largest relative error of each matrix."""
-    return {
-        name: float(np.max(np.abs(getattr(found, name) / getattr(ARM, name) - 1.0)))
-        for name in ("M", "B", "K")
-    }
-
-
 @latest
 def test_jumps_are_found_behind_delay_and_filter(reading: TorqueReading) -> None:
     jump = update_jump([rig_record(joint, reading) for joint in range(2)], reading)
@@ -84,7 +76,7 @@ def test_jumps_are_found_behind_delay_and_filter(reading: TorqueReading) -> None
 @latest
 def test_known_delay_and_filter_leave_no_error_and_unknown_ones_do(reading: TorqueReading) -> None:
     records = [rig_record(joint, reading) for joint in range(2)]
-    told = errors(fitted(records, reading))
+    told = worst_errors(fitted(records, reading), ARM)
     assert told["M"] < 0.002
     assert told["B"] < 0.005
     assert told["K"] < 0.015
