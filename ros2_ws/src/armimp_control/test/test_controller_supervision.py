@@ -1,5 +1,7 @@
 """The controller and its surroundings: it ends the experiment when one of them is lost."""
 
+from __future__ import annotations
+
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,12 +13,13 @@ from std_msgs.msg import UInt64
 from armimp_common import heartbeat, qos, topics
 from armimp_common.executor import Spinner
 from armimp_common.process import Life
-from armimp_common.schema import Value
+from armimp_common.schema import Value, build, flatten
 from armimp_common.status import Phase
 from armimp_common.topics import ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
 from armimp_control.node import ImbicControllerNode
+from armimp_control.parameters import ControllerParameters
 from support.controller import NAMES, POSTURE, SUCCESS, controller_parameters
-from support.graph import Launch, ScriptedDriver, a_moment, eventually
+from support.graph import HandedClock, Launch, ScriptedDriver, a_moment, eventually
 
 OFF = (POSTURE[0] + 1e-4, POSTURE[1])
 
@@ -156,3 +159,47 @@ def test_when_the_recorder_takes_leave_expect_zero_torque(around: Surroundings) 
     around.received.publish(UInt64(data=topics.RECORDER_GONE))
 
     around.assert_aborted("nothing is recorded any more")
+
+
+# --- The controller in real time: the same answers, and a watchdog of five milliseconds ---------
+
+
+LOCKSTEP = controller_parameters(300, 200, 300)
+PARAMETERS = build(ControllerParameters, {**flatten(LOCKSTEP), "mode": "realtime"})
+SILENCE = "no sensor sample arrived any more"
+
+
+@pytest.fixture
+def driver(node: Node) -> ScriptedDriver:
+    return ScriptedDriver(node, NAMES)
+
+
+@pytest.fixture
+def controller(launch: Launch, clock: HandedClock) -> ImbicControllerNode:
+    made: ImbicControllerNode = launch(ImbicControllerNode, PARAMETERS)
+    assert made.trigger_configure() is SUCCESS, made.transition_error
+    return made
+
+
+def under_torque(controller: ImbicControllerNode, driver: ScriptedDriver, spinner: Spinner) -> None:
+    """Activate, and feed some samples at once, which are answered at once."""
+    assert controller.trigger_activate() is SUCCESS, controller.transition_error
+    driver.wait_for_controller()
+    for _ in range(20):
+        driver.feed(OFF, (0.0, 0.0))
+    eventually(spinner, lambda: driver.answered, "an answer to every sample")
+    assert any(command != (0.0, 0.0) for command in driver.commands)
+
+
+def test_when_a_sample_comes_after_a_stall_before_anyone_looked_expect_an_abort_all_the_same(
+    controller: ImbicControllerNode, driver: ScriptedDriver, spinner: Spinner, clock: HandedClock
+) -> None:
+    under_torque(controller, driver, spinner)
+    # Nothing is spun: the process is held up, and finds timer and sample waiting afterwards.
+    clock.now += 0.02
+    controller._on_reading(0, driver.stamp_ns, OFF)
+    controller._on_reading(1, driver.stamp_ns, (0.0, 0.0))
+
+    eventually(spinner, lambda: driver.has_said(Phase.ABORTED), "an abort")
+
+    assert driver.statuses[-1].reason == SILENCE

@@ -32,6 +32,7 @@ from armimp_common.topics import (
 )
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.alignment.streams import Streams
+from armimp_estimation.alignment.synchronizer import StreamSynchronizer
 from armimp_estimation.bags import read_bag
 from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
 from armimp_estimation.problems import Problem, ProblemCode
@@ -39,7 +40,7 @@ from armimp_estimation.record import TrialRecord
 from armimp_estimation.recorder import TrialRecorder, largest_error, record_so_far
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from support.bag_files import iterate_messages
-from support.streams import record
+from support.streams import fed_synchronizer, record
 from support.synthetic_bags import Message, recorded_arm, synthetic_recording
 from support.synthetic_trials import TWO_JOINT_ARM as ARM
 from support.synthetic_trials import SyntheticConfig, part_of, synthetic_trial
@@ -396,3 +397,39 @@ def test_the_last_trial_accounts_for_motion_of_locked_joints_and_the_first_says_
     assert not last.preliminary
     assert (np.abs(alone.values - true) / np.abs(true)).max() > 0.3
     assert (np.abs(last.values - true) / last.errors).max() < 4.0
+
+
+# --- The synchronizer of the recorder: complete samples, in order, and nothing waits for ever ---
+
+
+def filled(others: int, perturbations: int) -> StreamSynchronizer:
+    """A synchronizer with so many numbered messages of each stream."""
+    synchronizer, deliver = fed_synchronizer()
+    for topic in DATA_STREAMS:
+        for number in range(perturbations if topic == PERTURBATION else others):
+            deliver[topic](str(number).encode())
+    return synchronizer
+
+
+def test_samples_wait_as_a_whole_for_perturbations_that_are_late() -> None:
+    synchronizer = filled(200, perturbations=30)
+    taken = synchronizer.take()
+    assert all(list(map(int, taken[topic])) == list(range(30)) for topic in DATA_STREAMS)
+    for number in range(30, 200):
+        synchronizer.receive(str(number).encode())
+    rest = synchronizer.take()
+    assert all(list(map(int, rest[topic])) == list(range(30, 200)) for topic in DATA_STREAMS)
+
+
+def test_nothing_waits_for_perturbations_that_stay_away() -> None:
+    assert len(filled(10_000, perturbations=0).take()[JOINT_STATES]) == 8000
+
+
+def test_once_closed_nothing_more_is_taken_and_what_waits_is_kept() -> None:
+    synchronizer, deliver = fed_synchronizer()
+    for message in (b"1", b"2"):
+        for topic in DATA_STREAMS:
+            deliver[topic](message)
+        synchronizer.close()
+    assert not synchronizer.poll()
+    assert synchronizer.take() == {topic: [b"1"] for topic in DATA_STREAMS}

@@ -1,4 +1,4 @@
-"""JointState bytes: agreement with rclpy, and refusal of everything that is not a JointState."""
+"""CDR by hand: agreement with rclpy, and refusal of everything that is no such message."""
 
 import struct
 from collections.abc import Sequence
@@ -9,8 +9,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout, UInt64
 
-from armimp_common.cdr import JointStateDecoder, JointStateEncoder, joint_names_of, stamp_of
+from armimp_common.cdr import (
+    CommandDecoder,
+    CommandEncoder,
+    JointStateDecoder,
+    JointStateEncoder,
+    decode_count,
+    joint_names_of,
+    stamp_of,
+)
 from armimp_common.errors import ConfigurationError, MalformedMessageError
 from armimp_common.topics import ValueField
 
@@ -239,3 +248,87 @@ def test_joints_are_picked_from_among_others_where_that_is_wished(names: list[st
     # The second time by the layout of the first.
     assert [decoder.decode(data)[1] for _ in range(2)] == [expected, expected]
     assert decoder.decode_many([data, data])[1].T.tolist() == [list(expected)] * 2
+
+
+# --- Float64MultiArray bytes: agreement with rclpy, and refusal of everything else --------------
+
+
+def labelled(values: list[float], *labels: str) -> Float64MultiArray:
+    dimensions = [
+        MultiArrayDimension(label=label, size=len(values), stride=index)
+        for index, label in enumerate(labels)
+    ]
+    return Float64MultiArray(layout=MultiArrayLayout(dim=dimensions), data=values)
+
+
+@pytest.mark.parametrize("n", range(1, 8))
+def test_encoded_commands_are_those_of_rclpy_with_zero_padding(n: int) -> None:
+    values = [0.25 * k - 1 for k in range(n)]
+    message = Float64MultiArray(data=values)
+
+    data = CommandEncoder(n).encode(values)
+
+    assert deserialize_message(data, Float64MultiArray) == message
+    serialised = bytearray(serialize_message(message))
+    serialised[16:20] = bytes(4)  # the only padding
+    assert data == bytes(serialised)
+
+
+def test_the_number_comes_with_the_values_whatever_the_layout() -> None:
+    decoder = CommandDecoder(2)
+    for data, number in (
+        (CommandEncoder(2).encode((1.5, -2.5), 2**32 - 1), 2**32 - 1),
+        (CommandEncoder(2).encode((1.5, -2.5)), 0),
+        (serialize_message(labelled([1.5, -2.5], "a")), 0),
+    ):
+        assert decoder.decode_numbered(data) == (number, (1.5, -2.5))
+    with pytest.raises(MalformedMessageError):
+        decoder.decode_numbered(CommandEncoder(3).encode((0.0, 0.0, 0.0), 1))
+
+
+@pytest.mark.parametrize("count", [0, 1, 3, 7])
+def test_when_the_number_of_values_is_wrong_expect_malformed_message(count: int) -> None:
+    decoder = CommandDecoder(2)
+    decoder.decode(CommandEncoder(2).encode([1.0, 2.0]))
+
+    with pytest.raises(MalformedMessageError, match=f"{count} values for 2 joints"):
+        decoder.decode(serialize_message(Float64MultiArray(data=[1.0] * count)))
+    with pytest.raises(MalformedMessageError, match="takes 2 numbers"):
+        CommandEncoder(2).encode([1.0] * count)
+
+
+@pytest.mark.parametrize("length", [0, 1, 100])
+def test_decode_many_of_commands_agrees_with_decode(length: int) -> None:
+    numbers = np.random.default_rng(length).normal(size=(length, 3))
+    plain = [CommandEncoder(3).encode(row) for row in numbers]
+    mixed = [
+        data if k % 2 else serialize_message(labelled(row.tolist(), "a"))
+        for k, (data, row) in enumerate(zip(plain, numbers, strict=True))
+    ]
+
+    for messages in (plain, mixed):
+        values = CommandDecoder(3).decode_many(messages)
+        assert values.shape == (3, length)
+        assert values.dtype == np.float64
+        assert values.flags.c_contiguous
+        assert values.T.tolist() == numbers.tolist()
+
+
+# --- UInt64 bytes: agreement with rclpy, and refusal of everything else -------------------------
+
+
+@given(st.integers(0, 2**64 - 1))
+def test_what_rclpy_sends_is_read_also_with_a_little_surplus(count: int) -> None:
+    data: bytes = serialize_message(UInt64(data=count))
+    for one in (data, data + bytes(4)):
+        assert decode_count(one) == count
+
+
+@given(st.binary(max_size=40) | st.binary(max_size=26).map(lambda data: b"\0\1" + data))
+def test_whatever_comes_is_a_count_or_refused(data: bytes) -> None:
+    try:
+        count = decode_count(data)
+    except MalformedMessageError:
+        assert not (data[:2] == b"\0\1" and 12 <= len(data) <= 27)
+    else:
+        assert 0 <= count < 2**64
