@@ -13,11 +13,10 @@ from std_msgs.msg import UInt64
 from armimp_common import heartbeat, qos, topics
 from armimp_common.executor import Spinner
 from armimp_common.process import Life
-from armimp_common.schema import Value, build, flatten
+from armimp_common.schema import Value
 from armimp_common.status import Phase
 from armimp_common.topics import ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
 from armimp_control.node import ImbicControllerNode
-from armimp_control.parameters import ControllerParameters
 from support.controller import NAMES, POSTURE, SUCCESS, controller_parameters
 from support.graph import HandedClock, Launch, ScriptedDriver, a_moment, eventually
 
@@ -46,8 +45,8 @@ class Surroundings:
         assert self.controller.trigger_activate() is SUCCESS, self.controller.transition_error
         self.driver.wait_for_controller()
         for _ in range(3):
-            self.driver.feed(OFF, (0.0, 0.0))
-            eventually(self.spinner, lambda: self.driver.answered, "an answer")
+            self.driver.feed(OFF)
+            self.driver.await_answers(self.spinner)
         assert any(self.driver.commands[-1])
 
     @property
@@ -63,11 +62,10 @@ class Surroundings:
         return self.driver.has_said(Phase.ABORTED)
 
     def assert_aborted(self, reason: str) -> None:
-        eventually(self.spinner, self.aborted, "the abortion")
-        assert self.driver.statuses[-1].reason == reason
+        assert self.driver.await_phase(Phase.ABORTED, self.spinner).reason == reason
         eventually(self.spinner, lambda: not any(self.driver.commands[-1]), "zero torque")
-        self.driver.feed(OFF, (0.0, 0.0))
-        eventually(self.spinner, lambda: self.driver.answered, "an answer")
+        self.driver.feed(OFF)
+        self.driver.await_answers(self.spinner)
         assert not any(self.driver.commands[-1])
 
 
@@ -112,12 +110,12 @@ def test_when_this_process_was_held_up_expect_no_torque_for_a_rig_that_has_died_
         monitor.checked -= 0.1
 
     commands = len(around.driver.commands)
-    around.driver.feed(OFF, (0.0, 0.0))
+    around.driver.feed(OFF)
     eventually(around.spinner, lambda: len(around.driver.commands) > commands, "a command")
 
     assert not np.any(around.driver.commands[commands:])
-    eventually(around.spinner, around.aborted, "the abortion")
-    assert around.driver.statuses[-1].reason == f"{SIM_NODE} is dead"
+    aborted = around.driver.await_phase(Phase.ABORTED, around.spinner)
+    assert aborted.reason == f"{SIM_NODE} is dead"
 
 
 @pytest.mark.parametrize("name", [SUPERVISOR_NODE, ESTIMATOR_NODE])
@@ -161,45 +159,24 @@ def test_when_the_recorder_takes_leave_expect_zero_torque(around: Surroundings) 
     around.assert_aborted("nothing is recorded any more")
 
 
-# --- The controller in real time: the same answers, and a watchdog of five milliseconds ---------
-
-
-LOCKSTEP = controller_parameters(300, 200, 300)
-PARAMETERS = build(ControllerParameters, {**flatten(LOCKSTEP), "mode": "realtime"})
-SILENCE = "no sensor sample arrived any more"
-
-
-@pytest.fixture
-def driver(node: Node) -> ScriptedDriver:
-    return ScriptedDriver(node, NAMES)
-
-
-@pytest.fixture
-def controller(launch: Launch, clock: HandedClock) -> ImbicControllerNode:
-    made: ImbicControllerNode = launch(ImbicControllerNode, PARAMETERS)
-    assert made.trigger_configure() is SUCCESS, made.transition_error
-    return made
-
-
-def under_torque(controller: ImbicControllerNode, driver: ScriptedDriver, spinner: Spinner) -> None:
-    """Activate, and feed some samples at once, which are answered at once."""
+def test_when_a_sample_comes_after_a_stall_before_anyone_looked_expect_an_abort_all_the_same(
+    node: Node, launch: Launch, spinner: Spinner, clock: HandedClock
+) -> None:
+    driver = ScriptedDriver(node, NAMES)
+    controller: ImbicControllerNode = launch(
+        ImbicControllerNode, controller_parameters(300, 200, 300), {"mode": "realtime"}
+    )
+    assert controller.trigger_configure() is SUCCESS, controller.transition_error
     assert controller.trigger_activate() is SUCCESS, controller.transition_error
     driver.wait_for_controller()
-    for _ in range(20):
-        driver.feed(OFF, (0.0, 0.0))
-    eventually(spinner, lambda: driver.answered, "an answer to every sample")
+    driver.feed(OFF, ticks=20)
+    driver.await_answers(spinner)
     assert any(command != (0.0, 0.0) for command in driver.commands)
 
-
-def test_when_a_sample_comes_after_a_stall_before_anyone_looked_expect_an_abort_all_the_same(
-    controller: ImbicControllerNode, driver: ScriptedDriver, spinner: Spinner, clock: HandedClock
-) -> None:
-    under_torque(controller, driver, spinner)
     # Nothing is spun: the process is held up, and finds timer and sample waiting afterwards.
     clock.now += 0.02
     controller._on_reading(0, driver.stamp_ns, OFF)
     controller._on_reading(1, driver.stamp_ns, (0.0, 0.0))
 
-    eventually(spinner, lambda: driver.has_said(Phase.ABORTED), "an abort")
-
-    assert driver.statuses[-1].reason == SILENCE
+    aborted = driver.await_phase(Phase.ABORTED, spinner)
+    assert aborted.reason == "no sensor sample arrived any more"
