@@ -40,7 +40,7 @@ QUICK_TESTS = (
     "test_perturbation_signal.py",
     "test_scores.py",
     "test_sensor_readings.py",
-    "test_study_conditions.py",
+    "test_realtime_config.py",
 )
 """One quick file of tests of each package; `make colcon` runs all of them, which takes minutes."""
 
