@@ -48,14 +48,14 @@ def _truth(joints: int) -> MBK:
 
 def _estimator(joints: int = 2) -> EstimatorSummary:
     truth = _truth(joints)
-    matrices: dict[str, Any] = {letter: getattr(truth, letter).tolist() for letter in "MBK"}
+    scores = {"lack_of_fit": 1.0, "coherence_torque": 0.98, **GOOD}
+    matrices: dict[str, Any] = {name: _square(value, joints) for name, value in scores.items()}
     for letter in "MBK":
+        matrices[letter] = getattr(truth, letter).tolist()
         matrices[f"{letter}_se"] = _square(0.0, joints)
         matrices[f"{letter}_ci"] = [[[0.0, 0.0]] * joints] * joints
-    scores = {"lack_of_fit": 1.0, "coherence_torque": 0.98, **GOOD}
     return EstimatorSummary(
         **matrices,
-        **{name: _square(value, joints) for name, value in scores.items()},
         covariance=[[0.0] * (3 * joints**2)] * (3 * joints**2),
         coherence_motion=[0.97] * joints,
     )
