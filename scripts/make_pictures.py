@@ -1,7 +1,7 @@
 """Make the pictures of README and docs, and keep a digest of what they were made with.
 
 ``make pictures`` makes those again whose sources have changed since; ``ARGS=coverage`` one of
-them, whatever its sources. ``tests/test_pictures.py`` fails as long as one is out of date. Studies
+them, whatever its sources. ``tests/test_pages.py`` fails as long as one is out of date. Studies
 take up to an hour; only what draws their figures counts as their source, not all that they run.
 """
 

@@ -7,10 +7,8 @@ from pathlib import Path
 import pytest
 
 from armimp_common import topics
-from armimp_common.cdr import JointStateDecoder, JointStateEncoder
-from armimp_common.topics import PERIOD_NS
 from support.bag_files import STORE, write_bag, write_foreign
-from support.command import Told, behaved, refused
+from support.command import refused
 from support.synthetic_bags import Message, recorded_arm
 
 SAMPLES = 1800
@@ -31,10 +29,6 @@ def foreign(path: Path, messages: Sequence[Message], types: dict[str, str] = TYP
 @pytest.fixture(scope="module")
 def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write(tmp_path_factory.mktemp("good") / "bag", joint_names=json.dumps(NAMES))
-
-
-def numbers(told: Told) -> object:
-    return json.loads(told.out)["estimators"]
 
 
 def both_refuse(bag: Path) -> str:
@@ -69,36 +63,6 @@ class TestContent:
         line = both_refuse(bag)
         assert kind in line
         assert topics.JOINT_STATES in line
-
-
-class TestContradictions:
-    """Two messages with one stamp, the torques of the first being twice those of the second."""
-
-    @staticmethod
-    def doubled(path: Path, ticks: range) -> Path:
-        stamps = {1_000_000 * tick for tick in ticks}
-        decoder = JointStateDecoder(NAMES, "effort")
-        encoder = JointStateEncoder(NAMES, "effort")
-        messages: list[Message] = []
-        for topic, log_time_ns, raw in MESSAGES:
-            if topic == topics.TORQUE_SENSORS and log_time_ns in stamps:
-                stamp_ns, values = decoder.decode(raw)
-                twice = encoder.encode(stamp_ns, [2.0 * value for value in values])
-                messages.append((topic, log_time_ns, twice))
-            messages.append((topic, log_time_ns, raw))
-        return write(path, messages)
-
-    def test_some_are_left_out_like_gaps(self, tmp_path: Path) -> None:
-        ticks = range(700, 730)
-        contradictory = self.doubled(tmp_path / "bag", ticks)
-        assert "samples of torque_sensors contradict themselves: 30" in both_refuse(contradictory)
-        gone = {(topics.TORQUE_SENSORS, tick * PERIOD_NS) for tick in ticks}
-        lost = write(tmp_path / "lost", [m for m in MESSAGES if m[:2] not in gone])
-        told = behaved("estimate", str(contradictory), "--allow-gaps", "--json")
-        assert numbers(told) == numbers(behaved("estimate", str(lost), "--allow-gaps", "--json"))
-        trial = json.loads(told.out)["trials"][0]
-        assert trial["streams"][topics.TORQUE_SENSORS]["contradictory"] == 30
-        assert trial["excluded"] == 30
 
 
 class TestFiles:

@@ -1,4 +1,4 @@
-"""Wrong values of options: one line with the value, exit status 2 (or 1), nothing left behind."""
+"""Wrong options and configurations: one line with the value, exit status 2 (or 1), nothing left."""
 
 from pathlib import Path
 
@@ -62,7 +62,27 @@ def test_a_wrong_value_of_run_ends_in_one_line_with_the_value(
     assert not made
 
 
-@pytest.mark.parametrize("name", ["no\nwhere", "\x1b[31mred", "a\u2028b"])
+@pytest.mark.parametrize(
+    ("arguments", "status", "words"),
+    [
+        (["estimate", __file__], 1, "neither an MCAP nor an SQLite3 file"),
+        (["replay", __file__], 1, "neither an MCAP nor an SQLite3 file"),
+        (["estimate", str(Path(__file__).parent)], 1, "is not a bag"),
+        (["run", "--frition", "2"], 2, "--friction"),
+        (["estimat", "nowhere"], 2, "Did you mean 'estimate'"),
+        (["estimate"], 2, "bags"),
+        (["frobnicate"], 2, "frobnicate"),
+    ],
+)
+def test_what_is_no_bag_or_no_command_is_named(
+    arguments: list[str], status: int, words: str
+) -> None:
+    told = refused(*arguments)
+    assert told.status == status
+    assert words in told.err
+
+
+@pytest.mark.parametrize("name", ["nowhere", "no\nwhere", "\x1b[31mred", "a\u2028b"])
 @pytest.mark.parametrize("command", ["estimate", "replay"])
 def test_a_name_with_strange_characters_is_shown_on_one_line(command: str, name: str) -> None:
     told = refused(command, name)
@@ -76,3 +96,87 @@ def test_a_name_that_is_not_text_is_refused_whatever_it_names(command: str) -> N
     told = refused(command, "no\udcffwhere")
     assert told.status == 1
     assert told.err == "armimp: no\\udcffwhere: its name is not UTF-8\n"
+
+
+# --- Parameter files of every wrong kind: one line with the file or the value, and exit status 2
+
+
+COMMANDS = (("run",), ("reproduce", "--no-figures"))
+
+NOT_YAML = {
+    "binary": bytes(range(256)),
+    "unclosed": b"a: [",
+    "undefined alias": b"*nowhere",
+    "foreign tag": b"friction: !level 3",
+    "tag of Python": b"!!python/object/apply:os.system ['true']",
+}
+
+WRONG = {
+    # Shapes of the file
+    "[1, 2]": "not [1, 2]",
+    # Names
+    "colour: red": "'colour' does not exist",
+    '"a\\nb": 1': r"'a\nb' does not exist",
+    "arm_sim: {1: 2}": "arm_sim[1]",
+    "frition: 2": "'frition' does not exist; the nearest valid name is 'friction'",
+    "arm_sim: {arm: {inertai: [1.0]}}": "'arm.inertai' does not exist; the nearest valid name",
+    "arm_sim: {'arm.inertia': {x: 3}}": "'arm.inertia.x' does not exist",
+    # Types
+    "friction: high": "'friction' = \"high\"",
+    'mode: "a\\nb"': r"'mode' = " + '"a\\nb"',
+    "estimators: lpm_full": "'estimators' = \"lpm_full\"",
+    "estimators: []": "'estimators' needs distinct names",
+    "estimators: [guess]": "there is no 'guess'",
+    "arm_sim: null": "'arm_sim' = None",
+    "impedance_estimator: {directory: 5}": "'directory' = 5",
+    "impedance_estimator: {metadata: '[1]'}": "'metadata' is not a JSON object of strings: '[1]'",
+    # Shapes of matrices
+    "arm_sim: {arm: {inertia: [[1, 0], [0]]}}": "'arm.inertia' = [[1, 0], [0]]: rows differ",
+    "arm_sim: {arm: {inertia: [[1, 0, 0, 1]]}}": "'arm.inertia' has 1 row for 4 columns",
+    "arm_sim: {arm: {inertia: [1.0]}}": "'arm.inertia' has 1 values, needs 4",
+    "arm_sim: {joints: []}": "0 joints",
+    # Numbers
+    "duration: .nan": "'duration' = nan",
+    "arm_sim: {seed: 99999999999999999999}": "'seed' = 99999999999999999999: is too large",
+    # Physics
+    "arm_sim: {arm: {inertia: [-1.0, 0.0, 0.0, 1.0]}}": "inertia of joint 1 must be positive",
+    "arm_sim: {arm: {stiffness: [1.0e+300, 0, 0, 1.0]}}": "'arm.stiffness' = 1e+300: is too large",
+    "arm_sim: {arm: {stiffness: [1.0e+20, 0, 0, 1.0]}}": "|h·λ|",
+    "imbic_controller: {law: {internal_model: tde, model_inertia: [9.0, 0.0, 0.0, 9.0]}}": (
+        "unstable when sampled"
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("parameters") / "experiment.yaml"
+
+
+def complaint(config: Path, content: bytes | str) -> str:
+    """What both commands that take such a file say of it."""
+    config.write_bytes(content if isinstance(content, bytes) else content.encode())
+    out = config.parent / "out"
+    told = [refused(*command, "--config", str(config), "--out", str(out)) for command in COMMANDS]
+    assert {one.status for one in told} == {2}
+    assert len({one.err for one in told}) == 1
+    assert not out.exists()
+    return told[0].err
+
+
+@pytest.mark.parametrize("kind", NOT_YAML)
+def test_what_is_not_yaml_is_named(kind: str, config: Path) -> None:
+    told = complaint(config, NOT_YAML[kind])
+    assert told.startswith(
+        (f"armimp: {config}: is not a text file", f"armimp: {config}: cannot be read as YAML: ")
+    )
+
+
+@pytest.mark.parametrize("text", WRONG)
+def test_a_wrong_value_is_named(text: str, config: Path) -> None:
+    assert WRONG[text] in complaint(config, text)
+
+
+@pytest.mark.parametrize("text", ["arm_sim: &a {b: *a}", "&a {arm_sim: *a}", "estimators: &a [*a]"])
+def test_a_file_that_contains_itself_is_refused(text: str, config: Path) -> None:
+    assert "cannot be read as YAML: the alias *a is not allowed" in complaint(config, text)

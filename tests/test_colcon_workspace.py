@@ -40,7 +40,7 @@ QUICK_TESTS = (
     "test_perturbation_signal.py",
     "test_scores.py",
     "test_sensor_readings.py",
-    "test_study_conditions.py",
+    "test_realtime_config.py",
 )
 """One quick file of tests of each package; `make colcon` runs all of them, which takes minutes."""
 
@@ -89,6 +89,15 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     return built
 
 
+def content(folder: Path) -> dict[Path, bytes]:
+    """Files by their path, without what Python has compiled."""
+    return {
+        path.relative_to(folder): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+
+
 @pytest.mark.parametrize("package", PACKAGES)
 def test_every_package_is_installed_where_ros_looks(workspace: Workspace, package: str) -> None:
     prefix = workspace.install / package
@@ -97,25 +106,12 @@ def test_every_package_is_installed_where_ros_looks(workspace: Workspace, packag
     executables = prefix / "lib" / package
     found = sorted(path.name for path in executables.iterdir()) if executables.exists() else []
     assert found == EXECUTABLES[package]
-    for folder in SHARED:
-        sources = SOURCES / package / folder
-        expected = {path.name: path.read_bytes() for path in sources.glob("*")}
-        installed = (workspace.share(package) / folder).glob("*")
-        assert {path.name: path.read_bytes() for path in installed} == expected
-
-
-@pytest.mark.parametrize("package", PACKAGES)
-def test_every_file_of_the_modules_is_installed(workspace: Workspace, package: str) -> None:
-    (installed,) = (workspace.install / package / "lib").glob("python*/site-packages")
-
-    def files(root: Path) -> set[str]:
-        return {
-            str(path.relative_to(root))
-            for path in (root / package).rglob("*")
-            if path.is_file() and "__pycache__" not in path.parts
-        }
-
-    assert files(installed) == files(SOURCES / package)
+    (modules,) = (prefix / "lib").glob("python*/site-packages")
+    for folder, installed in (
+        (package, modules / package),
+        *((one, workspace.share(package) / one) for one in SHARED),
+    ):
+        assert content(installed) == content(SOURCES / package / folder)
 
 
 def test_an_installed_node_takes_part_in_the_graph(workspace: Workspace, node: Node) -> None:

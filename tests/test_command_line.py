@@ -83,14 +83,11 @@ def screens(command: list[str], columns: int) -> list[list[str]]:
     return seen
 
 
-def ran(directory: Path, columns: int) -> Seen:
-    command = [sys.executable, "-c", PROGRAM, *SHORT, "--out", str(directory)]
-    return Seen(directory=directory, screens=screens(command, columns))
-
-
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> Seen:
-    return ran(tmp_path_factory.mktemp("experiment") / "A", 80)
+    directory = tmp_path_factory.mktemp("experiment") / "A"
+    command = [sys.executable, "-c", PROGRAM, *SHORT, "--out", str(directory)]
+    return Seen(directory=directory, screens=screens(command, 80))
 
 
 @pytest.fixture(scope="module")
@@ -185,37 +182,6 @@ def test_help_of_run_states_the_defaults_of_the_configuration(
         assert re.search(rf"--{name} [^\[]*\[default: \({shown}\)\]", text), name
 
 
-@pytest.mark.parametrize(
-    ("arguments", "status", "words"),
-    [
-        (["estimate", "nowhere"], 1, "nowhere: does not exist"),
-        (["replay", "nowhere"], 1, "nowhere: does not exist"),
-        (["estimate", __file__], 1, "neither an MCAP nor an SQLite3 file"),
-        (["replay", __file__], 1, "neither an MCAP nor an SQLite3 file"),
-        (["estimate", str(Path(__file__).parent)], 1, "is not a bag"),
-        (["run", "--frition", "2"], 2, "--friction"),
-        (["estimat", "nowhere"], 2, "Did you mean 'estimate'"),
-        (["estimate"], 2, "bags"),
-        (["frobnicate"], 2, "frobnicate"),
-        (["run", "--frobnicate"], 2, "--frobnicate"),
-    ],
-)
-def test_an_error_of_the_user_ends_in_one_line_with_the_offending_value(
-    arguments: list[str],
-    status: int,
-    words: str,
-    capfd: pytest.CaptureFixture[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main(arguments) == status
-    captured = capfd.readouterr()
-    assert captured.err.count("\n") == 1
-    assert words in captured.err
-    assert captured.out == ""
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("processes", ["composed", "separate"])
 def test_when_interrupted_expect_closed_bags_exit_status_1_and_no_process_left(
@@ -242,8 +208,9 @@ def test_when_interrupted_expect_closed_bags_exit_status_1_and_no_process_left(
     assert not processes_of(out)
 
 
-def assert_shown(seen: Seen) -> None:
-    """The trials, the verdict, the place, and no progress any more."""
+def test_the_last_screen_has_the_trials_the_verdict_and_the_place_and_no_progress(
+    seen: Seen,
+) -> None:
     last = [line for line in seen.screens[-1] if line]
     assert [line for line in last if "bags/trial_2_joint_2" in line]
     assert "valid" in last
@@ -262,9 +229,3 @@ def assert_shown(seen: Seen) -> None:
         line.split(",")[0] for screen in seen.screens for line in screen if line.endswith(" s")
     }
     assert {"starting", "estimating", "drawing figures and report"} <= phases
-
-
-def test_the_last_screen_has_the_trials_the_verdict_and_the_place_and_no_progress(
-    seen: Seen,
-) -> None:
-    assert_shown(seen)

@@ -14,9 +14,11 @@ from armimp_bringup.offline_estimate import estimate_bags
 from armimp_bringup.orchestrator import run_experiment
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE
 from armimp_estimation.bags import read_bag
+from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.result import Result
 from armimp_sim.presets import human_arm
+from support.synthetic_trials import worst_errors
 
 SOURCES = Path(__file__).resolve().parents[1] / "ros2_ws" / "src"
 pytestmark = [pytest.mark.usefixtures("environment"), pytest.mark.slow]
@@ -53,22 +55,16 @@ def nodes(start: Callable[..., object]) -> None:
 def figures(told: Result) -> dict[str, float]:
     """The worst of each figure of merit of `lpm_full` over all elements; the test knows the arm."""
     result, estimate = told.summary.estimators["lpm_full"], told.curves["lpm_full"]
-    arm = human_arm(2)
-    s = 2j * np.pi * estimate.f
-    true = sum(
-        matrix[:, :, None] * s**power
-        for matrix, power in ((arm.inertia, 2), (arm.damping, 1), (arm.stiffness, 0))
-    )
+    rig = human_arm(2)
+    arm = MBK(M=rig.inertia, B=rig.damping, K=rig.stiffness)
+    true = arm.impedance(estimate.f)
     missed = np.sum(np.abs(true - estimate.Z) ** 2, axis=2) / np.sum(np.abs(true) ** 2, axis=2)
     found = {
         "VAF": float(np.min(100.0 * (1.0 - missed))),
         "R2": float(np.min(np.array(result.r2))),
         "coherence": float(np.min(result.coherence_derived)),
+        **{name: 100.0 * error for name, error in worst_errors(result, arm).items()},
     }
-    pairs = {"M": arm.inertia, "B": arm.damping, "K": arm.stiffness}
-    for name, matrix in pairs.items():
-        error = np.abs(np.array(getattr(result, name)) / matrix - 1.0)
-        found[name] = 100.0 * float(np.max(error))
     print({name: round(value, 4) for name, value in found.items()})
     return found
 

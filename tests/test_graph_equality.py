@@ -1,6 +1,5 @@
 """One experiment, whichever way it runs: the same samples and results to the last bit."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,9 +11,7 @@ from armimp_bringup.parameters import node_parameters
 from armimp_common.topics import (
     PERTURBATION,
 )
-from armimp_estimation.bags import read_bag
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.result import conclude
 from armimp_estimation.summary import read_frf
 from support.runs import FinishedRun, Run
 
@@ -52,23 +49,6 @@ def test_composed_and_separate_processes_give_the_same_results(
 
 def test_graph_and_loop_without_ros_give_the_same_bits(composed: FinishedRun) -> None:
     composed.assert_same_as_offline(offline())
-
-
-def test_graph_and_its_bags_give_the_same_results(composed: FinishedRun) -> None:
-    contents = [read_bag(bag) for bag in composed.bags]
-    trials = [
-        replace(content.trials[0], bag=trial.bag, rtf=trial.rtf)
-        for content, trial in zip(contents, composed.summary.trials, strict=True)
-    ]
-
-    summary = conclude(
-        trials,
-        metadata=contents[1].metadata,
-        joint_names=("shoulder", "elbow"),
-        estimators=tuple(composed.summary.estimators),
-    ).summary
-
-    assert summary == composed.summary
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -47,34 +48,6 @@ WITNESS = Path(__file__).parent / "kill_witness.py"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Seen:
-    """What the witness saw, each with the monotonic time at which it did."""
-
-    torques: list[float]
-    """Commands other than zero."""
-    resting: bool
-    """Whether the last command was zero."""
-    stamps: list[tuple[float, int]]
-    """Perturbation messages, by their stamp (ns)."""
-    statuses: list[tuple[float, TrialStatus]]
-    reports: list[tuple[float, str, str]]
-    """Of the simulator: message, and the torque that it applies."""
-
-    @classmethod
-    def read(cls, file: Path) -> "Seen":
-        seen = json.loads(file.read_text())
-        return cls(
-            torques=seen["torques"],
-            resting=seen["resting"],
-            stamps=[(moment, stamp_ns) for moment, stamp_ns in seen["stamps"]],
-            statuses=[
-                (moment, TrialStatus.from_values(values)) for moment, values in seen["statuses"]
-            ],
-            reports=[(moment, message, applied) for moment, message, applied in seen["reports"]],
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
 class Kill:
     """An experiment of which one process was killed."""
 
@@ -84,11 +57,12 @@ class Kill:
     """When (monotonic, s)."""
     ended: float
     """When the orchestrator had ended."""
-    status: int
-    """Its exit status."""
+    exit_status: int
+    """That of the orchestrator."""
     errors: str
     """Its standard error."""
-    seen: Seen
+    seen: dict[str, Any]
+    """What the witness saw, each with the monotonic time at which it did."""
     stalls: list[tuple[float, float]]
     """Times in which the machine held everything up."""
 
@@ -103,28 +77,24 @@ class Kill:
     def last_torque(self) -> float:
         """When (s after the kill) the last command other than zero came; 0 if none did."""
         # A kill in the first moments of a trial may come before the first torque.
-        return max(map(self.after, self.seen.torques), default=0.0)
+        return max(map(self.after, self.seen["torques"]), default=0.0)
 
     def after(self, moment: float) -> float:
         return moment - self.time
 
-    @property
-    def aborted(self) -> tuple[float, str]:
-        """When (s after the kill) the controller aborted, and why."""
-        return next(
-            (self.after(moment), status.reason)
-            for moment, status in self.seen.statuses
-            if status.phase is Phase.ABORTED
-        )
+    def status(self, phase: Phase) -> tuple[float, TrialStatus]:
+        """The first announcement of a phase, and when (s after the kill) it came."""
+        for moment, values in self.seen["statuses"]:
+            if (status := TrialStatus.from_values(values)).phase is phase:
+                return self.after(moment), status
+        raise AssertionError(f"nobody announced {phase}")
 
     @property
     def fault(self) -> tuple[float, str, str]:
-        """The first report after the kill of a simulator that does not run."""
-        return next(
-            report
-            for report in self.seen.reports
-            if report[0] > self.time and report[1] != "running"
-        )
+        """The first report after the kill of a simulator that does not run, and its torque."""
+        late = (one for one in self.seen["reports"] if one[0] > self.time)
+        moment, message, applied = next(one for one in late if one[1] != "running")
+        return moment, message, applied
 
 
 @contextmanager
@@ -147,11 +117,6 @@ def event(file: Path, name: str) -> str | None:
     """What the program tells under this name, if it does already."""
     lines = file.read_text().splitlines() if file.exists() else []
     return next((line.split()[1] for line in lines if line.split()[0] == name), None)
-
-
-def end(process: "subprocess.Popen[str]") -> None:
-    process.kill()
-    process.wait()
 
 
 def kill(
@@ -202,7 +167,8 @@ def kill(
                     time.sleep(0.05)
             assert not processes_of(out), "processes are left over"
         finally:
-            end(experiment)
+            experiment.kill()
+            experiment.wait()
             for orphan in processes_of(out):
                 os.kill(orphan, signal.SIGKILL)
         moment = event(events, "killed")
@@ -212,16 +178,16 @@ def kill(
             victim=victim,
             time=float(moment),
             ended=ended,
-            status=experiment.returncode,
+            exit_status=experiment.returncode,
             errors=(directory / "errors").read_text(),
-            seen=Seen.read(seen),
+            seen=json.loads(seen.read_text()),
             stalls=clock.stalls,
         )
 
 
 def assert_named(done: Kill) -> None:
     """The orchestrator says who died, as the first problem of the result, and exits 1."""
-    assert done.status == 1
+    assert done.exit_status == 1
     summary = json.loads((done.directory / "summary.json").read_text())
     assert not summary["valid"]
     first = summary["problems"][0]["sentence"]
@@ -238,9 +204,9 @@ def assert_told(done: Kill) -> float:
         assert message.startswith(f"{CONTROLLER_NODE} ") or message == "stopped"
         assert applied == "0.0 0.0"
     else:
-        told, reason = done.aborted
-        assert reason
-        assert done.seen.resting
+        told, aborted = done.status(Phase.ABORTED)
+        assert aborted.reason
+        assert done.seen["resting"]
     return told
 
 
@@ -258,14 +224,9 @@ def assert_safe_in_time(done: Kill, figures: Figures) -> None:
 
 def assert_recorded(done: Kill) -> None:
     """The bag so far can be read, and lacks a tenth of a second at most."""
-    start_ns = next(
-        status.start_ns
-        for _, status in done.seen.statuses
-        if status.phase is Phase.PERTURB and status.start_ns is not None
-    )
-    samples = sum(
-        stamp_ns >= start_ns for moment, stamp_ns in done.seen.stamps if moment < done.time
-    )
+    start_ns = done.status(Phase.PERTURB)[1].start_ns or 0
+    before = [stamp_ns for moment, stamp_ns in done.seen["stamps"] if moment < done.time]
+    samples = sum(stamp_ns >= start_ns for stamp_ns in before)
     assert samples
     (bag,) = (done.directory / "bags").iterdir()
     (trial,) = read_bag(bag).trials
@@ -279,10 +240,10 @@ def test_when_a_node_is_killed_in_a_trial_expect_the_others_safe_even_without_or
 ) -> None:
     done = kill(tmp_path, "moving", victim, blind=5.0, duration=100)
 
-    assert done.seen.torques
+    assert done.seen["torques"]
     assert_told(done)
-    reason = done.fault[1] if victim == CONTROLLER_NODE else done.aborted[1]
-    assert reason.startswith(f"{victim} ")
+    if victim != CONTROLLER_NODE:
+        assert done.status(Phase.ABORTED)[1].reason.startswith(f"{victim} ")
     assert_named(done)
     assert_recorded(done)
 
@@ -290,9 +251,9 @@ def test_when_a_node_is_killed_in_a_trial_expect_the_others_safe_even_without_or
 def test_when_the_orchestrator_is_killed_expect_the_nodes_safe_and_gone(tmp_path: Path) -> None:
     done = kill(tmp_path, "moving", SUPERVISOR_NODE, duration=100)
 
-    assert done.seen.torques
+    assert done.seen["torques"]
     assert_told(done)
-    assert done.status == -signal.SIGKILL
+    assert done.exit_status == -signal.SIGKILL
     assert_recorded(done)
 
 
@@ -323,7 +284,7 @@ def test_when_any_process_is_killed_at_any_moment_expect_the_others_safe(
     done = kill(tmp_path, phase, victim, delay=delay)
 
     if victim == SUPERVISOR_NODE:
-        assert done.status == -signal.SIGKILL
+        assert done.exit_status == -signal.SIGKILL
     else:
         assert_named(done)
     if phase in TRIAL_PHASES:

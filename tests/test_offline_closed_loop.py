@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-from collections import deque
-from collections.abc import Iterator
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -14,12 +10,9 @@ from numpy.typing import NDArray
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import simulate
-from armimp_common.errors import ConfigurationError
 from armimp_control import presets as control_presets
-from armimp_control.laws import NO_JOINT
 from armimp_control.laws.imbic import ImbicConfig
 from armimp_control.laws.law import Controller
-from armimp_control.stability import RigDynamics, check_stability
 from armimp_sim.plant import Plant, PlantConfig
 from support.laws import preset_law
 from support.plants import study_plant
@@ -140,65 +133,3 @@ def test_with_an_observer_drives_can_follow_and_the_arm_feels_little(
     reference, felt = steps("tde")
     assert reference > 15.0
     assert felt > 5.0
-
-
-def _largest_commands(
-    plant: PlantConfig, law: ImbicConfig, joint: int, delay: int
-) -> tuple[float, float]:
-    """Largest command soon after a short push and two seconds later, N·m; limited to 80 N·m."""
-    rig, controller = Plant([plant]), Controller(law, safety=torque_only(80.0))
-    controller.perturb_joint(joint)
-    under_way = deque([np.zeros(law.joints)] * delay)
-    sizes, still = np.zeros(2500), np.zeros((1, law.joints))
-    for tick in range(sizes.size):
-        push = np.full(law.joints, 1.0 if tick < 5 else 0.0)
-        controller.tick(rig.position[0], rig.torque[0], np.zeros(law.joints))
-        under_way.append(controller.command.copy())
-        sizes[tick] = np.max(np.abs(under_way[-1]))
-        rig.tick((under_way.popleft() + push)[None, :], still)
-    return float(np.max(sizes[:100])), float(np.max(sizes[2000:]))
-
-
-_MODELS: list[tuple[control_presets.InternalModel, float, int, int, bool]] = [
-    # Internal model, factor on M̄, delay of commands, delay that the law knows, whether accepted.
-    ("tde", 1.0, 0, 0, True),
-    ("tde", 4.0, 0, 0, False),
-    ("tde", 1.0, 1, 1, False),
-    ("observer", 1.0, 0, 0, True),
-    ("observer", 1.0, 1, 1, True),
-    ("observer", 1.0, 1, 0, False),
-    ("observer", 1.0, 2, 2, False),
-]
-
-
-@pytest.mark.parametrize(("internal_model", "model", "delay", "told", "accepted"), _MODELS)
-def test_what_the_stability_check_accepts_settles_and_what_it_refuses_swings(
-    internal_model: control_presets.InternalModel,
-    model: float,
-    delay: int,
-    told: int,
-    accepted: bool,
-) -> None:
-    """With arms from a third to three times as heavy as known, all roles."""
-    plant = study_plant(0, substeps=50)
-    robot, known = plant.robot.mass_matrix(plant.arm.posture), plant.arm
-    law = _law(plant, internal_model)
-    law = replace(law, model_inertia=model * law.model_inertia)
-    if law.observer is not None:
-        law = replace(law, observer=replace(law.observer, delay=told))
-    dynamics = RigDynamics(command_delay=delay)
-
-    def swings() -> Iterator[bool]:
-        for factor, joint in itertools.product((1.0, 3.0, 1.0 / 3.0), (0, 1, NO_JOINT)):
-            arm = replace(known, inertia=factor * known.inertia)
-            first, last = _largest_commands(replace(plant, arm=arm), law, joint, delay)
-            assert last > 79.0 or last < 0.3 * first, (factor, joint, first, last)
-            yield last > 79.0
-
-    if accepted:
-        check_stability(law, robot_inertia=robot, arm_inertia=known.inertia, dynamics=dynamics)
-        assert not any(swings())
-    else:
-        with pytest.raises(ConfigurationError, match="unstable when sampled"):
-            check_stability(law, robot_inertia=robot, arm_inertia=known.inertia, dynamics=dynamics)
-        assert any(swings())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,16 +9,15 @@ import numpy as np
 import pytest
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.offline import SimulatedExperiment, run_offline, simulate
+from armimp_bringup.offline import run_offline, simulate
 from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_common.status import Phase, TrialStatus
 from armimp_common.topics import PERIOD_NS
 from armimp_control.trial_sequencer import TrialSequencer
-from armimp_estimation.identify import EstimatorResult
-from armimp_estimation.mbk import MBK
 from armimp_estimation.metadata import Metadata
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_sim.simulator import SimulatedRig
+from support.synthetic_trials import worst_errors
 
 TARE = {"tare": {"duration": 0.6, "wait": 0.4}}
 OFFSET, DRIFT = [0.8, -0.5], [0.02, -0.01]
@@ -59,45 +57,17 @@ CASES: dict[str, ExperimentConfig] = {
 }
 
 
-@functools.cache
-def simulated(name: str) -> SimulatedExperiment:
-    """A case."""
-    (experiment,) = simulate([CASES[name]])
-    return experiment
-
-
-def truth() -> MBK:
-    return simulated("prompt").truth
-
-
-@functools.cache
-def estimated(name: str) -> EstimatorResult:
-    """What `lpm_full` makes of a case, knowing of the readings."""
-    return simulated(name).identify(["lpm_full"]).estimators["lpm_full"]
-
-
-def errors(result: EstimatorResult) -> dict[str, float]:
-    """Largest relative error of each matrix."""
-    found = result.fit.mbk
-    return {
-        name: float(np.max(np.abs(getattr(found, name) / getattr(truth(), name) - 1.0)))
-        for name in ("M", "B", "K")
-    }
-
-
-def vaf(result: EstimatorResult) -> float:
-    assert result.vaf is not None
-    return float(np.min(result.vaf))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_what_is_known_of_the_sensors_costs_no_accuracy(name: str) -> None:
-    found = errors(estimated(name))
+    (experiment,) = simulate([CASES[name]])
+    result = experiment.identify(["lpm_full"]).estimators["lpm_full"]
+    found = worst_errors(result.fit.mbk, experiment.truth)
     assert found["M"] < 0.004
     assert found["B"] < 0.006
     assert found["K"] < 0.006
-    assert vaf(estimated(name)) > 99.9
+    assert result.vaf is not None
+    assert np.min(result.vaf) > 99.9
 
 
 @pytest.mark.slow

@@ -32,19 +32,16 @@ def figures(processes: Processes, tick: float, lost: int = 0) -> dict[str, Measu
     return {one.key.removeprefix(f"{processes}_"): one for one in measured}
 
 
-def test_parts_and_rest_of_a_composed_tick_add_up() -> None:
-    found = figures("composed", 85e-6)
+# Recording is no part of a tick of separate processes.
+@pytest.mark.parametrize(
+    ("processes", "recording"), [("composed", ["recording"]), ("separate", [])]
+)
+def test_parts_and_rest_of_a_tick_add_up(processes: Processes, recording: list[str]) -> None:
+    found = figures(processes, 85e-6)
 
-    parts = ("bare", "plant", "law", "codecs", "recording", "rest")
+    parts = ("bare", "plant", "law", "codecs", *recording, "rest")
     assert sum(found[part].value for part in parts) == pytest.approx(found["graph"].value)
     assert found["bare"].value == pytest.approx(40.0)
-
-
-def test_recording_is_no_part_of_a_tick_of_separate_processes() -> None:
-    found = figures("separate", 400e-6)
-
-    parts = ("bare", "plant", "law", "codecs", "rest")
-    assert sum(found[part].value for part in parts) == pytest.approx(found["graph"].value)
 
 
 @pytest.mark.parametrize(("tick", "met"), [(80e-6, True), (82e-6, False)])
@@ -65,14 +62,6 @@ def test_a_lost_sample_and_a_slow_trial_miss_the_target() -> None:
     assert not figures("composed", 85e-6)["lost"].missed
     assert not figures("composed", 194e-6)["slowest"].missed
     assert figures("composed", 196e-6)["slowest"].missed
-
-
-def test_how_much_the_machine_was_disturbed_is_told_beside() -> None:
-    found = figures("composed", 85e-6)
-
-    assert found["disturbance"].value == pytest.approx(1.5)
-    assert found["stolen"].value == pytest.approx(5e-6)
-    assert found["disturbance"].limit is found["stolen"].limit is None
 
 
 def test_lost_samples_are_a_figure_and_whatever_else_spoils_a_run_is_an_error(

@@ -1,4 +1,4 @@
-"""`make bench ARGS=start`, `memory` and `growth`: structure and sanity of their figures."""
+"""`make bench` of runs, of estimates and of the study: structure and sanity of the figures."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ from typing import Any
 
 import pytest
 
+from armimp_bringup.bench import available_cores
 from armimp_common.errors import GraphError
-from benchmarks import growth
+from benchmarks import estimate, growth, study
 from benchmarks.__main__ import main
 from benchmarks.command_run import run_command
+from benchmarks.study import TARGET
 
 pytestmark = pytest.mark.slow
 
@@ -45,3 +47,58 @@ def test_a_real_run_is_measured(measure: Measure, monkeypatch: pytest.MonkeyPatc
 def test_when_a_run_has_no_result_expect_its_last_words(tmp_path: Path) -> None:
     with pytest.raises(GraphError, match=r"ended without result: armimp: .*'friction' = 9"):
         run_command(tmp_path / "out", "--friction", "9")
+
+
+# --- `make bench ARGS=estimate`: reading and estimating bags is timed, and has a limit ----------
+
+
+def test_reading_and_estimating_are_timed_against_the_limit(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(estimate, "SAMPLES", 10_000)
+    monkeypatch.setattr(estimate, "_REPEATS", 1)
+    monkeypatch.setattr(estimate, "TARGET", 1e-9)
+
+    # A target that nothing can meet makes the exit status 1.
+    assert main(["estimate", "--json"]) == 1
+
+    figures = json.loads(capsys.readouterr().out)["benchmarks"]["estimate"]
+    assert list(figures) == ["read", "welch_siso", "lpm_full", "trial"]
+    assert all(one["value"] > 0.0 for one in figures.values())
+    assert (figures["trial"]["limit"], figures["trial"]["met"]) == (1e-9, False)
+    assert figures["read"]["limit"] is None
+
+
+# --- `make bench ARGS=study`: figures that are positive and consistent, and the file ------------
+
+
+@pytest.fixture
+def brief(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Measurements as short as they can be."""
+    for name, value in (("TRIAL", 10.0), ("_SCALAR", 0.02), ("_BATCH", 0.02), ("_REPEATS", 1)):
+        monkeypatch.setattr(study, name, value)
+
+
+@pytest.mark.usefixtures("brief")
+def test_study_is_timed_in_one_lane_in_many_and_as_a_whole(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    status = main(["study", "--json"])
+    told = capsys.readouterr()
+    record = json.loads(told.out)
+    assert record["schema"] == 1
+    assert record["machine"]["cores"] == available_cores() >= 1
+    assert "numpy" in record["versions"]
+    figures = record["benchmarks"]["study"]
+    values = {key: one["value"] for key, one in figures.items()}
+    assert set(values) == {
+        "scalar_trial", "batch_trial", "speed_up", "loaded_trial", "estimate", "study",
+    }  # fmt: skip
+    assert all(value > 0.0 for value in values.values())
+    assert values["speed_up"] == pytest.approx(values["scalar_trial"] / values["batch_trial"])
+    # 96 trials in blocks, some lanes of which may be idle, and 48 conditions to estimate.
+    shared = 96 * values["loaded_trial"] + 48 * values["estimate"]
+    assert values["study"] >= 0.99 * shared / available_cores()
+    assert figures["study"]["limit"] == TARGET
+    assert status == (0 if values["study"] <= TARGET else 1)
+    assert "compiling" in told.err

@@ -10,15 +10,13 @@ from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import confidence_radius
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.spectra import WelchConfig
 from research.mimo import MimoEstimate, estimate_mimo
-from support.synthetic_trials import TWO_JOINT_ARM
+from support.synthetic_trials import TWO_JOINT_ARM, WELCH, made_record
 
 pytestmark = pytest.mark.slow
 
 FloatArray = NDArray[np.float64]
 RATE, SAMPLES = 125.0, 6144
-WELCH = WelchConfig(segment=1024, overlap=768)
 CONTROL = MBK(M=0.2 * np.eye(2), B=4.0 * np.eye(2), K=30.0 * np.eye(2))
 
 
@@ -34,17 +32,9 @@ def loop_record(
     push_spectrum = np.fft.rfft(d).T
     motion = np.linalg.solve(arm + control, (np.fft.rfft(x).T - push_spectrum)[:, :, None])
     torque = (arm @ motion)[:, :, 0] + push_spectrum
-    return TrialRecord(
-        trial=seed,
-        perturbed_joint=0,
-        rate=RATE,
-        joint_names=("a", "b"),
-        perturbation=x,
-        position=np.fft.irfft(motion[:, :, 0].T, SAMPLES, axis=1),
-        torque=np.fft.irfft(torque.T, SAMPLES, axis=1) + noise * rng.standard_normal((2, SAMPLES)),
-        start_ns=0,
-        seed=seed,
-    )
+    position = np.fft.irfft(motion[:, :, 0].T, SAMPLES, axis=1)
+    readings = np.fft.irfft(torque.T, SAMPLES, axis=1) + noise * rng.standard_normal((2, SAMPLES))
+    return made_record(position, readings, x, rate=RATE)
 
 
 def estimate(*records: TrialRecord) -> MimoEstimate:

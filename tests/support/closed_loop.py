@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from armimp_bringup.parameters import NodeParameters
 from armimp_common.status import Phase, TrialStatus
-from armimp_common.topics import NS_PER_S, PERIOD_NS
+from armimp_common.topics import PERIOD_NS
 from armimp_control.trial_sequencer import TrialSequencer
 from armimp_estimation.identify import identify
 from armimp_estimation.mbk import MBK
-from armimp_estimation.record import TrialRecord
 from armimp_estimation.trial import TrialData
 from armimp_sim.simulator import SimulatedRig
+from support.synthetic_trials import made_record, worst_errors
 
 ACCURACY = {"VAF": 99.7, "M": 0.02, "B": 0.02, "K": 0.02}
 """What `lpm_full` has to reach in each element: VAF (%), relative errors."""
@@ -46,19 +48,9 @@ class ClosedLoop:
                 continue
             first = status.start_ns // PERIOD_NS
             span = np.s_[:, first : first + status.ticks]
-            record = TrialRecord(
-                trial=status.trial,
-                perturbed_joint=status.joint,
-                rate=NS_PER_S / PERIOD_NS,
-                joint_names=self._parameters.simulator.joints,
-                perturbation=perturbation[span],
-                position=position[span],
-                torque=torque[span],
-                command=command[span],
-                start_ns=status.start_ns,
-                seed=status.seed,
-            )
-            trials.append(TrialData.of(record))
+            told = {"trial": status.trial, "perturbed_joint": status.joint}
+            record = made_record(position[span], torque[span], perturbation[span], **told)
+            trials.append(TrialData.of(replace(record, command=command[span])))
         arm = self._parameters.simulator.human_arm()
         truth = MBK(M=arm.inertia, B=arm.damping, K=arm.stiffness)
         found = identify(trials, ("lpm_full",), truth)
@@ -66,6 +58,5 @@ class ClosedLoop:
         assert found.valid, found.problems
         assert result.vaf is not None
         assert result.vaf.min() >= ACCURACY["VAF"]
-        for name in ("M", "B", "K"):
-            error = getattr(result.fit.mbk, name) / getattr(truth, name) - 1.0
-            assert np.abs(error).max() <= ACCURACY[name], name
+        for name, error in worst_errors(result.fit.mbk, truth).items():
+            assert error <= ACCURACY[name], name

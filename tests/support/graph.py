@@ -237,11 +237,23 @@ class ScriptedDriver:
         """Whether every sample has an answer."""
         return min(len(self.commands), len(self.perturbations)) >= self.tick
 
-    def feed(self, theta: Sequence[float], tau_h: Sequence[float]) -> None:
-        """Publish one sample: angles (rad) and torques on the arm (N·m)."""
-        self.channels[topics.JOINT_STATES].publish(self.stamp_ns, theta)
-        self.channels[topics.TORQUE_SENSORS].publish(self.stamp_ns, tau_h)
-        self.tick += 1
+    def feed(
+        self, theta: Sequence[float], tau_h: Sequence[float] = (0.0, 0.0), ticks: int = 1
+    ) -> None:
+        """Publish samples that are alike: angles (rad) and torques on the arm (N·m)."""
+        for _ in range(ticks):
+            self.channels[topics.JOINT_STATES].publish(self.stamp_ns, theta)
+            self.channels[topics.TORQUE_SENSORS].publish(self.stamp_ns, tau_h)
+            self.tick += 1
+
+    def await_answers(self, spinner: Spinner) -> None:
+        """Wait until every sample has an answer."""
+        eventually(spinner, lambda: self.answered, "an answer to every sample")
+
+    def await_phase(self, phase: Phase, spinner: Spinner) -> TrialStatus:
+        """Wait until the controller announces a phase, and return what it said first of it."""
+        eventually(spinner, lambda: self.has_said(phase), f"the phase {phase.value}")
+        return next(status for status in self.statuses if status.phase is phase)
 
 
 Launch: TypeAlias = Callable[..., Any]

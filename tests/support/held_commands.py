@@ -10,6 +10,7 @@ from scipy import signal
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.torque_timing import TorqueReading
 from support.synthetic_trials import TWO_JOINT_ARM as ARM
+from support.synthetic_trials import made_record
 
 FloatArray = NDArray[np.float64]
 
@@ -87,15 +88,6 @@ def rig_record(
     read = out @ (part @ state + part_driven @ command) + out_direct @ command
     torque = np.zeros((2, SAMPLES))
     torque[:, whole + 1 :] = read[:, : SAMPLES - whole - 1]
-    return TrialRecord(
-        trial=joint + 1,
-        perturbed_joint=joint,
-        rate=RATE,
-        joint_names=("a", "b"),
-        perturbation=perturbation,
-        position=np.round(state[:2] / count) * count if count else state[:2],
-        torque=torque,
-        start_ns=0,
-        seed=1,
-        command=command,
-    )
+    position = np.round(state[:2] / count) * count if count else state[:2]
+    told = {"trial": joint + 1, "perturbed_joint": joint, "command": command}
+    return made_record(position, torque, perturbation, **told)

@@ -495,7 +495,8 @@ QUICK: Final = [
 
 # --- trying them ------------------------------------------------------------------------------
 
-_KILLED_AFTER: Final = 240.0
+_KILLED_AFTER: Final = 240
+"""Seconds."""
 _ADDRESS_SPACE: Final = 8 << 30
 """Bytes, so that what fails does not take the machine with it."""
 
@@ -508,7 +509,7 @@ def forked(work: Callable[[], object], said: Path) -> tuple[int, resource.struct
     pid = os.fork()
     if not pid:
         try:
-            os.setsid()
+            signal.alarm(_KILLED_AFTER)
             limits = (_ADDRESS_SPACE, _ADDRESS_SPACE)
             resource.setrlimit(resource.RLIMIT_AS, limits)
             nothing = os.open(os.devnull, os.O_RDWR)
@@ -521,14 +522,8 @@ def forked(work: Callable[[], object], said: Path) -> tuple[int, resource.struct
             traceback.print_exc()
             sys.stderr.flush()
             os._exit(99)
-    end = time.monotonic() + _KILLED_AFTER
-    while True:
-        found, status, usage = os.wait4(pid, os.WNOHANG)
-        if found:
-            return os.waitstatus_to_exitcode(status), usage
-        if time.monotonic() > end:
-            os.killpg(pid, signal.SIGKILL)
-        time.sleep(0.02)
+    _, status, usage = os.wait4(pid, 0)
+    return os.waitstatus_to_exitcode(status), usage
 
 
 def witnessed(directory: Path) -> dict[str, bytes]:

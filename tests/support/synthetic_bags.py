@@ -12,14 +12,13 @@ from armimp_common.status import Phase, TrialStatus
 from armimp_common.topics import (
     COMMANDS,
     JOINT_STATES,
-    NS_PER_S,
     PERIOD_NS,
     PERTURBATION,
     TORQUE_SENSORS,
     TRIAL,
 )
 from armimp_estimation.record import TrialRecord
-from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
+from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, made_record, synthetic_trial
 
 Message: TypeAlias = tuple[str, int, bytes]
 """Topic of the contract, log time (ns) and serialised message."""
@@ -61,20 +60,10 @@ def synthetic_recording(
         torque = rng.normal(size=(len(names), ticks))
         perturbation = np.zeros(torque.shape)
         perturbation[joint] = rng.uniform(0.1, 1.0, ticks)
-        records.append(
-            TrialRecord(
-                trial=0,
-                perturbed_joint=joint,
-                rate=NS_PER_S / PERIOD_NS,
-                joint_names=names,
-                perturbation=perturbation,
-                position=np.cumsum(rng.normal(scale=1e-3, size=torque.shape), axis=1),
-                torque=torque,
-                start_ns=0,
-                seed=seed,
-                command=torque + perturbation,
-            )
-        )
+        position = np.cumsum(rng.normal(scale=1e-3, size=torque.shape), axis=1)
+        told = {"perturbed_joint": joint, "joint_names": names, "seed": seed}
+        command = torque + perturbation
+        records.append(made_record(position, torque, perturbation, command=command, **told))
     made = recording_of(records, settle=settle, rest=rest, start_ns=start_ns)
     return replace(made, messages=made.messages[:-1])  # without the end
 

@@ -5,7 +5,8 @@ perturbation, so the only errors of an estimate are those of the estimator.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,17 +115,56 @@ def synthetic_trial(arm: MBK, joint: int, config: SyntheticConfig, seed: int) ->
     torques = (impedance @ angles)[:, :, 0].T + voluntary
     position = np.fft.irfft(angles[:, :, 0].T, samples, axis=1)
     torque = np.fft.irfft(torques, samples, axis=1)
-    return TrialRecord(
+    return made_record(
+        position + config.position_noise * rng.standard_normal((n, samples)),
+        torque + config.torque_noise * rng.standard_normal((n, samples)),
+        np.fft.irfft(force, samples, axis=1),
         trial=joint + 1,
         perturbed_joint=joint,
         rate=config.rate,
-        joint_names=tuple(f"joint_{i + 1}" for i in range(n)),
-        perturbation=np.fft.irfft(force, samples, axis=1),
-        position=position + config.position_noise * rng.standard_normal((n, samples)),
-        torque=torque + config.torque_noise * rng.standard_normal((n, samples)),
-        start_ns=0,
         seed=seed,
     )
+
+
+def made_record(
+    position: FloatArray,
+    torque: FloatArray | None = None,
+    perturbation: FloatArray | None = None,
+    /,
+    **changes: Any,
+) -> TrialRecord:
+    """A trial that perturbs the first joint, with zeros for what is not given."""
+    none = np.zeros(position.shape)
+    values: dict[str, Any] = {
+        "trial": 1,
+        "perturbed_joint": 0,
+        "rate": 1000.0,
+        "joint_names": tuple(f"joint_{i + 1}" for i in range(len(position))),
+        "perturbation": none if perturbation is None else perturbation,
+        "position": position,
+        "torque": none if torque is None else torque,
+        "start_ns": 0,
+        "seed": None,
+    }
+    return TrialRecord(**{**values, **changes})
+
+
+def part_of(record: TrialRecord, start: int, stop: int) -> TrialRecord:
+    """The samples of a trial from one to another, without its commands."""
+    names = ("perturbation", "position", "torque")
+    parts = {name: getattr(record, name)[:, start:stop] for name in names}
+    start_ns = record.start_ns + round(start * 1e9 / record.rate)
+    return replace(record, **parts, start_ns=start_ns, command=None)
+
+
+def made_estimate(f: FloatArray, Z: ComplexArray, **changes: Any) -> ImpedanceEstimate:
+    """An estimate with errors of variance 1 that are independent over frequency."""
+    values: dict[str, Any] = {
+        "variance": np.ones(Z.shape),
+        "bin_correlation": np.ones((1, f.size)),
+        "averages": 11.0,
+    }
+    return ImpedanceEstimate(name="made", f=f, Z=Z, T=Z, R=Z, **{**values, **changes})
 
 
 def _noise(rng: np.random.Generator, samples: int, shape: FloatArray, rms: float) -> ComplexArray:
@@ -169,3 +209,9 @@ def share_within(estimates: Sequence[ImpedanceEstimate], true: ComplexArray, lev
         for one in estimates
     ]
     return float(np.mean(inside))
+
+
+def worst_errors(found: Any, true: Any) -> dict[str, float]:
+    """Largest relative error of M, of B and of K."""
+    pairs = {letter: (getattr(found, letter), getattr(true, letter)) for letter in "MBK"}
+    return {name: float(np.max(np.abs(np.array(a) / b - 1.0))) for name, (a, b) in pairs.items()}

@@ -1,5 +1,6 @@
-"""What the checker does with torque in real time, on a clock that is counted."""
+"""What the checker does with torque in real time, on a clock that is counted, and its limit."""
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -16,7 +17,7 @@ from armimp_bringup.driver_check import (
     Record,
     with_outcome,
 )
-from armimp_bringup.driver_check.conversation import Answering, Error, Torque
+from armimp_bringup.driver_check.conversation import Answering, Error, MotionGuard, Torque
 from armimp_bringup.driver_check.moves import Mover
 from armimp_bringup.driver_check.rules import judge
 from armimp_common.cdr import JointStateEncoder
@@ -174,3 +175,39 @@ def test_a_driver_that_stops_under_regular_commands_is_named() -> None:
     moves, findings = moved(Driver(moody=True))
     assert moves.fault == "arm_sim: rig: the mood"
     assert findings["torque: no stop"].outcome is Outcome.FAIL
+
+
+# --- The checker's limit of motion --------------------------------------------------------------
+
+
+ENCODE = JointStateEncoder(["shoulder", "elbow"], "position").encode
+
+
+@pytest.fixture
+def guard() -> MotionGuard:
+    guard = MotionGuard(("shoulder", "elbow"), 0.3)
+    assert guard.allows(ENCODE(0, (1.0, -2.0)))
+    return guard
+
+
+def test_motion_within_the_limit_is_allowed_and_the_largest_kept(guard: MotionGuard) -> None:
+    assert guard.allows(ENCODE(1, (1.1, -2.25)))
+    assert guard.allows(ENCODE(2, (1.0, -2.0)))
+    assert guard.largest == pytest.approx(0.25)
+    assert not guard.objection
+
+
+@pytest.mark.parametrize("angles", [(1.31, -2.0), (1.0, -2.4), (math.nan, -2.0), (1.0, math.inf)])
+def test_beyond_the_limit_and_where_it_is_not_known_there_is_no_torque_any_more(
+    guard: MotionGuard, angles: tuple[float, float]
+) -> None:
+    assert not guard.allows(ENCODE(1, angles))
+    assert "torque taken away" in guard.objection
+    # Coming back is no excuse.
+    assert not guard.allows(ENCODE(2, (1.0, -2.0)))
+
+
+def test_angles_that_cannot_be_read_take_the_torque_away(guard: MotionGuard) -> None:
+    other = JointStateEncoder(["shoulder", "wrist"], "position").encode
+    assert not guard.allows(other(1, (1.0, -2.0)))
+    assert guard.objection.startswith("an angle cannot be read")

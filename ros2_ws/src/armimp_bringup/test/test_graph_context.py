@@ -1,14 +1,34 @@
-"""The context of a graph: a domain of its own, and an environment that is given back."""
+"""The context of a graph: domain, environment, and what the orchestrator hears in it."""
+
+from __future__ import annotations
 
 import os
+import socket
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.node import Node
 
+from armimp_bringup import graph as domain
 from armimp_bringup.graph import LOOPBACK, OPEN, DomainClaim, GraphContext
+from armimp_bringup.orchestrator import Supervisor
+from armimp_common import qos, topics
 from armimp_common.errors import GraphError
+from armimp_common.executor import Spinner
+from armimp_common.status import (
+    Level,
+    Phase,
+    Progress,
+    TimingFigures,
+    TrialStatus,
+    make_array,
+    make_status,
+    status_message,
+)
+from support.graph import eventually
 
 VARIABLES = (
     "ROS_AUTOMATIC_DISCOVERY_RANGE",
@@ -128,3 +148,129 @@ def test_when_security_is_enforced_without_a_keystore_expect_one_line_and_no_gra
 
     assert "\n" not in str(error.value)
     assert dict(os.environ) == before
+
+
+# --- Domains are claimed so that experiments do not meet, and no user keeps others out ----------
+
+
+def test_when_two_claim_domains_expect_different_ones() -> None:
+    with DomainClaim() as first, DomainClaim() as second:
+        assert first.domain_id != second.domain_id
+        assert {first.domain_id, second.domain_id} <= set(range(1, 101))
+
+
+def test_when_a_domain_is_taken_expect_graph_error_until_released() -> None:
+    with DomainClaim() as held:
+        domain_id = held.domain_id
+        with pytest.raises(GraphError, match=f"domain id {domain_id} is taken"):
+            DomainClaim(domain_id)
+    with DomainClaim(domain_id) as again:
+        assert again.domain_id == domain_id
+
+
+def test_when_a_program_of_another_kind_is_in_a_domain_expect_it_avoided() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other, DomainClaim() as first:
+        free = first.domain_id
+        other.bind(("0.0.0.0", 7400 + 250 * free + 10))
+        first.release()
+        assert free in set().union(*domain._occupied().values())
+
+
+def test_when_one_user_holds_every_domain_expect_no_other_kept_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    me = os.getuid()
+    everything = set(range(domain.LOWEST, domain.HIGHEST + 1))
+    theirs, rest = everything - {7}, {7}
+    monkeypatch.setattr(DomainClaim, "_bind", _taken)
+    monkeypatch.setattr(domain, "_occupied", lambda: {me + 1: theirs, me + 2: rest})
+    with DomainClaim() as claim:
+        assert claim.domain_id in theirs
+
+    # One's own experiments are kept apart however many there are.
+    monkeypatch.setattr(domain, "_occupied", lambda: {me: everything})
+    with pytest.raises(GraphError, match="no domain id is free"):
+        DomainClaim()
+
+
+def _taken(claim: DomainClaim, domain_id: int) -> bool:
+    claim.domain_id = domain_id
+    return False
+
+
+# --- What the orchestrator hears of an experiment, and until when -------------------------------
+
+
+STATUS = TrialStatus(
+    phase=Phase.ABORTED,
+    trial=1,
+    trials=2,
+    joint=0,
+    joint_name="shoulder",
+    tick=0,
+    start_ns=None,
+    ticks=10_000,
+    seed=1,
+    valid=False,
+    reason="emergency stop",
+)
+
+
+@pytest.mark.parametrize("told_before", [False, True])
+def test_timing_counts_up_to_an_abort_and_faults_are_heard_after_it(told_before: bool) -> None:
+    with GraphContext() as graph:
+        supervisor = Supervisor(graph, lambda _: None)
+        supervisor.realtime = True
+        rig = Node("rig", context=graph.context, use_global_arguments=False)
+        trial = rig.create_publisher(DiagnosticStatus, topics.TRIAL, qos.LATCHED)
+        diagnostics = rig.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, qos.DIAGNOSTICS)
+
+        def report(ticks: int) -> None:
+            fault = make_status("arm_sim: rig", Level.ERROR, f"fault at {ticks}", {})
+            timing = status_message(TimingFigures(ticks=ticks, late=0, missed=0))
+            diagnostics.publish(make_array(0, [timing, fault]))
+
+        with Spinner([supervisor, rig]) as spinner:
+            eventually(spinner, lambda: diagnostics.get_subscription_count() == 1, "a listener")
+            if told_before:
+                report(1000)
+                eventually(spinner, lambda: len(supervisor.faults) == 1, "the first fault")
+            trial.publish(status_message(STATUS))
+            eventually(spinner, lambda: supervisor.finished, "the end")
+            for ticks in (1600, 1700):
+                report(ticks)
+            last = ["arm_sim: rig: fault at 1700"]
+            eventually(spinner, lambda: [str(one) for one in supervisor.faults[-1:]] == last, "it")
+        for node in (rig, supervisor):
+            node.destroy_node()
+
+    assert supervisor.timing is not None
+    assert supervisor.timing.ticks == (1000 if told_before else 1600)
+
+
+PROGRESS = {
+    "trial": "1",
+    "trials": "2",
+    "joint": "1",
+    "phase": "perturb",
+    "samples": "100",
+    "planned": "10000",
+    "rate": "1000.0",
+}
+
+
+def test_a_malformed_progress_message_does_not_end_the_orchestrator() -> None:
+    told: list[Progress] = []
+    with GraphContext() as graph:
+        supervisor = Supervisor(graph, told.append)
+        other = Node("other", context=graph.context, use_global_arguments=False)
+        channel = other.create_publisher(DiagnosticStatus, topics.PROGRESS, qos.PROGRESS)
+        with Spinner([supervisor, other]) as spinner:
+            eventually(spinner, lambda: channel.get_subscription_count() == 1, "a listener")
+            channel.publish(b"\0\1\0\0rubbish")
+            channel.publish(make_status("a stranger", Level.OK, "", {"trial": "x"}))
+            channel.publish(make_status("a friend", Level.OK, "", PROGRESS))
+            eventually(spinner, lambda: bool(told), "what can be read")
+        for node in (other, supervisor):
+            node.destroy_node()
+    assert [progress.samples for progress in told] == [100]

@@ -47,24 +47,16 @@ def _truth(joints: int) -> MBK:
 
 
 def _estimator(joints: int = 2) -> EstimatorSummary:
-    zeros = _square(0.0, joints)
     truth = _truth(joints)
+    scores = {"lack_of_fit": 1.0, "coherence_torque": 0.98, **GOOD}
+    matrices: dict[str, Any] = {name: _square(value, joints) for name, value in scores.items()}
+    for letter in "MBK":
+        matrices[letter] = getattr(truth, letter).tolist()
+        matrices[f"{letter}_se"] = _square(0.0, joints)
+        matrices[f"{letter}_ci"] = [[[0.0, 0.0]] * joints] * joints
     return EstimatorSummary(
-        M=truth.M.tolist(),
-        B=truth.B.tolist(),
-        K=truth.K.tolist(),
-        M_se=zeros,
-        B_se=zeros,
-        K_se=zeros,
-        lack_of_fit=_square(1.0, joints),
-        vaf=_square(GOOD["vaf"], joints),
-        r2=_square(GOOD["r2"], joints),
-        M_ci=[[[0.0, 0.0]] * joints] * joints,
-        B_ci=[[[0.0, 0.0]] * joints] * joints,
-        K_ci=[[[0.0, 0.0]] * joints] * joints,
+        **matrices,
         covariance=[[0.0] * (3 * joints**2)] * (3 * joints**2),
-        coherence_derived=_square(GOOD["coherence_derived"], joints),
-        coherence_torque=_square(0.98, joints),
         coherence_motion=[0.97] * joints,
     )
 

@@ -62,48 +62,35 @@ def watch(node: Node, changes: list[Presence], monkeypatch: pytest.MonkeyPatch) 
 
 
 @pytest.mark.parametrize(
-    ("before", "alive", "silent", "after"),
+    ("before", "alive", "silent", "lives", "after"),
     [
-        (Presence.UNKNOWN, 0, 0, Presence.UNKNOWN),
-        (Presence.UNKNOWN, 1, 0, Presence.ALIVE),
-        (Presence.ALIVE, 0, 1, Presence.SILENT),
-        (Presence.ALIVE, 0, 0, Presence.LEFT),
-        (Presence.ALIVE, 1, 1, Presence.ALIVE),
-        (Presence.SILENT, 1, 0, Presence.ALIVE),
-        (Presence.SILENT, 0, 0, Presence.GONE),
-        (Presence.GONE, 0, 0, Presence.GONE),
-        (Presence.GONE, 1, 0, Presence.ALIVE),
-        (Presence.LEFT, 1, 0, Presence.ALIVE),
-        (Presence.LEFT, 0, 0, Presence.LEFT),
+        (Presence.UNKNOWN, 0, 0, None, Presence.UNKNOWN),
+        (Presence.UNKNOWN, 1, 0, None, Presence.ALIVE),
+        (Presence.ALIVE, 0, 1, None, Presence.SILENT),
+        (Presence.ALIVE, 0, 0, None, Presence.LEFT),
+        (Presence.ALIVE, 1, 1, None, Presence.ALIVE),
+        (Presence.SILENT, 1, 0, None, Presence.ALIVE),
+        (Presence.SILENT, 0, 0, None, Presence.GONE),
+        (Presence.GONE, 0, 0, None, Presence.GONE),
+        (Presence.GONE, 1, 0, None, Presence.ALIVE),
+        (Presence.LEFT, 1, 0, None, Presence.ALIVE),
+        (Presence.LEFT, 0, 0, None, Presence.LEFT),
+        # A silent process counts as what a look at it tells,
+        (Presence.ALIVE, 0, 1, True, Presence.STALLED),
+        (Presence.STALLED, 0, 1, True, Presence.STALLED),
+        (Presence.ALIVE, 0, 1, False, Presence.GONE),
+        (Presence.STALLED, 0, 1, None, Presence.SILENT),
+        (Presence.LEFT, 0, 0, False, Presence.LEFT),
+        # and one that is looked up in vain is dead, though its lease has not run out.
+        (Presence.ALIVE, 1, 0, True, Presence.ALIVE),
+        (Presence.ALIVE, 1, 0, False, Presence.GONE),
+        (Presence.ALIVE, 1, 1, False, Presence.GONE),
     ],
 )
-def test_what_is_known_follows_from_the_numbers_of_publishers(
-    before: Presence, alive: int, silent: int, after: Presence
+def test_what_is_known_follows_from_numbers_of_publishers_and_a_look_at_the_process(
+    before: Presence, alive: int, silent: int, lives: bool | None, after: Presence
 ) -> None:
-    assert before.after(alive, silent) is after
-
-
-@pytest.mark.parametrize(
-    ("lives", "after"),
-    [(True, Presence.STALLED), (False, Presence.GONE), (None, Presence.SILENT)],
-)
-def test_a_silent_process_counts_as_what_a_look_at_it_tells(
-    lives: bool | None, after: Presence
-) -> None:
-    assert Presence.ALIVE.after(0, 1, lives) is after
-    assert Presence.STALLED.after(0, 1, lives) is after
-    assert Presence.LEFT.after(0, 0, lives) is Presence.LEFT
-
-
-@pytest.mark.parametrize(
-    ("lives", "after"),
-    [(True, Presence.ALIVE), (False, Presence.GONE), (None, Presence.ALIVE)],
-)
-def test_a_process_that_is_looked_up_in_vain_is_dead_though_its_lease_has_not_run_out(
-    lives: bool | None, after: Presence
-) -> None:
-    assert Presence.ALIVE.after(1, 0, lives) is after
-    assert Presence.ALIVE.after(1, 1, lives) is after
+    assert before.after(alive, silent, lives) is after
 
 
 def test_when_a_process_is_stopped_for_a_moment_expect_it_stalled_and_alive_again(

@@ -162,24 +162,3 @@ def test_when_guarded_expect_refusal_of_what_the_schema_refuses(make_node: MakeN
         assert not result.successful
         assert reason in result.reason
     assert parameters.load(node, Params) == Params(law=Law(gamma=5.0))
-
-
-def test_when_locked_expect_every_change_refused_with_the_reason(make_node: MakeNode) -> None:
-    node = make_node()
-    parameters.declare(node, Params)
-    lock: list[str] = []
-    callback = parameters.guard(node, lambda: lock[0] if lock else None)
-
-    lock.append("trial 2 is running")
-    result = set_parameter(node, "law.gamma", 5.0)
-    assert not result.successful
-    assert result.reason == "law.gamma cannot be changed now: trial 2 is running"
-    assert not set_parameter(node, "use_sim_time", True).successful
-    assert parameters.load(node, Params) == Params()
-
-    lock.clear()
-    assert set_parameter(node, "law.gamma", 5.0).successful
-
-    lock.append("trial 3 is running")
-    node.remove_on_set_parameters_callback(callback)
-    assert set_parameter(node, "law.gamma", 6.0).successful

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from rclpy.context import Context
@@ -31,29 +32,13 @@ NAMES = ["shoulder", "elbow"]
 PROFILE = QoSProfile(depth=10)
 
 
-def test_a_count_that_cannot_be_read_is_dropped(node: Node, spinner: Spinner) -> None:
-    good: list[int] = []
-    publisher = node.create_publisher(UInt64, "topic", qos.LATCHED)
-    publisher.publish(UInt64(data=2**64 - 1))
-    subscription = subscribe_counts(node, "topic", good.append)
-    assert not wait_until_matched(
-        node, publishers=[publisher], subscriptions=[subscription], timeout_s=PATIENCE
-    )
-    data: bytes = serialize_message(UInt64(data=7))
-    for size in (0, 3, 4, 11):
-        publisher.handle.publish_raw(data[:size])
-    publisher.publish(UInt64(data=8))
-    eventually(spinner, lambda: len(good) == 2, "what was sent")
-    assert good == [2**64 - 1, 8]
-
-
-@pytest.mark.parametrize("kind", ["joint state", "command"])
+@pytest.mark.parametrize("kind", ["joint state", "command", "count"])
 def test_when_bytes_are_malformed_expect_the_handler_called_instead(
     node: Node, spinner: Spinner, kind: str
 ) -> None:
     good: list[object] = []
     errors: list[MalformedMessageError] = []
-    publisher: JointStatePublisher | CommandPublisher
+    publisher: Any
     subscription: Subscription
     if kind == "command":
         publisher = CommandPublisher(node, "topic", 2)
@@ -61,6 +46,11 @@ def test_when_bytes_are_malformed_expect_the_handler_called_instead(
         subscription = subscribe_commands(
             node, "topic", 2, lambda *command: good.append(command), errors.append
         )
+    elif kind == "count":
+        publisher = node.create_publisher(UInt64, "topic", qos.LATCHED)
+        publisher.send = publisher.handle.publish_raw
+        data = serialize_message(UInt64(data=7))
+        subscription = subscribe_counts(node, "topic", good.append)
     else:
         publisher = JointStatePublisher(node, "topic", NAMES, "position")
         data = publisher.publish(0, [1.0, 2.0])
@@ -79,10 +69,11 @@ def test_when_bytes_are_malformed_expect_the_handler_called_instead(
     for size in (0, 3, 4, len(data) // 2, len(data) - 1):
         publisher.send(data[:size])
     publisher.send(data)
-    eventually(spinner, lambda: len(good) + len(errors) == 6, "what was sent")
+    # A count is one of many, so nobody is told of one that is lost.
+    told = 0 if kind == "count" else 5
+    eventually(spinner, lambda: len(good) + len(errors) == told + 1, "what was sent")
 
-    assert len(good) == 1
-    assert len(errors) == 5
+    assert (len(good), len(errors)) == (1, told)
 
 
 def test_when_peers_are_missing_expect_their_topics_named(node: Node) -> None:

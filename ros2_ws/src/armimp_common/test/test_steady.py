@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rclpy.clock_type import ClockType
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -15,7 +14,7 @@ from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 
 from armimp_common.errors import ConfigurationError
-from armimp_common.executor import Spinner, refuse_simulated_time, steady_timer
+from armimp_common.executor import Spinner, refuse_simulated_time
 from armimp_common.parameters import declare
 from armimp_common.schema import Schema
 from support.graph import CLOCK_STEPS, PATIENCE, eventually, set_clock
@@ -51,19 +50,6 @@ PERMITTED = {
 
 class Settings(Schema):
     gain: float = 1.0
-
-
-@stepped
-def test_when_the_clock_is_set_expect_timers_to_go_on(node: Node, step: float) -> None:
-    ticks: list[int] = []
-    timer = steady_timer(node, 0.005, lambda: ticks.append(1))
-    with Spinner([node]) as spinner:
-        eventually(spinner, lambda: len(ticks) > 2, "ticks before the step")
-        set_clock(node, step)
-        ticks.clear()
-        eventually(spinner, lambda: len(ticks) > 5, "ticks after the step")
-
-    assert timer.clock.clock_type is ClockType.STEADY_TIME
 
 
 @stepped

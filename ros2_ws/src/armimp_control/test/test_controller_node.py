@@ -1,8 +1,7 @@
 """The controller node over real DDS: answers, faults, watchdog, parameters, life cycle."""
 
 import math
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pytest
@@ -24,8 +23,6 @@ from support.controller import (
     NAMES,
     POSTURE,
     SUCCESS,
-    Sample,
-    SequencerBench,
     ask,
     controller_parameters,
     wobble,
@@ -46,67 +43,56 @@ START = 5_000_000_000
 PARAMETERS = controller_parameters(
     SETTLE, PERTURB, REST, safety=SafetyParameters(slowest_tick=10.0)
 )
+ZERO = (0.0, 0.0)
 IMPATIENT: dict[str, Value] = {"safety.slowest_tick": 0.06, "safety.watchdog_ticks": 5}
 
 
-def expected_answers(ticks: int) -> tuple[list[tuple[float, ...]], list[Sample]]:
-    bench = SequencerBench(PARAMETERS, START)
-    bench.wobble(ticks)
-    stamps = [START + tick * PERIOD_NS for tick in range(ticks)]
-    perturbations = [tuple(one.tolist()) for one in bench.perturbations]
-    commands = [tuple(one.tolist()) for one in bench.commands]
-    return commands, list(zip(stamps, perturbations, strict=True))
+class World:
+    """A rig and somebody who makes controllers for it."""
 
+    def __init__(self, node: Node, spinner: Spinner, launch: Launch) -> None:
+        self.node, self.spinner, self.launch = node, spinner, launch
+        self.driver = ScriptedDriver(node, NAMES, start_ns=START)
 
-MakeController = Callable[..., ImbicControllerNode]
+    def bring_up(self, changes: Mapping[str, Value] | None = None) -> ImbicControllerNode:
+        controller: ImbicControllerNode = self.launch(ImbicControllerNode, PARAMETERS, changes)
+        assert controller.trigger_configure() is SUCCESS
+        assert controller.trigger_activate() is SUCCESS, controller.transition_error
+        self.driver.wait_for_controller()
+        return controller
+
+    def start(self, changes: Mapping[str, Value] | None = None) -> ImbicControllerNode:
+        """Bring a controller up, and have it command torque in 60 answers."""
+        controller = self.bring_up(changes)
+        for theta, tau_h in wobble(60):
+            self.driver.feed(theta, tau_h)
+        self.driver.await_answers(self.spinner)
+        assert self.driver.commands[-1] != ZERO
+        return controller
+
+    def feed(self, ticks: int, theta: Sequence[float] = POSTURE) -> None:
+        """Feed samples that are alike, and wait for the answers."""
+        self.driver.feed(theta, ticks=ticks)
+        self.driver.await_answers(self.spinner)
+
+    def await_abort(self) -> str:
+        """Wait for the end of the trial with at least one more command, and return the reason."""
+        driver = self.driver
+        eventually(
+            self.spinner,
+            lambda: driver.has_said(Phase.ABORTED) and len(driver.commands) > 60,
+            "an abort",
+        )
+        assert driver.messages[-1].level == bytes([Level.ERROR])
+        return driver.statuses[-1].reason
+
+    def ask(self, service: str) -> tuple[bool, str]:
+        return ask(self.node, self.spinner, service)
 
 
 @pytest.fixture
-def make(launch: Launch) -> MakeController:
-    return lambda *changes: launch(ImbicControllerNode, PARAMETERS, *changes)
-
-
-@pytest.fixture
-def driver(node: Node) -> ScriptedDriver:
-    return ScriptedDriver(node, NAMES, start_ns=START)
-
-
-def bring_up(controller: ImbicControllerNode, driver: ScriptedDriver) -> None:
-    assert controller.trigger_configure() is SUCCESS
-    assert controller.trigger_activate() is SUCCESS, controller.transition_error
-    driver.wait_for_controller()
-
-
-def start(controller: ImbicControllerNode, driver: ScriptedDriver, spinner: Spinner) -> None:
-    """Bring a controller up, and have it command torque."""
-    bring_up(controller, driver)
-    for theta, tau_h in wobble(60):
-        driver.feed(theta, tau_h)
-    eventually(spinner, lambda: driver.answered, "an answer to every sample")
-    assert driver.commands[-1] != (0.0, 0.0)
-
-
-def feed_still(driver: ScriptedDriver, ticks: int) -> None:
-    for _ in range(ticks):
-        driver.feed(POSTURE, (0.0, 0.0))
-
-
-class TestAnswers:
-    def test_each_sample_is_answered_once_as_the_experiment_without_ros_does(
-        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner
-    ) -> None:
-        bring_up(make(), driver)
-        for theta, tau_h in wobble(SETTLE + 60):
-            driver.feed(theta, tau_h)
-        eventually(spinner, lambda: driver.answered, "an answer to every sample")
-        a_moment(spinner)
-
-        commands, perturbations = expected_answers(SETTLE + 60)
-        assert driver.commands == commands
-        assert driver.perturbations == perturbations
-        assert any(command != (0.0, 0.0) for command in commands)
-        assert [status.phase for status in driver.statuses] == [Phase.SETTLE, Phase.PERTURB]
-        assert driver.statuses[1].start_ns == START + SETTLE * PERIOD_NS
+def world(node: Node, spinner: Spinner, launch: Launch) -> World:
+    return World(node, spinner, launch)
 
 
 def encoded(names: Sequence[str], values: Sequence[float], field: str = "position") -> bytes:
@@ -127,253 +113,179 @@ MALFORMED = {
 }
 
 
-class TestFaults:
-    @pytest.mark.parametrize("topic", [topics.JOINT_STATES, topics.TORQUE_SENSORS])
-    @pytest.mark.parametrize("message", MALFORMED.values(), ids=MALFORMED.keys())
-    def test_when_a_sample_is_malformed_expect_zero_torque_and_an_abort(
-        self,
-        make: MakeController,
-        driver: ScriptedDriver,
-        spinner: Spinner,
-        topic: str,
-        message: bytes,
-    ) -> None:
-        if message == MALFORMED["no values"] and topic == topics.TORQUE_SENSORS:
-            message = encoded(NAMES, (0.0, 0.0))
-        start(make(), driver, spinner)
+@pytest.mark.parametrize("topic", [topics.JOINT_STATES, topics.TORQUE_SENSORS])
+@pytest.mark.parametrize("message", MALFORMED.values(), ids=MALFORMED.keys())
+def test_when_a_sample_is_malformed_expect_zero_torque_and_an_abort(
+    world: World, topic: str, message: bytes
+) -> None:
+    if message == MALFORMED["no values"] and topic == topics.TORQUE_SENSORS:
+        message = encoded(NAMES, (0.0, 0.0))
+    world.start()
+    driver = world.driver
 
-        driver.channels[topic].publisher.publish(message)
-        eventually(
-            spinner,
-            lambda: driver.has_said(Phase.ABORTED) and len(driver.commands) > 60,
-            "an abort",
-        )
+    driver.channels[topic].publisher.publish(message)
+    reason = world.await_abort()
 
-        assert driver.commands[60:] == [(0.0, 0.0)]
-        assert driver.messages[-1].level == bytes([Level.ERROR])
-        assert driver.statuses[-1].reason.startswith("malformed sensor message: JointState")
-        assert "\n" not in driver.statuses[-1].reason
-        feed_still(driver, 10)
-        eventually(spinner, lambda: driver.answered, "an answer to every sample")
-        assert set(driver.commands[60:]) == {(0.0, 0.0)}
-        assert {values for _, values in driver.perturbations[60:]} == {(0.0, 0.0)}
+    assert driver.commands[60:] == [ZERO]
+    assert reason.startswith("malformed sensor message: JointState")
+    assert "\n" not in reason
+    world.feed(10)
+    assert set(driver.commands[60:]) == {ZERO}
+    assert {values for _, values in driver.perturbations[60:]} == {ZERO}
 
-    @pytest.mark.parametrize(
-        ("topic", "what"),
-        [(topics.JOINT_STATES, "position"), (topics.TORQUE_SENSORS, "torque reading")],
+
+@pytest.mark.parametrize(
+    ("topic", "what"),
+    [(topics.JOINT_STATES, "position"), (topics.TORQUE_SENSORS, "torque reading")],
+)
+def test_when_a_reading_without_a_partner_is_not_finite_expect_zero_torque_at_once(
+    world: World, topic: str, what: str
+) -> None:
+    world.start()
+    driver = world.driver
+
+    for _ in range(3):
+        driver.channels[topic].publish(driver.stamp_ns + 10**15, (math.nan, 1.0))
+    reason = world.await_abort()
+    a_moment(world.spinner)
+
+    # One is enough: in lockstep each is a step.
+    assert driver.commands[60:] == [ZERO]
+    assert reason == f"{what} of joint 1 is not finite: nan"
+    driver.feed(POSTURE, ticks=3)
+    eventually(world.spinner, lambda: len(driver.commands) >= 64, "an answer to every sample")
+    assert set(driver.commands[60:]) == {ZERO}
+
+
+@pytest.mark.parametrize("clock_step", [None, *CLOCK_STEPS])
+def test_when_samples_stay_away_expect_the_torque_ramped_to_zero_and_an_abort(
+    world: World, clock: HandedClock, clock_step: float | None
+) -> None:
+    controller = world.start({**IMPATIENT, "safety.ramp_time": 0.05})
+    driver = world.driver
+    if clock_step is not None:
+        set_clock(controller, clock_step)
+
+    last = np.abs(driver.commands[59])
+    a_moment(world.spinner)
+    assert len(driver.commands) == 60
+    clock.pace = 0.005
+    reason = world.await_abort()
+    eventually(world.spinner, lambda: driver.commands[-1] == ZERO, "zero torque")
+    a_moment(world.spinner)
+
+    ramp = np.array([last, *np.abs(driver.commands[60:])])
+    assert (np.diff(ramp, axis=0) <= 0.0).all()
+    assert len(np.unique(ramp)) > 5
+    assert driver.commands[-1] == ZERO
+    assert reason == "no sensor sample arrived any more"
+
+
+def test_emergency_stop_takes_the_torque_away_at_once_and_for_good(world: World) -> None:
+    controller = world.start()
+
+    success, message = world.ask(topics.CONTROLLER_STOP_SERVICE)
+    assert success
+    assert message == "no torque until imbic_controller/reset is called"
+    assert world.await_abort() == "emergency stop"
+    assert world.driver.commands[60:] == [ZERO]
+    world.feed(20)
+    assert controller.trigger_deactivate() is SUCCESS
+    assert controller.trigger_activate() is FAILURE
+    assert controller.transition_error == (
+        "a fault is latched: emergency stop; call imbic_controller/reset first"
     )
-    def test_when_a_reading_without_a_partner_is_not_finite_expect_zero_torque_at_once(
-        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner, topic: str, what: str
-    ) -> None:
-        start(make(), driver, spinner)
+    assert controller.trigger_cleanup() is SUCCESS
+    assert controller.trigger_configure() is SUCCESS
+    assert controller.trigger_activate() is FAILURE
+    assert set(world.driver.commands[60:]) == {ZERO}
 
-        for _ in range(3):
-            driver.channels[topic].publish(driver.stamp_ns + 10**15, (math.nan, 1.0))
-        eventually(
-            spinner,
-            lambda: driver.has_said(Phase.ABORTED) and len(driver.commands) > 60,
-            "an abort",
-        )
-        a_moment(spinner)
-
-        # One is enough: in lockstep each is a step.
-        assert driver.commands[60:] == [(0.0, 0.0)]
-        assert driver.statuses[-1].phase is Phase.ABORTED
-        assert driver.statuses[-1].reason == f"{what} of joint 1 is not finite: nan"
-        feed_still(driver, 3)
-        eventually(spinner, lambda: len(driver.commands) >= 64, "an answer to every sample")
-        assert set(driver.commands[60:]) == {(0.0, 0.0)}
-
-    @pytest.mark.parametrize("clock_step", [None, *CLOCK_STEPS])
-    def test_when_samples_stay_away_expect_the_torque_ramped_to_zero_and_an_abort(
-        self,
-        make: MakeController,
-        driver: ScriptedDriver,
-        spinner: Spinner,
-        clock: HandedClock,
-        clock_step: float | None,
-    ) -> None:
-        controller = make({**IMPATIENT, "safety.ramp_time": 0.05})
-        start(controller, driver, spinner)
-        if clock_step is not None:
-            set_clock(controller, clock_step)
-
-        last = np.abs(driver.commands[59])
-        a_moment(spinner)
-        assert len(driver.commands) == 60
-        clock.pace = 0.005
-        eventually(
-            spinner,
-            lambda: driver.has_said(Phase.ABORTED) and driver.commands[-1] == (0.0, 0.0),
-            "zero torque",
-        )
-        a_moment(spinner)
-
-        ramp = np.array([last, *np.abs(driver.commands[60:])])
-        assert (np.diff(ramp, axis=0) <= 0.0).all()
-        assert len(np.unique(ramp)) > 5
-        assert driver.commands[-1] == (0.0, 0.0)
-        assert driver.statuses[-1].reason == "no sensor sample arrived any more"
+    told = "reset: emergency stop; the next activation begins a new experiment"
+    assert world.ask(topics.CONTROLLER_RESET_SERVICE) == (True, told)
+    assert controller.trigger_activate() is SUCCESS, controller.transition_error
 
 
-Ask = Callable[[], tuple[bool, str]]
+@pytest.mark.parametrize(
+    ("theta", "reason"),
+    [
+        ((POSTURE[0] + 0.6, POSTURE[1]), "joint 1 is 0.6 rad away from the posture"),
+        ((POSTURE[0], math.nan), "position of joint 2 is not finite: nan"),
+    ],
+)
+def test_while_the_cause_persists_expect_reset_refused(
+    world: World, theta: tuple[float, float], reason: str
+) -> None:
+    world.start()
+    world.feed(20, theta)
+    assert world.driver.commands[-1] == ZERO
+    success, message = world.ask(topics.CONTROLLER_RESET_SERVICE)
+    assert not success
+    assert message.startswith(f"not reset: the cause persists: {reason}")
+
+    world.feed(20)
+    success, message = world.ask(topics.CONTROLLER_RESET_SERVICE)
+    assert success
+    assert message.startswith(f"reset: {reason}")
+    assert world.ask(topics.CONTROLLER_RESET_SERVICE) == (True, "there was no fault")
 
 
-@pytest.fixture
-def emergency_stop(node: Node, spinner: Spinner) -> Ask:
-    return partial(ask, node, spinner, topics.CONTROLLER_STOP_SERVICE)
+def test_clips_and_fault_go_out_at_a_low_rate_and_at_once_on_a_fault(world: World) -> None:
+    heard: list[DiagnosticStatus] = []
+    driver = world.driver
 
+    def hear(message: DiagnosticArray) -> None:
+        heard.extend(message.status)
 
-@pytest.fixture
-def reset(node: Node, spinner: Spinner) -> Ask:
-    return partial(ask, node, spinner, topics.CONTROLLER_RESET_SERVICE)
-
-
-class TestServices:
-    def test_emergency_stop_takes_the_torque_away_at_once_and_for_good(
-        self,
-        make: MakeController,
-        driver: ScriptedDriver,
-        spinner: Spinner,
-        emergency_stop: Ask,
-        reset: Ask,
-    ) -> None:
-        controller = make()
-        start(controller, driver, spinner)
-
-        success, message = emergency_stop()
-        eventually(spinner, lambda: driver.has_said(Phase.ABORTED), "an abort")
-
-        assert success
-        assert message == "no torque until imbic_controller/reset is called"
-        assert driver.commands[60:] == [(0.0, 0.0)]
-        assert driver.statuses[-1].reason == "emergency stop"
-        feed_still(driver, 20)
-        eventually(spinner, lambda: driver.answered, "an answer to every sample")
-        assert controller.trigger_deactivate() is SUCCESS
-        assert controller.trigger_activate() is FAILURE
-        assert controller.transition_error == (
-            "a fault is latched: emergency stop; call imbic_controller/reset first"
-        )
-        assert controller.trigger_cleanup() is SUCCESS
-        assert controller.trigger_configure() is SUCCESS
-        assert controller.trigger_activate() is FAILURE
-        assert set(driver.commands[60:]) == {(0.0, 0.0)}
-
-        assert reset() == (
-            True,
-            "reset: emergency stop; the next activation begins a new experiment",
-        )
-        assert controller.trigger_activate() is SUCCESS, controller.transition_error
-
-    @pytest.mark.parametrize(
-        ("theta", "reason"),
-        [
-            ((POSTURE[0] + 0.6, POSTURE[1]), "joint 1 is 0.6 rad away from the posture"),
-            ((POSTURE[0], math.nan), "position of joint 2 is not finite: nan"),
-        ],
+    world.node.create_subscription(DiagnosticArray, topics.DIAGNOSTICS, hear, qos.DIAGNOSTICS)
+    world.bring_up({"safety.torque_limit": 1e-3, "sequence.duration": 2.0})
+    for tick, (theta, tau_h) in enumerate(wobble(1010)):
+        driver.feed(theta, tau_h)
+        if tick % 100 == 0:
+            driver.await_answers(world.spinner)
+    eventually(world.spinner, lambda: len(heard) == 1, "diagnostics")
+    values = values_of(heard[0])
+    assert (heard[0].name, heard[0].message) == (
+        "imbic_controller: safety limiter",
+        "commands were clipped",
     )
-    def test_while_the_cause_persists_expect_reset_refused(
-        self,
-        make: MakeController,
-        driver: ScriptedDriver,
-        spinner: Spinner,
-        reset: Ask,
-        theta: tuple[float, float],
-        reason: str,
-    ) -> None:
-        start(make(), driver, spinner)
-        for _ in range(20):
-            driver.feed(theta, (0.0, 0.0))
-        eventually(spinner, lambda: driver.answered, "an answer to every sample")
-        assert driver.commands[-1] == (0.0, 0.0)
+    assert heard[0].level == bytes([Level.WARN])
+    assert values["tick"] == "1000"
+    assert int(values["clipped_torque"]) == clipped(driver.commands[:1000])
+    assert {key for key, value in values.items() if value == "0"} == {
+        *("clipped_position", "clipped_velocity", "clipped_rate", "clipped_power")
+    }
 
-        success, message = reset()
-        assert not success
-        assert message.startswith(f"not reset: the cause persists: {reason}")
-
-        feed_still(driver, 20)
-        eventually(spinner, lambda: driver.answered, "an answer to every sample")
-        success, message = reset()
-        assert success
-        assert message.startswith(f"reset: {reason}")
-        assert reset() == (True, "there was no fault")
+    driver.feed((math.nan, 0.0))
+    eventually(world.spinner, lambda: len(heard) == 2, "diagnostics of the fault")
+    assert heard[1].level == bytes([Level.ERROR])
+    assert heard[1].message == values_of(heard[1])["fault"]
+    assert heard[1].message == "position of joint 1 is not finite: nan"
+    world.await_abort()
+    assert driver.statuses[-1].clipped == clipped(driver.commands[SETTLE:1010]) > 0
 
 
-class TestDiagnostics:
-    def test_clips_and_fault_go_out_at_a_low_rate_and_at_once_on_a_fault(
-        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner, node: Node
-    ) -> None:
-        heard: list[DiagnosticStatus] = []
-
-        def hear(message: DiagnosticArray) -> None:
-            heard.extend(message.status)
-
-        node.create_subscription(DiagnosticArray, topics.DIAGNOSTICS, hear, qos.DIAGNOSTICS)
-        bring_up(make({"safety.torque_limit": 1e-3, "sequence.duration": 2.0}), driver)
-        samples = wobble(1010)
-        for start in range(0, 1010, 101):
-            for theta, tau_h in samples[start : start + 101]:
-                driver.feed(theta, tau_h)
-            eventually(spinner, lambda: driver.answered, "an answer to every sample")
-        eventually(spinner, lambda: len(heard) == 1, "diagnostics")
-        values = values_of(heard[0])
-        assert (heard[0].name, heard[0].level) == (
-            "imbic_controller: safety limiter",
-            bytes([Level.WARN]),
-        )
-        assert heard[0].message == "commands were clipped"
-        assert values["tick"] == "1000"
-        commands = np.array(driver.commands[:1000])
-        # All joints get less if one does.
-        clipped = np.count_nonzero(commands[np.any(np.abs(commands) == 1e-3, axis=1)])
-        assert values["clipped_torque"] == str(clipped)
-        assert {key: value for key, value in values.items() if value == "0"}.keys() == {
-            *("clipped_position", "clipped_velocity", "clipped_rate", "clipped_power")
-        }
-
-        driver.feed((math.nan, 0.0), (0.0, 0.0))
-        eventually(spinner, lambda: len(heard) == 2, "diagnostics of the fault")
-        assert heard[1].level == bytes([Level.ERROR])
-        assert heard[1].message == values_of(heard[1])["fault"]
-        assert heard[1].message == "position of joint 1 is not finite: nan"
-        eventually(spinner, lambda: driver.has_said(Phase.ABORTED), "an abort")
-        commands = np.array(driver.commands[SETTLE:1010])
-        in_trial = np.count_nonzero(commands[np.any(np.abs(commands) == 1e-3, axis=1)])
-        assert driver.statuses[-1].clipped == in_trial > 0
+def clipped(commands: Sequence[Sequence[float]]) -> int:
+    """Joint commands that were clipped to 1e-3 N·m; all joints get less if one does."""
+    values = np.array(commands)
+    return int(np.count_nonzero(values[np.any(np.abs(values) == 1e-3, axis=1)]))
 
 
-class TestParameters:
-    def test_while_active_changes_are_refused_with_a_reason(
-        self, make: MakeController, driver: ScriptedDriver
-    ) -> None:
-        controller = make()
-        bring_up(controller, driver)
-        change = Parameter("law.gamma", value=50.0)
+def test_while_active_changes_are_refused_with_a_reason(world: World) -> None:
+    controller = world.bring_up()
+    change = Parameter("law.gamma", value=50.0)
 
-        (result,) = controller.set_parameters([change])
-        assert not result.successful
-        assert result.reason == "law.gamma cannot be changed now: a trial is running"
-        assert controller.get_parameter("law.gamma").value == 100.0
+    (result,) = controller.set_parameters([change])
+    assert not result.successful
+    assert result.reason == "law.gamma cannot be changed now: a trial is running"
+    assert controller.get_parameter("law.gamma").value == 100.0
 
-        controller.trigger_deactivate()
-        (result,) = controller.set_parameters([change])
-        assert result.successful
+    controller.trigger_deactivate()
+    (result,) = controller.set_parameters([change])
+    assert result.successful
 
 
-class TestLife:
-    @pytest.mark.parametrize("how", ["trigger_shutdown", "destroy_node"])
-    def test_when_ended_during_a_trial_expect_zero_torque_and_an_abort(
-        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner, how: str
-    ) -> None:
-        controller = make()
-        start(controller, driver, spinner)
-
-        getattr(controller, how)()
-
-        eventually(
-            spinner,
-            lambda: driver.has_said(Phase.ABORTED) and len(driver.commands) == 61,
-            "an abort",
-        )
-        assert driver.commands[-1] == (0.0, 0.0)
+@pytest.mark.parametrize("how", ["trigger_shutdown", "destroy_node"])
+def test_when_ended_during_a_trial_expect_zero_torque_and_an_abort(world: World, how: str) -> None:
+    getattr(world.start(), how)()
+    world.await_abort()
+    assert world.driver.commands[60:] == [ZERO]

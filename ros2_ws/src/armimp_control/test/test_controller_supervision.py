@@ -1,5 +1,7 @@
 """The controller and its surroundings: it ends the experiment when one of them is lost."""
 
+from __future__ import annotations
+
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,7 +18,7 @@ from armimp_common.status import Phase
 from armimp_common.topics import ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
 from armimp_control.node import ImbicControllerNode
 from support.controller import NAMES, POSTURE, SUCCESS, controller_parameters
-from support.graph import Launch, ScriptedDriver, a_moment, eventually
+from support.graph import HandedClock, Launch, ScriptedDriver, a_moment, eventually
 
 OFF = (POSTURE[0] + 1e-4, POSTURE[1])
 
@@ -43,8 +45,8 @@ class Surroundings:
         assert self.controller.trigger_activate() is SUCCESS, self.controller.transition_error
         self.driver.wait_for_controller()
         for _ in range(3):
-            self.driver.feed(OFF, (0.0, 0.0))
-            eventually(self.spinner, lambda: self.driver.answered, "an answer")
+            self.driver.feed(OFF)
+            self.driver.await_answers(self.spinner)
         assert any(self.driver.commands[-1])
 
     @property
@@ -60,11 +62,10 @@ class Surroundings:
         return self.driver.has_said(Phase.ABORTED)
 
     def assert_aborted(self, reason: str) -> None:
-        eventually(self.spinner, self.aborted, "the abortion")
-        assert self.driver.statuses[-1].reason == reason
+        assert self.driver.await_phase(Phase.ABORTED, self.spinner).reason == reason
         eventually(self.spinner, lambda: not any(self.driver.commands[-1]), "zero torque")
-        self.driver.feed(OFF, (0.0, 0.0))
-        eventually(self.spinner, lambda: self.driver.answered, "an answer")
+        self.driver.feed(OFF)
+        self.driver.await_answers(self.spinner)
         assert not any(self.driver.commands[-1])
 
 
@@ -109,12 +110,12 @@ def test_when_this_process_was_held_up_expect_no_torque_for_a_rig_that_has_died_
         monitor.checked -= 0.1
 
     commands = len(around.driver.commands)
-    around.driver.feed(OFF, (0.0, 0.0))
+    around.driver.feed(OFF)
     eventually(around.spinner, lambda: len(around.driver.commands) > commands, "a command")
 
     assert not np.any(around.driver.commands[commands:])
-    eventually(around.spinner, around.aborted, "the abortion")
-    assert around.driver.statuses[-1].reason == f"{SIM_NODE} is dead"
+    aborted = around.driver.await_phase(Phase.ABORTED, around.spinner)
+    assert aborted.reason == f"{SIM_NODE} is dead"
 
 
 @pytest.mark.parametrize("name", [SUPERVISOR_NODE, ESTIMATOR_NODE])
@@ -156,3 +157,26 @@ def test_when_the_recorder_takes_leave_expect_zero_torque(around: Surroundings) 
     around.received.publish(UInt64(data=topics.RECORDER_GONE))
 
     around.assert_aborted("nothing is recorded any more")
+
+
+def test_when_a_sample_comes_after_a_stall_before_anyone_looked_expect_an_abort_all_the_same(
+    node: Node, launch: Launch, spinner: Spinner, clock: HandedClock
+) -> None:
+    driver = ScriptedDriver(node, NAMES)
+    controller: ImbicControllerNode = launch(
+        ImbicControllerNode, controller_parameters(300, 200, 300), {"mode": "realtime"}
+    )
+    assert controller.trigger_configure() is SUCCESS, controller.transition_error
+    assert controller.trigger_activate() is SUCCESS, controller.transition_error
+    driver.wait_for_controller()
+    driver.feed(OFF, ticks=20)
+    driver.await_answers(spinner)
+    assert any(command != (0.0, 0.0) for command in driver.commands)
+
+    # Nothing is spun: the process is held up, and finds timer and sample waiting afterwards.
+    clock.now += 0.02
+    controller._on_reading(0, driver.stamp_ns, OFF)
+    controller._on_reading(1, driver.stamp_ns, (0.0, 0.0))
+
+    aborted = driver.await_phase(Phase.ABORTED, spinner)
+    assert aborted.reason == "no sensor sample arrived any more"

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from armimp_control.laws import NO_JOINT, ROLE_ROWS
 from armimp_control.laws.imbic import ImbicConfig
 from armimp_control.laws.law import Controller
 from support.safety import torque_only, within_torque
@@ -115,24 +114,6 @@ def test_law_is_that_of_the_design(n: int, limit: float, dither: float) -> None:
         saturated += clipped
     # Unlimited it never clips; limited it does, but leaves the limit again.
     assert (saturated == 0) if limit > 100.0 else (20 < saturated < 200 * n - 20)
-
-
-def test_roles_hold_the_soft_target_for_one_joint_and_the_stiff_one_for_the_others() -> None:
-    config = _config(3)
-    rows = config.role(1)
-    inertia = config.target_inertia
-    assert np.array_equal(rows[0], [0.0, 1.0, 0.0])
-    assert np.array_equal(rows[1], inertia)
-    assert rows[2] == pytest.approx(
-        [2 * 0.8 * 90 * inertia[0], config.target_damping[1], 2 * 0.8 * 90 * inertia[2]]
-    )
-    assert rows[3] == pytest.approx(
-        [90.0**2 * inertia[0], config.target_stiffness[1], 90.0**2 * inertia[2]]
-    )
-    assert rows.shape == (ROLE_ROWS, 3)
-    everything_locked = config.role(NO_JOINT)
-    assert not everything_locked[0].any()
-    assert np.array_equal(everything_locked[:, [0, 2]], rows[:, [0, 2]])
 
 
 def test_a_tare_is_taken_from_the_torque_that_the_law_feels_and_outlasts_a_change_of_roles() -> (

@@ -12,11 +12,9 @@ from armimp_control.laws.imbic import ImbicConfig
 from armimp_control.laws.law import Controller
 from armimp_control.laws.pd import PdConfig
 from armimp_control.parameters import ControllerParameters
+from support.controller import controller_parameters
 from support.safety import torque_only, within_torque
 
-ROBOT = np.array([[0.3543, 0.1909], [0.1909, 0.1800]])
-ARM = np.array([[0.187, 0.084], [0.079, 0.060]])
-POSTURE = np.array([1.0945, 1.3484])
 PERIOD = 1e-3
 
 
@@ -33,10 +31,7 @@ def _config(n: int = 2, *, frequency: float = 25.0) -> PdConfig:
 
 
 def _parameters(**changes: Any) -> ControllerParameters:
-    preset = ControllerParameters.preset(
-        joints=("shoulder", "elbow"), posture=POSTURE, robot_inertia=ROBOT, arm_inertia=ARM
-    )
-    return build(ControllerParameters, {**flatten(preset), **changes})
+    return build(ControllerParameters, {**flatten(controller_parameters()), **changes})
 
 
 # --- the law ---------------------------------------------------------------------------------
@@ -81,12 +76,9 @@ def test_law_of_the_study_is_the_default_and_one_parameter_chooses_the_other() -
     chosen = _parameters(**{"law.kind": "pd"})
     law = chosen.law_config()
     assert isinstance(law, PdConfig)
-    assert law.inertia == pytest.approx(np.diag(ROBOT))
+    assert law.inertia == pytest.approx([0.354, 0.180])
     assert (law.frequency, law.damping_ratio, law.period) == (25.0, 1.0, 1e-3)
     for name in ("target_posture", "target_damping", "target_stiffness"):
         assert np.array_equal(getattr(law, name), getattr(_parameters().imbic_config(), name))
     tuned = _parameters(**{"law.pd_frequency": 40.0, "law.pd_damping_ratio": 0.7}).pd_config()
     assert (tuned.frequency, tuned.damping_ratio) == (40.0, 0.7)
-
-
-# --- sampled stability -----------------------------------------------------------------------

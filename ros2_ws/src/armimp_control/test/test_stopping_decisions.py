@@ -1,11 +1,8 @@
 """The controller node and decisions: in lockstep samples wait for them, on a rig they do not."""
 
-from collections.abc import Callable, Mapping
-
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 
 from armimp_common import qos, topics
 from armimp_common.executor import Spinner
@@ -25,88 +22,62 @@ NOT_YET = StoppingDecision(
     trial=1, samples=JUDGED, enough=False, due=None, bound=0.02, largest=0.03
 )
 
-Start = Callable[..., ImbicControllerNode]
 
+class World:
+    """A controller in its first perturbation, which knows of a decision to come, and its judge."""
 
-@pytest.fixture
-def driver(node: Node) -> ScriptedDriver:
-    return ScriptedDriver(node, NAMES)
-
-
-@pytest.fixture
-def judge(node: Node) -> Publisher:
-    return node.create_publisher(DiagnosticStatus, topics.STOPPING, qos.LATCHED)
-
-
-@pytest.fixture
-def start(
-    launch: Launch, spinner: Spinner, driver: ScriptedDriver, judge: Publisher, clock: HandedClock
-) -> Start:
-    """Makes a controller which is in its first perturbation and knows of a decision to come."""
-
-    def factory(changes: Mapping[str, Value] | None = None) -> ImbicControllerNode:
-        changes = {"sequence.may_end_early": True, **(changes or {})}
+    def __init__(self, node: Node, spinner: Spinner, launch: Launch) -> None:
+        self.spinner = spinner
+        self.driver = driver = ScriptedDriver(node, NAMES)
+        self.judge = node.create_publisher(DiagnosticStatus, topics.STOPPING, qos.LATCHED)
+        changes: dict[str, Value] = {"sequence.may_end_early": True}
         controller: ImbicControllerNode = launch(ImbicControllerNode, PARAMETERS, changes)
         assert controller.trigger_configure() is SUCCESS
         assert controller.trigger_activate() is SUCCESS
         driver.wait_for_controller()
-        eventually(spinner, lambda: judge.get_subscription_count() == 1, "somebody who is judged")
-        feed(driver, SETTLE + 1)
-        eventually(spinner, lambda: driver.has_said(Phase.PERTURB), "the perturbation")
-        judge.publish(status_message(ANNOUNCED))
+        eventually(spinner, lambda: self.judge.get_subscription_count() == 1, "who is judged")
+        driver.feed(POSTURE, ticks=SETTLE + 1)
+        driver.await_phase(Phase.PERTURB, spinner)
+        self.judge.publish(status_message(ANNOUNCED))
         sequencer = controller._sequencer
         assert sequencer is not None
         eventually(spinner, lambda: sequencer._due is not None, "the decision to come is known")
-        return controller
 
-    return factory
+    def feed_up_to_the_decision(self) -> None:
+        """Feed all samples before that on which the decision decides, and then that one."""
+        self.driver.feed(POSTURE, ticks=END - 1)
+        self.driver.await_answers(self.spinner)
+        self.driver.feed(POSTURE)
+        a_moment(self.spinner)
+        assert len(self.driver.commands) == len(self.driver.perturbations) == SETTLE + END
 
 
-def feed(driver: ScriptedDriver, ticks: int) -> None:
-    for _ in range(ticks):
-        driver.feed(POSTURE, (0.0, 0.0))
-
-
-def feed_up_to_the_decision(driver: ScriptedDriver, spinner: Spinner) -> None:
-    feed(driver, END - 1)
-    eventually(spinner, lambda: len(driver.commands) == SETTLE + END, "answers up to the decision")
+@pytest.fixture
+def world(node: Node, spinner: Spinner, launch: Launch, clock: HandedClock) -> World:
+    return World(node, spinner, launch)
 
 
 @pytest.mark.parametrize(("decision", "ticks"), [(ENOUGH, END), (NOT_YET, PERTURB)])
 def test_in_lockstep_the_sample_on_which_a_decision_decides_is_answered_after_it(
-    start: Start,
-    driver: ScriptedDriver,
-    spinner: Spinner,
-    judge: Publisher,
-    decision: StoppingDecision,
-    ticks: int,
+    world: World, decision: StoppingDecision, ticks: int
 ) -> None:
-    start()
-    feed_up_to_the_decision(driver, spinner)
-    feed(driver, 1)
-    a_moment(spinner)
-    assert len(driver.commands) == len(driver.perturbations) == SETTLE + END
+    world.feed_up_to_the_decision()
 
-    judge.publish(status_message(decision))
-    eventually(spinner, lambda: len(driver.commands) == SETTLE + END + 1, "the answer")
-    feed(driver, PERTURB)
-    eventually(spinner, lambda: driver.has_said(Phase.REST), "the end of the perturbation")
-    eventually(spinner, lambda: driver.answered, "an answer to every sample")
+    world.judge.publish(status_message(decision))
+    world.driver.await_answers(world.spinner)
+    world.driver.feed(POSTURE, ticks=PERTURB)
+    rest = world.driver.await_phase(Phase.REST, world.spinner)
 
-    rest = next(status for status in driver.statuses if status.phase is Phase.REST)
     assert (rest.tick, rest.ticks, rest.valid) == (SETTLE + ticks, ticks, True)
 
 
 def test_when_an_announced_decision_does_not_come_expect_the_end_with_that_reason(
-    start: Start, driver: ScriptedDriver, spinner: Spinner, clock: HandedClock
+    world: World, clock: HandedClock
 ) -> None:
-    start()
-    feed_up_to_the_decision(driver, spinner)
-    feed(driver, 1)
-    a_moment(spinner)
+    world.feed_up_to_the_decision()
     clock.now += 60.0
 
-    eventually(spinner, lambda: driver.has_said(Phase.ABORTED), "the end")
+    aborted = world.driver.await_phase(Phase.ABORTED, world.spinner)
 
-    assert driver.statuses[-1].reason == "the estimator does not say whether the trial is over"
-    eventually(spinner, lambda: driver.commands[-1] == (0.0, 0.0), "zero torque")
+    assert aborted.reason == "the estimator does not say whether the trial is over"
+    eventually(world.spinner, lambda: world.driver.commands[-1] == (0.0, 0.0), "zero torque")

@@ -1,14 +1,26 @@
-"""The controller without ROS: phases, perturbation, faults, the account of the samples."""
+"""The controller without ROS: phases, perturbation, faults, tare, early ends, samples in pairs."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from armimp_common.status import Phase
+from armimp_common.status import NOTICE_TICKS, Phase, StoppingDecision, TrialStatus
 from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_control.laws.law import Controller
 from armimp_control.parameters import ControllerParameters
 from armimp_control.perturbation import perturbation
 from armimp_control.safety_limiter import Limit, SafetyParameters
+from armimp_control.sequence import SequenceParameters, TareParameters, timetable
+from armimp_control.trial_sequencer import SamplePairs
 from support.controller import POSTURE, SequencerBench, controller_parameters
 
 SETTLE, PERTURB, REST = 50, 200, 60
@@ -166,3 +178,226 @@ def test_clipped_commands_are_counted_where_the_arm_is_perturbed() -> None:
     assert np.array_equal(ticks, np.flatnonzero(trial.any(axis=1)))
     assert [status.clipped for status in bench.statuses[3:]] == [0, 0]
     assert rest.valid
+
+
+# --- The timetable of an experiment -------------------------------------------------------------
+
+
+@settings(deadline=None)
+@given(st.floats(0.001, 100.0), st.floats(0.05, 3.0), st.floats(0.05, 3.0), st.integers(1, 7))
+def test_segments_follow_each_other_without_gap_or_overlap(
+    duration: float, settle: float, rest: float, joints: int
+) -> None:
+    config = SequenceParameters(duration=duration, settle=settle, rest=rest)
+    segments = timetable(config, joints=joints)
+    assert segments[0].first == 0
+    for one, following in pairwise(segments):
+        assert following.first == one.end == one.first + one.ticks
+    for segment, seconds in zip(segments, (settle, duration, rest) * joints, strict=True):
+        assert segment.ticks >= 1
+        assert abs(segment.ticks * 1e-3 - seconds) <= 0.5001e-3
+
+
+# --- Pairing of readings by stamp: none is taken for another, and none waits for ever -----------
+
+
+@given(st.permutations([(what, stamp) for what in "pt" for stamp in range(4)]))
+def test_in_any_order_readings_meet_only_those_of_their_stamp_and_the_latest_always_does(
+    order: Sequence[tuple[str, int]],
+) -> None:
+    pairs = SamplePairs()
+    met: list[int] = []
+    for what, stamp in order:
+        other = pairs.other("pt".index(what), stamp, (float(stamp), 0.0))
+        if other is not None:
+            assert other == (float(stamp), 0.0)
+            met.append(stamp)
+    assert len(met) == len(set(met))
+    assert max(met) == 3
+
+
+def test_a_reading_whose_partner_was_lost_is_given_up_with_the_next_pair() -> None:
+    pairs = SamplePairs()
+    assert pairs.other(0, 1, (1.0,)) is None
+    assert pairs.other(1, 2, (2.0,)) is None
+    assert pairs.other(0, 4, (4.0,)) is None
+    assert pairs.other(0, 3, (3.0,)) is None
+
+    assert pairs.other(1, 3, (0.0,)) == (3.0,)
+
+    assert pairs.other(1, 1, (0.0,)) is None
+    assert pairs.other(0, 2, (0.0,)) is None
+    assert pairs.other(1, 4, (0.0,)) == (4.0,), "it was not older"
+
+
+# --- Trials that end before their time, as the estimator says that they are good enough ---------
+
+
+PLANNED = 1000
+JUDGED = 300
+END = JUDGED + NOTICE_TICKS
+LONG = controller_parameters(SETTLE, PLANNED, REST)
+ENOUGH = StoppingDecision(trial=1, samples=JUDGED, enough=True, due=None, bound=0.02, largest=0.01)
+
+
+@pytest.fixture
+def bench() -> SequencerBench:
+    """An experiment at rest in its posture, with what it says."""
+    return SequencerBench(LONG)
+
+
+def test_when_a_trial_is_good_enough_expect_its_end_announced_and_kept(
+    bench: SequencerBench,
+) -> None:
+    bench.run(SETTLE + JUDGED + 40)
+    bench.experiment.decide(ENOUGH)
+    bench.run(PLANNED)
+
+    first, second = bench.said(Phase.PERTURB, 1)
+    assert (first.ticks, second.ticks) == (PLANNED, END)
+    assert second.tick == SETTLE + JUDGED + 40
+    assert first.start_ns == second.start_ns
+    (rest,) = bench.said(Phase.REST, 1)
+    assert (rest.tick, rest.ticks, rest.valid) == (SETTLE + END, END, True)
+    signal = perturbation(LONG.perturbation, joint=0, trial=1, ticks=PLANNED, seed=LONG.seed)
+    start = SETTLE
+    torques = [one[0] for one in bench.perturbations]
+    np.testing.assert_array_equal(torques[start : start + END], signal[:END])
+    assert not any(torques[start + END : start + END + REST])
+
+
+def test_the_next_trial_follows_at_once_and_lasts_as_planned(bench: SequencerBench) -> None:
+    bench.run(SETTLE + JUDGED)
+    bench.experiment.decide(ENOUGH)
+    bench.run(NOTICE_TICKS + REST + SETTLE + PLANNED + REST + 1)
+
+    first = SETTLE + END + REST
+    (settle,), (perturb,) = bench.said(Phase.SETTLE, 2), bench.said(Phase.PERTURB, 2)
+    (rest,), (done,) = bench.said(Phase.REST, 2), bench.said(Phase.DONE, 2)
+    assert [one.tick for one in (settle, perturb, rest, done)] == [
+        first,
+        first + SETTLE,
+        first + SETTLE + PLANNED,
+        first + SETTLE + PLANNED + REST,
+    ]
+    assert {one.ticks for one in (settle, perturb, rest, done)} == {PLANNED}
+
+
+def test_a_decision_that_comes_late_leaves_time_to_hear_of_the_end(bench: SequencerBench) -> None:
+    bench.run(SETTLE + END + 100)
+    bench.experiment.decide(ENOUGH)
+    bench.run(PLANNED)
+
+    ticks = END + 100 + NOTICE_TICKS
+    assert bench.said(Phase.PERTURB, 1)[-1].ticks == ticks
+    assert bench.said(Phase.REST, 1)[0].tick == SETTLE + ticks
+
+
+@pytest.mark.parametrize(
+    ("ticks", "decision"),
+    [
+        (JUDGED, replace(ENOUGH, trial=2)),
+        (JUDGED - 1, ENOUGH),
+        (PLANNED - NOTICE_TICKS, replace(ENOUGH, samples=PLANNED - NOTICE_TICKS)),
+        (PLANNED + 10, ENOUGH),
+        (-10, replace(ENOUGH, samples=0)),
+    ],
+    ids=["another trial", "samples that were not there", "at the end", "at rest", "settling"],
+)
+def test_when_a_decision_does_not_fit_expect_it_ignored(
+    bench: SequencerBench, ticks: int, decision: StoppingDecision
+) -> None:
+    bench.run(SETTLE + ticks)
+    bench.experiment.decide(decision)
+    bench.run(PLANNED + REST - ticks)
+
+    assert [one.ticks for one in bench.said(Phase.PERTURB, 1)] == [PLANNED]
+    assert bench.said(Phase.REST, 1)[0].ticks == PLANNED
+
+
+# --- The tare of the torque transducers: what it is, when it is taken, which is refused ---------
+
+
+WAIT, READ = 100, 400
+TARED = WAIT + READ + TRIAL
+
+
+@pytest.mark.parametrize(("ticks", "left"), [(400, 0.02), (1000, 0.002), (1003, 0.002)])
+def test_dither_and_mains_hum_do_not_reach_the_tare(ticks: int, left: float) -> None:
+    t = 1e-3 * np.arange(ticks)
+    hum = sum(np.sin(2.0 * np.pi * f * t + f) for f in (35.0, 54.25, 50.0))
+    found = TareParameters(wait=0.0).of(np.array([0.7 + 2.0 * hum, -0.3 - hum]))
+    assert found.offset == pytest.approx((0.7, -0.3), abs=left)
+    assert max(found.error) < left
+
+
+def test_the_standard_error_covers_noise_and_shows_unrest() -> None:
+    rng = np.random.default_rng(3)
+    found = [TareParameters(wait=0.0).of(rng.standard_normal((1, 1000))) for _ in range(400)]
+    scatter = np.std([one.offset[0] for one in found])
+    assert np.sqrt(np.mean([one.error[0] ** 2 for one in found])) == pytest.approx(scatter, rel=0.1)
+    slow = np.sin(2.0 * np.pi * np.arange(1000) * 1e-3)
+    assert TareParameters(wait=0.0).of(slow[None]).error[0] > 0.2
+
+
+def tared(**values: Any) -> SequencerBench:
+    # Locked joints of this law do not listen to the arm, so that commands tell what the tare does.
+    tare = TareParameters(duration=READ / 1000, wait=WAIT / 1000, **values)
+    return SequencerBench(controller_parameters(SETTLE, PERTURB, REST, law="tde", tare=tare))
+
+
+OFFSET = np.array([0.8, -0.5])
+
+
+def test_an_offset_that_was_tared_does_not_move_the_joint_and_one_that_was_not_does() -> None:
+    for shift, moved in ((0.0, False), (0.3, True)):
+        bench = tared()
+        held = bench.run(WAIT + READ, OFFSET)
+        # In its posture, without any torque to feel, a held joint needs none.
+        assert np.max(np.abs(held)) == 0.0
+        settling = bench.run(SETTLE, OFFSET + np.array([shift, 0.0]))
+        assert (np.max(np.abs(settling)) > 0.1) == moved
+
+
+def test_the_tare_is_announced_with_the_perturbation_and_taken_anew_before_each_trial() -> None:
+    bench = tared()
+    bench.run(WAIT + READ, OFFSET)
+    assert [(one.phase, one.tare) for one in bench.statuses] == [(Phase.SETTLE, ())]
+    bench.run(SETTLE + 1, OFFSET)
+    assert [one.phase for one in bench.statuses[1:]] == [Phase.PERTURB]
+    assert bench.last.tare == pytest.approx(tuple(OFFSET), abs=1e-12)
+    assert bench.last.tare_error == pytest.approx((0.0, 0.0), abs=1e-12)
+    bench.run(TARED - WAIT - READ - SETTLE - 1, OFFSET)
+    assert [one.phase for one in bench.statuses[2:]] == [Phase.REST]
+    bench.run(1, OFFSET)
+    assert (bench.last.phase, bench.last.trial, bench.last.tare) == (Phase.SETTLE, 2, ())
+    bench.run(WAIT + READ + SETTLE, 2.0 * OFFSET)
+    assert [one.phase for one in bench.statuses[4:]] == [Phase.PERTURB]
+    assert bench.last.tare == pytest.approx(tuple(2.0 * OFFSET), abs=1e-12)
+    assert TrialStatus.from_values(bench.last.to_values()) == bench.last
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        (
+            {"limit": 0.6},
+            r"the torque of shoulder reads 0\.80?1? N·m at rest, tare\.limit is 0\.6 N·m",
+        ),
+        ({"noise": 1e-6}, r"the torque of shoulder does not rest: .* tare\.noise is 1e-06 N·m"),
+    ],
+)
+def test_a_tare_beyond_its_limits_ends_the_experiment_before_anything_is_perturbed(
+    values: dict[str, float], words: str
+) -> None:
+    bench = tared(**values)
+    bench.run(WAIT + READ // 2, OFFSET)
+    bench.run(READ // 2, OFFSET + 1e-3)
+    bench.run(1, OFFSET)
+    assert bench.last.phase is Phase.ABORTED
+    assert not bench.last.valid
+    assert re.search(words, bench.last.reason)
+    assert bench.experiment.finished
+    bench.run(SETTLE + 10, OFFSET)
+    assert not bench.experiment.tau_delta.any()
+    assert bench.experiment.at_rest

@@ -193,7 +193,7 @@ _SUREST = 20e-6
 _NOTICED = 2.0
 _MOST_CUFFS = 8
 """Joints up to which cuffs and reflexes are looked for: it takes time with the third power."""
-_LIKELY = 0.35
+_LIKELY = 0.2
 """Assumption: how likely a joint has a reflex, a spring that relaxes or a soft cuff, before the
 trial."""
 _REFLEX, _REFLEX_DELAY, _MUSCLE = 0.5, 0.04, 30.0

@@ -16,7 +16,7 @@ from armimp_estimation.arm_models import (
 )
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import Calibration, FitConfig, fit_impedance
-from support.synthetic_trials import TWO_JOINT_ARM
+from support.synthetic_trials import TWO_JOINT_ARM, made_estimate
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -47,18 +47,8 @@ def measured(name: str, seed: int, noise: float = 0.01) -> ImpedanceEstimate:
     variance = (noise * np.abs(Z)) ** 2
     rng = np.random.default_rng(seed)
     errors = rng.standard_normal((2, *Z.shape)) * np.sqrt(variance / 2.0)
-    return ImpedanceEstimate(
-        name="made",
-        f=F,
-        Z=Z + errors[0] + 1j * errors[1],
-        variance=variance,
-        bin_correlation=np.ones((1, F.size)),
-        averages=1000.0,
-        T=Z,
-        R=Z,
-        weight_floor=0.0,
-        unbiased=True,
-    )
+    exact = made_estimate(F, Z, variance=variance, averages=1000.0, weight_floor=0.0, unbiased=True)
+    return replace(exact, Z=Z + errors[0] + 1j * errors[1])
 
 
 def fits_of(

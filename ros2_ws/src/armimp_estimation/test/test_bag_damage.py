@@ -1,6 +1,7 @@
 """Bags cut at any byte and bags with any byte changed: read, or refused with one clear line."""
 
 import shutil
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,6 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from armimp_common.errors import BagError, DataError
 from armimp_estimation.bags import read_bag
-from armimp_estimation.record import TrialRecord
 from support.bag_files import (
     records_of,
     typed,
@@ -35,28 +35,21 @@ def storage_file(bag: Path) -> Path:
     return file
 
 
-def read_or_refused(bag: Path) -> list[TrialRecord]:
-    """The records, none if the bag is refused in one line with its name."""
-    text = ""
-    records: list[TrialRecord] = []
+def samples_or_refusal(bag: Path) -> int:
+    """Samples of the record, which must be those that were written; 0 if the bag is refused.
+
+    A refusal is one line with the name of the bag.
+    """
     try:
         content = read_bag(bag)
-        text = "".join(content.notes)
-        records = records_of(content)
+        said, records = "".join(content.notes), records_of(content)
     except (BagError, DataError) as error:
-        text = str(error)
-        assert str(bag) in text
-    assert "\n" not in text
-    return records
-
-
-def samples_or_refusal(bag: Path) -> int:
-    """Samples of the record, which must be those that were written; 0 if the bag is refused."""
-    records = read_or_refused(bag)
+        said, records = str(error), []
+    assert "\n" not in said
     if not records:
+        assert str(bag) in said
         return 0
-    (record,) = records
-    expected = RECORDING.records[0]
+    (record,), (expected,) = records, RECORDING.records
     np.testing.assert_array_equal(record.position, expected.position[:, : record.samples])
     np.testing.assert_array_equal(record.torque, expected.torque[:, : record.samples])
     return record.samples
@@ -124,12 +117,8 @@ class TestEveryByte:
         bag = tmp_path / "bag"
         shutil.copytree(small, bag)
         whole = (bag / "metadata.yaml").read_bytes()
-        refused = 0
-        for size in range(len(whole)):
-            (bag / "metadata.yaml").write_bytes(whole[:size])
-            samples = samples_or_refusal(bag)
-            assert samples in (0, 60)
-            refused += samples == 0
+        cuts = (whole[:size] for size in range(len(whole)))
+        refused = self.refusals(bag, bag / "metadata.yaml", cuts)
         figures.add("metadata.yaml cut at every byte", len(whole), refused=(refused, ""))
 
     @pytest.mark.slow
@@ -137,15 +126,11 @@ class TestEveryByte:
         self, small: Path, tmp_path: Path, figures: Figures
     ) -> None:
         whole = storage_file(small).read_bytes()
-        file = tmp_path / "bag.mcap"
-        refused = 0
-        for where in range(len(whole)):
-            changed = bytearray(whole)
-            changed[where] ^= 1 << (where % 8)
-            file.write_bytes(changed)
-            samples = samples_or_refusal(file)
-            assert samples in (0, 50, 60)
-            refused += samples == 0
+        flipped = (
+            whole[:where] + bytes([whole[where] ^ 1 << where % 8]) + whole[where + 1 :]
+            for where in range(len(whole))
+        )
+        refused = self.refusals(tmp_path / "bag.mcap", tmp_path / "bag.mcap", flipped)
         figures.add("one bit of a bag flipped, in every byte", len(whole), refused=(refused, ""))
 
     @pytest.mark.slow
@@ -153,7 +138,15 @@ class TestEveryByte:
         self, small: Path, tmp_path: Path
     ) -> None:
         whole = storage_file(small).read_bytes()
-        file = tmp_path / "bag.mcap"
-        for size in range(0, len(whole), 7):
-            file.write_bytes(whole[:size] + bytes(len(whole) - size))
-            assert samples_or_refusal(file) in (0, 50, 60)
+        tails = (whole[:size] + bytes(len(whole) - size) for size in range(0, len(whole), 7))
+        assert self.refusals(tmp_path / "bag.mcap", tmp_path / "bag.mcap", tails)
+
+    def refusals(self, bag: Path, file: Path, contents: Iterable[bytes]) -> int:
+        """How many of these contents of a file have a bag refused; else whole chunks are read."""
+        refused = 0
+        for content in contents:
+            file.write_bytes(content)
+            samples = samples_or_refusal(bag)
+            assert samples in (0, 50, 60)
+            refused += samples == 0
+        return refused

@@ -1,5 +1,6 @@
+import json
 import resource
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,6 +12,7 @@ from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 
+from armimp_common import topics
 from armimp_common.errors import BagError
 from armimp_common.topics import (
     CLOCK,
@@ -21,11 +23,13 @@ from armimp_common.topics import (
 )
 from armimp_estimation.bags import (
     BagWriter,
+    read_bag,
     require_free_space,
 )
-from armimp_estimation.bags.metadata_yaml import qos_profiles
-from armimp_estimation.bags.writer import FLUSH_INTERVAL_NS
+from armimp_estimation.bags.metadata_yaml import FILE_NAME, absolute, qos_profiles
+from armimp_estimation.bags.writer import FLUSH_INTERVAL_NS, finish_bag, finish_bags
 from support.bag_files import iterate_messages, write_bag
+from support.fault_figures import Figures
 from support.synthetic_bags import Message, synthetic_recording
 
 METADATA = {"schema": "1", "seed": "7", "joint_names": '["shoulder", "elbow"]', "note": "12:30\nü"}
@@ -52,19 +56,6 @@ def files_limited_to(size: int) -> Iterator[None]:
 
 
 class TestFormat:
-    def test_rosbags_reads_the_same_messages_types_and_times(self, tmp_path: Path) -> None:
-        messages = synthetic_recording(ticks=200).messages
-        path = write(tmp_path / "bag", messages)
-        with AnyReader([path]) as reader:
-            # Opening compares the type hashes with the definitions.
-            read = [(c.topic, c.msgtype, time, data) for c, time, data in reader.messages()]
-            joint_state = next(data for c, _, data in reader.messages() if "joint" in c.topic)
-            message = reader.deserialize(joint_state, "sensor_msgs/msg/JointState")
-        assert read == [
-            ("/" + topic, MESSAGE_TYPES[topic], time, raw) for topic, time, raw in messages
-        ]
-        assert message.name == ["shoulder", "elbow"]  # type: ignore[attr-defined]
-
     def test_mcap_file_has_profile_schemas_channels_and_statistics(self, tmp_path: Path) -> None:
         messages = synthetic_recording(ticks=300).messages
         path = write(tmp_path / "bag", messages)
@@ -172,11 +163,9 @@ class TestBlocks:
         topics = synthetic_recording(ticks=self.TICKS).by_topic()
         return {topic: topics[topic] for topic in DATA_STREAMS}
 
-    def write_blocks(
-        self, writer: BagWriter, topics: dict[str, list[bytes]], size: int, first: int = 0
-    ) -> None:
+    def write_blocks(self, writer: BagWriter, topics: dict[str, list[bytes]], size: int) -> None:
         times = [tick * PERIOD_NS for tick in range(self.TICKS)]
-        for start in range(first, self.TICKS, size):
+        for start in range(0, self.TICKS, size):
             part = slice(start, start + size)
             writer.write_block(times[part], {topic: raws[part] for topic, raws in topics.items()})
 
@@ -199,8 +188,10 @@ class TestBlocks:
         path = tmp_path / "blocks" / "blocks_0.mcap"
         with path.open("rb") as file:
             assert sum(1 for _ in StreamReader(file, validate_crcs=True).records) > 4 * self.TICKS
+        # Opening compares the type hashes with the definitions.
         with AnyReader([tmp_path / "blocks"]) as reader:
-            assert [raw for _, _, raw in reader.messages()] == [raw for _, _, raw in one]
+            read = [(c.topic, c.msgtype, time, raw) for c, time, raw in reader.messages()]
+        assert read == [(absolute(t), MESSAGE_TYPES[t], time, raw) for t, time, raw in one]
 
     @pytest.mark.parametrize("size", [7, 50])
     def test_what_is_not_yet_in_the_file_is_bounded(
@@ -239,3 +230,149 @@ class TestKilledWriter:
             "bag_0.mcap",
             "metadata.yaml",
         }
+
+
+# --- Bags that their recorder left unfinished are finished by whoever finds them; others stay ---
+
+
+MESSAGES = synthetic_recording(ticks=160).messages
+META = {"seed": "1", "joint_names": '["shoulder", "elbow"]', "note": "12:30\nü"}
+LOST = 7
+"""Messages that a killed writer takes with it below."""
+
+
+def unfinished(path: Path, messages: Sequence[Message] = MESSAGES) -> Path:
+    """A bag as a killed writer leaves it, without its last messages."""
+    writer = BagWriter(path, metadata=META)
+    for topic, log_time_ns, raw in messages[: len(messages) - LOST]:
+        writer.write(topic, raw, log_time_ns)
+    writer.flush()
+    for topic, log_time_ns, raw in messages[len(messages) - LOST :]:
+        writer.write(topic, raw, log_time_ns)
+    writer._file.close()
+    return path
+
+
+def finished(path: Path) -> Path:
+    """The bag of a writer that got the same messages and lived."""
+    return write_bag(path, MESSAGES[: len(MESSAGES) - LOST], META)
+
+
+def content_of(path: Path) -> dict[str, bytes]:
+    return {entry.name: entry.read_bytes() for entry in path.iterdir()}
+
+
+def test_finished_bag_is_that_of_a_recorder_that_lived(tmp_path: Path) -> None:
+    path = unfinished(tmp_path / "a" / "bag")
+    note = finish_bag(path)
+    count = len(MESSAGES) - LOST
+    assert note == f"{path}: its recorder did not finish it: finished now, with {count} messages"
+    assert content_of(path) == content_of(finished(tmp_path / "b" / "bag"))
+    assert finish_bag(path) == ""
+    assert content_of(path) == content_of(finished(tmp_path / "c" / "bag"))
+
+
+def test_bag_that_is_being_recorded_is_left_alone(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "bag", metadata=META)
+    for topic, log_time_ns, raw in MESSAGES:
+        writer.write(topic, raw, log_time_ns)
+    before = content_of(tmp_path / "bag")
+    assert finish_bag(tmp_path / "bag") == ""
+    assert content_of(tmp_path / "bag") == before
+    writer.close()
+    assert list(iterate_messages(tmp_path / "bag")) == list(MESSAGES)
+
+
+def test_unfinished_file_of_another_recorder_is_left_alone(tmp_path: Path) -> None:
+    path = unfinished(tmp_path / "bag")
+    file = path / "bag_0.mcap"
+    file.write_bytes(file.read_bytes().replace(b"armimp", b"others", 1))
+    before = content_of(path)
+    assert finish_bag(path) == ""
+    assert content_of(path) == before
+
+
+def test_bag_that_cannot_be_written_is_named_and_still_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = unfinished(tmp_path / "bag")
+    before = content_of(path)
+
+    def refuse(*_: object) -> None:
+        raise OSError(30, "Read-only file system")
+
+    monkeypatch.setattr("tempfile.mkdtemp", refuse)
+    note = finish_bag(path)
+    assert note.startswith(f"{path}: its recorder did not finish it, and it cannot be finished now")
+    assert note.endswith("Read-only file system")
+    assert content_of(path) == before
+    assert read_bag(path).trials
+
+
+def test_all_bags_of_a_result_are_finished_and_nothing_else_is_left(tmp_path: Path) -> None:
+    bags = [unfinished(tmp_path / "bags" / name) for name in ("trial_1_joint_1", "trial_2_joint_2")]
+    notes = finish_bags(tmp_path)
+    assert [note.split(":")[0] for note in notes] == [str(bag) for bag in bags]
+    assert [path.name for path in tmp_path.iterdir()] == ["bags"]
+    assert finish_bags(tmp_path) == []
+    assert finish_bags(tmp_path / "missing") == []
+
+
+def cut_at(whole: bytes, size: int, path: Path) -> int:
+    """Messages in a bag whose file was cut, which must be the same however it is read; or -1."""
+    (path / "bag_0.mcap").write_bytes(whole[:size])
+    try:
+        before = list(iterate_messages(path))
+    except BagError:
+        before = []
+    metadata = (path / FILE_NAME).read_bytes()
+    note = finish_bag(path)
+    if not note:
+        assert before == []
+        return -1
+    with AnyReader([path]) as reader:
+        after = [data for _, _, data in reader.messages()]
+    assert after == [raw for _, _, raw in before]
+    (path / FILE_NAME).write_bytes(metadata)
+    return len(after)
+
+
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("step", [997, pytest.param(13, marks=pytest.mark.slow)])
+def test_file_cut_anywhere_is_finished_up_to_the_cut(
+    tmp_path: Path, figures: Figures, step: int
+) -> None:
+    path = unfinished(tmp_path / "bag", MESSAGES[:300])
+    whole = (path / "bag_0.mcap").read_bytes()
+    counts = [cut_at(whole, size, path) for size in [*range(0, len(whole), step), len(whole)]]
+    assert counts == sorted(counts)
+    assert counts[0] == -1
+    assert counts[-1] == 300 - LOST
+    assert len(set(counts)) == 4  # no header; no message; one chunk; both
+    if step == 13:
+        figures.add("bag of a killed recorder cut, then finished", len(counts))
+
+
+def test_damaged_bag_is_left_for_the_reader_to_refuse(tmp_path: Path) -> None:
+    path = unfinished(tmp_path / "bag")
+    file = path / "bag_0.mcap"
+    whole = bytearray(file.read_bytes())
+    whole[len(whole) // 2] ^= 0xFF
+    file.write_bytes(whole)
+    before = content_of(path)
+    assert finish_bag(path) == ""
+    assert content_of(path) == before
+    with pytest.raises(BagError, match="damaged record"):
+        read_bag(path)
+
+
+def test_what_is_known_only_after_recording_is_added_to_the_metadata(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", metadata=META) as writer:
+        for topic, log_time_ns, raw in MESSAGES:
+            writer.write(topic, raw, log_time_ns)
+        writer.add_metadata({"ledger": json.dumps({"lost": 0})})
+    expected = META | {"ledger": '{"lost": 0}'}
+    assert read_bag(tmp_path / "bag").metadata == expected
+    # The storage file alone has it, too.
+    assert read_bag(tmp_path / "bag" / "bag_0.mcap").metadata == expected
+    assert topics.TRIAL in read_bag(tmp_path / "bag").topics

@@ -12,17 +12,19 @@ from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
 from armimp_estimation.estimators.welch import WelchFull
 from armimp_estimation.fit import fit_mbk
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData, drift_of
-from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
+from support.synthetic_trials import (
+    LOOP,
+    TWO_JOINT_ARM,
+    WELCH,
+    SyntheticConfig,
+    synthetic_trial,
+)
 
 FloatArray = NDArray[np.float64]
 
 ARM = TWO_JOINT_ARM
-WELCH = WelchConfig(segment=1024, overlap=768)
-# As 50 s at 1 kHz in resolution and band, with an eighth of the samples.
-LOOP = SyntheticConfig(rate=125.0, samples=6144, viscosity=4.0, stiffness=30.0)
 LPM = LpmFull(config=LpmConfig(reading=TorqueReading(timing=TorqueTiming.SIMULTANEOUS)))
 SLOPE = np.array([0.02, -0.01])  # N·m/s
 

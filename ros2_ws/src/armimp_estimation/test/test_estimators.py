@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.direct import Direct
 from armimp_estimation.estimators.estimate import Estimator
-from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
+from armimp_estimation.estimators.lpm import LpmConfig, LpmFull, unresolved
 from armimp_estimation.estimators.welch import WelchFull, WelchSiso
-from armimp_estimation.fit import fit_mbk
+from armimp_estimation.fit import MBKFit, fit_mbk
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
+from armimp_estimation.signal_quality import lost_motion, rounding_lead
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from support.synthetic_trials import (
@@ -158,3 +159,98 @@ def test_when_the_perturbed_joint_does_not_move_expect_its_number_in_the_error()
         DIRECT.estimate(data)
     with pytest.raises(DataError, match="joint 2 does not move"):
         LPM.column(record)
+
+
+# --- The estimator ``lpm_full`` against closed loops with known truth ---------------------------
+
+
+LOCAL = LpmFull(config=LpmConfig(reading=SIMULTANEOUS))
+
+
+def with_records(data: list[TrialData], **changes: object) -> list[TrialData]:
+    """The trials with a field of their records changed; their spectra do not matter here."""
+    return [
+        dataclasses.replace(trial, record=dataclasses.replace(trial.record, **changes))  # type: ignore[arg-type]
+        for trial in data
+    ]
+
+
+def stacked(fit: MBKFit) -> FloatArray:
+    return np.stack((fit.mbk.M, fit.mbk.B, fit.mbk.K))
+
+
+def test_a_delay_of_all_torques_is_corrected() -> None:
+    delayed = []
+    for trial in synthetic_trials():
+        samples = trial.record.samples
+        late = np.exp(-1j * np.pi * np.fft.rfftfreq(samples))  # half a sample
+        torque = np.fft.irfft(np.fft.rfft(trial.record.torque, axis=1) * late, samples, axis=1)
+        delayed += with_records([trial], torque=torque)
+    arm = TWO_JOINT_ARM
+    truth = np.stack((arm.M, arm.B, arm.K))
+    told = LpmConfig(reading=TorqueReading(timing=TorqueTiming.INTERVAL_MEAN))
+    corrected = stacked(fit_mbk(LpmFull(config=told).estimate(delayed)))
+    np.testing.assert_allclose(corrected, truth, rtol=0.005)
+    fit = fit_mbk(LpmFull().estimate(delayed))
+    assert fit.delay is not None
+    assert fit.delay.delay == pytest.approx(0.004, rel=0.02)
+    errors = np.stack((fit.M_se, fit.B_se, fit.K_se))
+    assert (np.abs(stacked(fit) - truth) < 3.5 * errors).all()
+    raw = dataclasses.replace(LOCAL.estimate(delayed), delay_uncertainty=None)
+    assert (stacked(fit_mbk(raw))[1] > 1.2 * arm.B).all()
+
+
+def test_motion_that_an_encoder_misses_is_that_of_a_spring_or_a_damper() -> None:
+    step, records = 1e-4, []
+    for k, trial in enumerate(synthetic_trials()):
+        position = step * np.rint(trial.record.position / step)
+        position[1 - k] = 0.0
+        records.append(dataclasses.replace(trial.record, position=position))
+    rng = np.random.default_rng(2)
+    Z, R, T, inverse = rng.standard_normal((4, 2, 2, 5, 2)) @ [1.0, 1j]
+    f = np.linspace(1.0, 5.0, 5)
+    leads, lost = unresolved(records, Z, R, T, inverse, f)
+    added = np.sum([np.abs(one) ** 2 for one in leads + lost], axis=0)
+    expected = np.zeros(Z.shape)
+    share, beside = lost_motion(records)
+    for joint, k in ((1, 0), (0, 1)):
+        size = beside[joint, k] / np.std(records[k].perturbation[k])
+        assert size > 0.0
+        responses = [share[joint, k] * R[joint, k]]
+        for power in (0, 1):
+            shape = T[joint, k] / f**power
+            responses.append(size * shape / np.sqrt(np.mean(np.abs(shape) ** 2)))
+        for one in responses:
+            expected += np.abs(one * Z[:, joint, None] * inverse[None, k]) ** 2
+    # And readings may lead the motion, of the perturbed joint, too.
+    for (joint, k), lead in np.ndenumerate(rounding_lead(records, 5.0)):
+        ahead = 2j * np.pi * f * lead * R[joint, k]
+        expected += np.abs(ahead * Z[:, joint, None] * inverse[None, k]) ** 2
+    np.testing.assert_allclose(added, expected, rtol=1e-12)
+
+
+def locked(record: TrialRecord) -> TrialRecord:
+    """The same with joints at rest that were not perturbed."""
+    perturbed = np.arange(record.joints)[:, None] == record.perturbed_joint
+    return dataclasses.replace(record, position=np.where(perturbed, record.position, 0.0))
+
+
+def test_column_of_one_trial_is_that_of_the_whole_estimate_where_joints_are_locked() -> None:
+    data = synthetic_trials(dataclasses.replace(LOOP, voluntary=0.3))
+    data = [dataclasses.replace(trial, record=locked(trial.record)) for trial in data]
+    # Without a delay, which each trial alone would tell another way.
+    exact = LpmFull(config=dataclasses.replace(LOCAL.config, timing_uncertainty=0.0))
+    whole = fit_mbk(exact.estimate(data))
+    for k, trial in enumerate(data):
+        column = exact.column(trial.record)
+        assert column.joint == k
+        for row, name in enumerate("MBK"):
+            # The whole estimate weighs by the noise at the fitted impedance.
+            fitted = getattr(whole.mbk, name)[:, k]
+            np.testing.assert_allclose(column.values[row], fitted, rtol=5e-3)
+            # It takes the mean over all trials of each correlation of bins, and knows of reflexes
+            # that noise may hide, which make errors of the joint's own torque larger, and of cuffs.
+            errors = getattr(whole, f"{name}_se")[:, k]
+            apart = np.arange(len(errors)) != k
+            np.testing.assert_allclose(column.errors[row][apart], errors[apart], rtol=0.1)
+            assert (column.errors[row] < 1.02 * errors).all()

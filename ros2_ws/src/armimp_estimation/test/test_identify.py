@@ -1,4 +1,5 @@
 import dataclasses
+import string
 
 import numpy as np
 import pytest
@@ -8,10 +9,16 @@ from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.fit import Calibration
 from armimp_estimation.identify import identify
 from armimp_estimation.mbk import MBK
-from armimp_estimation.problems import ProblemCode
+from armimp_estimation.problems import (
+    Concern,
+    Problem,
+    ProblemCode,
+    Severity,
+    kinds,
+)
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import TrialData
-from armimp_estimation.verdict import judge_coherence, judge_locking
+from armimp_estimation.verdict import Verdict, judge_coherence, judge_locking
 from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 CONFIG = IdentifyConfig(welch=WelchConfig(segment=1024, overlap=768))
@@ -113,14 +120,8 @@ def test_when_locking_fails_expect_it_in_the_verdict_though_derived_coherence_is
     assert not result.valid
     assert (result.estimators["welch_siso"].coherence_derived > 0.9).all()
     said = "\n".join(map(str, result.problems))
-    assert (
-        "joint_2 was not held still while joint_1 was perturbed: within the band it moved by "
-        in said
-    )
-    assert (
-        "joint_1 was not held still while joint_2 was perturbed: within the band it moved by "
-        in said
-    )
+    for locked, moved in (("joint_2", "joint_1"), ("joint_1", "joint_2")):
+        assert f"{locked} was not held still while {moved} was perturbed: within the band" in said
     assert "element (1, 2) may be biased" in said
 
 
@@ -130,12 +131,6 @@ def test_when_estimators_are_not_distinct_known_names_expect_configuration_error
 ) -> None:
     with pytest.raises(ConfigurationError, match="estimator"):
         identify(trials(), estimators, None, CONFIG)
-
-
-def test_when_the_truth_is_of_another_arm_expect_configuration_error() -> None:
-    truth = MBK(M=np.eye(3), B=np.eye(3), K=np.eye(3))
-    with pytest.raises(ConfigurationError, match="truth is of 3 joints, the data of 2"):
-        identify(trials(), ESTIMATORS, truth, CONFIG)
 
 
 def test_scores_that_are_not_numbers_fail_the_verdict() -> None:
@@ -158,3 +153,36 @@ def test_a_single_bad_score_is_told_of_the_right_element() -> None:
     ]
     (problem,) = judge_coherence(names, np.ones(2), torque, 0.25)
     assert (problem.values["stream"], problem.values["name"]) == ("torque", "b")
+
+
+# --- Problems as data: each code has a sentence, and a verdict that it concerns -----------------
+
+
+def test_each_code_has_one_sentence_that_its_values_fill_and_advice() -> None:
+    sentences = [pair for kind in kinds() for pair in kind.sentences.items()]
+    assert sorted(code for code, _ in sentences) == sorted(ProblemCode)
+    assert all(kind.advice for kind in kinds())
+    for code, text in sentences:
+        fields = {name: spec for _, name, spec, _ in string.Formatter().parse(text) if name}
+        values = {name: 3 if spec == "d" else 1.5 if spec else "x" for name, spec in fields.items()}
+        sentence = Problem(code=code, trial=2, values=values).sentence
+        assert sentence.startswith("trial 2: ")
+        assert "{" not in sentence
+        assert "\n" not in sentence
+
+
+def test_a_problem_of_the_parameters_leaves_the_impedance_valid() -> None:
+    fit = Problem(code=ProblemCode.LACK_OF_FIT, concern=Concern.PARAMETERS, estimator="lpm_full")
+    assert Verdict.of([fit], "lpm_full") == Verdict(impedance=True, parameters=False)
+    assert Verdict.of([fit], "welch_siso") == Verdict(impedance=True, parameters=True)
+
+
+def test_a_problem_of_the_impedance_spoils_the_parameters_and_a_note_nothing() -> None:
+    stuck = Problem(code=ProblemCode.STUCK)
+    note = Problem(code=ProblemCode.DELAY_CORRECTED, severity=Severity.NOTE)
+    assert Verdict.of([stuck], "any") == Verdict(impedance=False, parameters=False)
+    assert Verdict.of([note], "any") == Verdict(impedance=True, parameters=True)
+
+
+def test_without_an_estimator_nothing_can_be_trusted() -> None:
+    assert Verdict.of([]) == Verdict(impedance=False, parameters=False)

@@ -19,28 +19,16 @@ from armimp_estimation.fit import (
     r_squared,
 )
 from armimp_estimation.mbk import MBK
-from support.synthetic_trials import TWO_JOINT_ARM
+from support.synthetic_trials import TWO_JOINT_ARM, made_estimate
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 F: FloatArray = np.linspace(0.122, 14.884, 122)
-NO_CORRELATION = np.ones((1, F.size))
 
 
-def estimate_of(
-    Z: ComplexArray, variance: FloatArray | None = None, correlation: FloatArray = NO_CORRELATION
-) -> ImpedanceEstimate:
-    return ImpedanceEstimate(
-        name="made",
-        f=F[: Z.shape[2]],
-        Z=Z,
-        variance=np.ones(Z.shape) if variance is None else variance,
-        bin_correlation=correlation,
-        averages=11.0,
-        T=Z,
-        R=Z,
-    )
+def estimate_of(Z: ComplexArray, variance: FloatArray | None = None) -> ImpedanceEstimate:
+    return made_estimate(F, Z, variance=np.ones(Z.shape) if variance is None else variance)
 
 
 def stacked(fit: MBKFit) -> FloatArray:

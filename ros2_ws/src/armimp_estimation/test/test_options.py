@@ -1,20 +1,33 @@
-"""Options that make no sense are refused with one line that names them."""
+"""Options, records and trials that make no sense are refused with one line that says why."""
 
+import dataclasses
+import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 
-from armimp_common.errors import ConfigurationError
+from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.arm_models import require_model
 from armimp_estimation.estimators.estimate import confidence_radius
 from armimp_estimation.estimators.local_polynomial import LocalPolynomialConfig
 from armimp_estimation.estimators.lpm import LpmConfig
 from armimp_estimation.estimators.registry import IdentifyConfig, make_estimator
+from armimp_estimation.estimators.welch import WelchSiso, invert
 from armimp_estimation.fit import FitConfig
+from armimp_estimation.frf import frf_matrix, order_trials
 from armimp_estimation.mbk import MBK
+from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.torque_timing import TorqueReading
+from armimp_estimation.trial import TrialData
+from support.synthetic_trials import (
+    LOOP,
+    WELCH,
+    made_record,
+    synthetic_trials,
+)
 
 NAN, INFINITE = float("nan"), float("inf")
 EYE = np.eye(2)
@@ -74,3 +87,94 @@ def test_when_an_option_makes_no_sense_expect_it_in_the_error(
 ) -> None:
     with pytest.raises((ConfigurationError, ValueError), match=message):
         make(**wrong)
+
+
+# --- Records of trials whose parts do not fit, or hold no numbers, are refused ------------------
+
+
+def record(**changes: Any) -> TrialRecord:
+    names = {"joint_names": ("shoulder", "elbow"), "trial": 2, "perturbed_joint": 1}
+    return made_record(np.zeros((2, 5)), **{**names, **changes})
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("name", ["perturbation", "position", "torque", "command"])
+def test_when_a_sample_is_not_finite_expect_its_joint_and_place_in_the_error(
+    name: str, bad: float
+) -> None:
+    values = np.zeros((2, 5))
+    values[1, 3] = bad
+    with pytest.raises(DataError, match=f"trial 2: {name} of elbow is {bad} at sample 3"):
+        record(**{name: values})
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"position": np.zeros((3, 5))}, r"position has shape \(3, 5\), expected \(2, N\)"),
+        ({"torque": np.zeros((2, 4))}, "torque has 4 samples, perturbation has 5"),
+        ({"command": np.zeros((2, 4))}, "command has 4 samples, perturbation has 5"),
+        ({"perturbation": np.zeros(5)}, r"perturbation has shape \(5,\)"),
+        ({"perturbed_joint": 2}, "no joint 3 among 2 joints"),
+        ({"perturbed_joint": -1}, "no joint 0"),
+        ({"joint_names": ("elbow", "elbow")}, "distinct"),
+        ({"joint_names": ()}, "distinct"),
+        ({"rate": 0.0}, "rate must be positive, got 0.0"),
+        ({"rate": math.nan}, "rate must be positive, got nan"),
+    ],
+)
+def test_when_the_parts_do_not_fit_expect_a_data_error(
+    changes: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(DataError, match=message):
+        record(**changes)
+
+
+def test_when_the_record_is_too_short_expect_its_trial_in_the_error() -> None:
+    with pytest.raises(DataError, match="trial 2: record of 1000 samples is shorter than one"):
+        TrialData.of(made_record(np.zeros((2, 1000)), trial=2))
+
+
+# --- Trials that do not belong together, and spectra that tell nothing, are refused -------------
+
+
+def test_when_a_joint_has_two_trials_expect_data_error() -> None:
+    data = synthetic_trials()
+    with pytest.raises(DataError, match=r"2 trials perturb joint 1 \(joint_1\).*: trials 1, 1"):
+        order_trials([*data, data[0]])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"joint_names": ("x", "y")}, "trial 2 has joints x, y, trial 1 has joint_1, joint_2"),
+        ({"rate": 250.0}, "250.0 samples per second, trial 1 has 125.0"),
+        ({"perturbation": np.ones((2, 6144))}, "trial 2 perturbs joint_1 as well as joint_2"),
+    ],
+)
+def test_when_trials_do_not_belong_together_expect_data_error(
+    change: dict[str, object], message: str
+) -> None:
+    first, second = synthetic_trials()
+    record = dataclasses.replace(second.record, **change)  # type: ignore[arg-type]
+    with pytest.raises(DataError, match=message):
+        order_trials([first, dataclasses.replace(second, record=record)])
+
+
+def test_when_there_is_one_segment_only_expect_data_error() -> None:
+    loop = dataclasses.replace(LOOP, samples=1100)
+    with pytest.raises(DataError, match="joint 1: 1 segment gives no measure of noise"):
+        WelchSiso().estimate(synthetic_trials(loop))
+
+
+def test_when_there_is_no_perturbation_expect_data_error() -> None:
+    record = made_record(np.random.default_rng(0).standard_normal((2, 6144)), rate=125.0)
+    with pytest.raises(DataError, match="joint 1: no perturbation at"):
+        frf_matrix([TrialData.of(record, welch=WELCH)])
+
+
+def test_when_motions_are_dependent_expect_the_frequency_in_the_error() -> None:
+    matrix = np.repeat(np.eye(2, dtype=np.complex128)[:, :, None], 3, axis=2)
+    matrix[:, :, 1] = 1.0
+    with pytest.raises(DataError, match=r"linearly dependent at 2.5 Hz"):
+        invert(matrix, np.array([2.0, 2.5, 3.0]))

@@ -18,7 +18,7 @@ from armimp_estimation.periods import Periods
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import drift_of, segments_for
-from support.synthetic_trials import LOOP, TWO_JOINT_ARM, synthetic_trial
+from support.synthetic_trials import LOOP, TWO_JOINT_ARM, made_record, synthetic_trial
 
 Array = NDArray[np.float64]
 PERIOD = 4096
@@ -39,17 +39,7 @@ def lagging_behind(signal: Array, pole: float) -> Array:
 
 def elbow(perturbation: Array, position: Array, torque: Array) -> TrialRecord:
     """A trial of one joint, sampled at 1 kHz."""
-    return TrialRecord(
-        trial=1,
-        perturbed_joint=0,
-        rate=1000.0,
-        joint_names=("elbow",),
-        perturbation=perturbation[None],
-        position=position[None],
-        torque=torque[None],
-        start_ns=0,
-        seed=None,
-    )
+    return made_record(position[None], torque[None], perturbation[None])
 
 
 def test_periods_and_lines_are_found_in_the_signal_itself() -> None:

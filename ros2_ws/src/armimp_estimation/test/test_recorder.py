@@ -32,6 +32,7 @@ from armimp_common.topics import (
 )
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.alignment.streams import Streams
+from armimp_estimation.alignment.synchronizer import StreamSynchronizer
 from armimp_estimation.bags import read_bag
 from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
 from armimp_estimation.problems import Problem, ProblemCode
@@ -39,10 +40,10 @@ from armimp_estimation.record import TrialRecord
 from armimp_estimation.recorder import TrialRecorder, largest_error, record_so_far
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from support.bag_files import iterate_messages
-from support.streams import record
+from support.streams import fed_synchronizer, record
 from support.synthetic_bags import Message, recorded_arm, synthetic_recording
 from support.synthetic_trials import TWO_JOINT_ARM as ARM
-from support.synthetic_trials import SyntheticConfig, synthetic_trial
+from support.synthetic_trials import SyntheticConfig, part_of, synthetic_trial
 
 SETTLE, TICKS, REST = 10, 100, 10
 MADE_UP = synthetic_recording(perturbed=(0, 1), ticks=TICKS, settle=SETTLE, rest=REST)
@@ -308,17 +309,17 @@ def test_when_a_trial_ends_depends_on_its_first_samples_and_the_trials_before() 
     assert told == [(k, samples, samples > 0) for k in (1, 2) for samples in (0, considered)]
     past: list[TrialRecord] = []
     for decision, whole in zip(decisions[1::2], ARM_RECORDING.records, strict=True):
-        column = LpmFull().column(cut(whole, considered, commands=True), past)
+        column = LpmFull().column(with_commands(part_of(whole, 0, considered)), past)
         assert (decision.largest, decision.element) == largest_error(column)
-        past.append(replace(whole, command=whole.perturbation))
+        past.append(with_commands(whole))
 
 
 # --- running figures --------------------------------------------------------------------------
 
 
-def cut(record: TrialRecord, samples: int, *, commands: bool = False) -> TrialRecord:
-    parts = {n: getattr(record, n)[:, :samples] for n in ("position", "torque", "perturbation")}
-    return replace(record, **parts, command=parts["perturbation"] if commands else None)
+def with_commands(record: TrialRecord) -> TrialRecord:
+    """Commands are the perturbation alone."""
+    return replace(record, command=record.perturbation)
 
 
 def so_far(
@@ -353,7 +354,7 @@ def test_first_samples_of_a_running_trial_are_the_same_however_they_arrived(
 ) -> None:
     found = so_far(ARM_MESSAGES, samples, stops)
     assert found is not None
-    expected = cut(ARM_RECORDING.records[0], samples, commands=True)
+    expected = with_commands(part_of(ARM_RECORDING.records[0], 0, samples))
     assert_equal(found, replace(expected, start_ns=0))
     np.testing.assert_array_equal(found.command, expected.command)
     assert so_far(ARM_MESSAGES, SAMPLES + 1) is None
@@ -396,3 +397,39 @@ def test_the_last_trial_accounts_for_motion_of_locked_joints_and_the_first_says_
     assert not last.preliminary
     assert (np.abs(alone.values - true) / np.abs(true)).max() > 0.3
     assert (np.abs(last.values - true) / last.errors).max() < 4.0
+
+
+# --- The synchronizer of the recorder: complete samples, in order, and nothing waits for ever ---
+
+
+def filled(others: int, perturbations: int) -> StreamSynchronizer:
+    """A synchronizer with so many numbered messages of each stream."""
+    synchronizer, deliver = fed_synchronizer()
+    for topic in DATA_STREAMS:
+        for number in range(perturbations if topic == PERTURBATION else others):
+            deliver[topic](str(number).encode())
+    return synchronizer
+
+
+def test_samples_wait_as_a_whole_for_perturbations_that_are_late() -> None:
+    synchronizer = filled(200, perturbations=30)
+    taken = synchronizer.take()
+    assert all(list(map(int, taken[topic])) == list(range(30)) for topic in DATA_STREAMS)
+    for number in range(30, 200):
+        synchronizer.receive(str(number).encode())
+    rest = synchronizer.take()
+    assert all(list(map(int, rest[topic])) == list(range(30, 200)) for topic in DATA_STREAMS)
+
+
+def test_nothing_waits_for_perturbations_that_stay_away() -> None:
+    assert len(filled(10_000, perturbations=0).take()[JOINT_STATES]) == 8000
+
+
+def test_once_closed_nothing_more_is_taken_and_what_waits_is_kept() -> None:
+    synchronizer, deliver = fed_synchronizer()
+    for message in (b"1", b"2"):
+        for topic in DATA_STREAMS:
+            deliver[topic](message)
+        synchronizer.close()
+    assert not synchronizer.poll()
+    assert synchronizer.take() == {topic: [b"1"] for topic in DATA_STREAMS}

@@ -21,7 +21,7 @@ from armimp_estimation.report.plots import (
 )
 from armimp_estimation.scores import Coherences
 from armimp_estimation.summary import ImpedanceCurve
-from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
+from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, part_of, synthetic_trial
 
 F = np.linspace(0.1, 15.0, 40)
 
@@ -100,20 +100,8 @@ def test_an_envelope_keeps_the_extremes_of_a_signal_whatever_its_gaps(
 
 def test_a_gap_between_segments_stays_a_gap() -> None:
     record = synthetic_trial(TWO_JOINT_ARM, 1, SyntheticConfig(samples=100), seed=1)
-    parts = [
-        type(record)(
-            trial=2,
-            perturbed_joint=1,
-            rate=1000.0,
-            joint_names=record.joint_names,
-            perturbation=record.perturbation[:, part],
-            position=record.position[:, part],
-            torque=record.torque[:, part],
-            start_ns=start * 1_000_000,
-            seed=1,
-        )
-        for start, part in ((5, slice(0, 40)), (55, slice(50, 100)))
-    ]
+    shifted = replace(record, start_ns=5_000_000)
+    parts = [part_of(shifted, 0, 40), part_of(shifted, 50, 100)]
     perturbation, angle, held, torque = rows_of(parts, start_ns=0, cutoff=None)
 
     assert (perturbation.joints, angle.joints, held.joints) == ((1,), (1,), (0,))

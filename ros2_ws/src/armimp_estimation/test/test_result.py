@@ -21,7 +21,6 @@ from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.metadata import RECORD_KEY, Metadata, Timing, latest_metadata
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
-from armimp_estimation.record import TrialRecord
 from armimp_estimation.recorder import TrialRecorder
 from armimp_estimation.report import report_page
 from armimp_estimation.result import Result, conclude
@@ -37,7 +36,7 @@ from armimp_estimation.trial import TrialData, segments_for
 from armimp_estimation.verdict import Verdict
 from support.streams import record
 from support.synthetic_bags import Message, recorded_arm
-from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
+from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, part_of, synthetic_trial
 
 RECORDING = recorded_arm()
 NAMES = RECORDING.records[0].joint_names
@@ -256,21 +255,10 @@ def test_trials_that_lost_samples_are_refused_or_estimated_from_their_intact_par
     assert bits(result_of(allow_gaps=True)) == bits(complete())
 
 
-def part(record: TrialRecord, start: int, stop: int) -> TrialRecord:
-    return replace(
-        record,
-        perturbation=record.perturbation[:, start:stop],
-        position=record.position[:, start:stop],
-        torque=record.torque[:, start:stop],
-        command=None,
-        start_ns=record.start_ns + start * PERIOD_NS,
-    )
-
-
 def test_segments_of_all_parts_are_averaged_and_none_spans_a_gap() -> None:
     config = WelchConfig(segment=1024, overlap=768)
     complete = RECORDING.records[0]
-    parts = [part(complete, 0, 3000), part(complete, 3100, 3600), part(complete, 4000, 9000)]
+    parts = [part_of(complete, *ends) for ends in ((0, 3000), (3100, 3600), (4000, 9000))]
     data = TrialData.of(*parts, welch=config)
     alone = [TrialData.of(one, welch=config).spectra for one in parts[::2]]
     counts = [8, 16]
@@ -289,7 +277,7 @@ def test_segments_of_all_parts_are_averaged_and_none_spans_a_gap() -> None:
 def test_all_trials_get_the_segments_of_the_one_that_can_have_least() -> None:
     long = synthetic_trial(TWO_JOINT_ARM, 0, SyntheticConfig(samples=33_000), 1)
     assert segments_for([[long]]).segment == 8192
-    assert segments_for([[long], [part(long, 0, 9000)]]).segment == 2048
+    assert segments_for([[long], [part_of(long, 0, 9000)]]).segment == 2048
 
 
 # --- timing in real time ----------------------------------------------------------------------
@@ -442,10 +430,10 @@ def test_curves_come_back_bit_by_bit_each_with_its_own_frequencies(
     back = read_frf(tmp_path / "one.npz")
     assert list(back) == list(curves)
     for name, written in curves.items():
-        for part_of, other in ((written, back[name]), (written.coherence, back[name].coherence)):
-            for one in fields(part_of):
+        for mine, other in ((written, back[name]), (written.coherence, back[name].coherence)):
+            for one in fields(mine):
                 if one.name != "coherence":
-                    found, expected = getattr(other, one.name), getattr(part_of, one.name)
+                    found, expected = getattr(other, one.name), getattr(mine, one.name)
                     np.testing.assert_array_equal(found, expected, strict=True)
     with pytest.raises(DataError, match="no estimate"):
         write_frf(tmp_path / "none.npz", {})

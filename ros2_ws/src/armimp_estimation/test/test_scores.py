@@ -12,26 +12,19 @@ from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import CrossSpectra, SpectralAccumulator, WelchConfig
 from armimp_estimation.trial import TrialData
-from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
+from support.synthetic_trials import (
+    TWO_JOINT_ARM,
+    SyntheticConfig,
+    made_estimate,
+    made_record,
+    synthetic_trial,
+)
 
 ComplexArray = NDArray[np.complex128]
 
 WELCH = WelchConfig(segment=1024, overlap=768)
 F = WELCH.frequencies(125.0)
 TARGET = MBK(M=np.diag([0.2, 0.2]), B=np.diag([2.0, 2.0]), K=np.diag([10.0, 10.0]))
-
-
-def estimate_of(Z: ComplexArray) -> ImpedanceEstimate:
-    return ImpedanceEstimate(
-        name="made",
-        f=F,
-        Z=Z,
-        variance=np.ones(Z.shape),
-        bin_correlation=np.ones((1, F.size)),
-        averages=11.0,
-        T=Z,
-        R=Z,
-    )
 
 
 def spectra_of(matrix: ComplexArray) -> CrossSpectra:
@@ -47,23 +40,14 @@ def spectra_of(matrix: ComplexArray) -> CrossSpectra:
 def moving_record() -> TrialRecord:
     t = np.arange(1000) / 1000.0
     wave = np.sin(2.0 * np.pi * 5.0 * t)
-    return TrialRecord(
-        trial=4,
-        perturbed_joint=1,
-        rate=1000.0,
-        joint_names=("a", "b", "c"),
-        perturbation=np.zeros((3, 1000)),
-        position=np.stack((1.0 + 0.01 * wave, 2.0 - 0.5 * wave, np.full(1000, 0.3))),
-        torque=np.zeros((3, 1000)),
-        start_ns=0,
-        seed=None,
-    )
+    position = np.stack((1.0 + 0.01 * wave, 2.0 - 0.5 * wave, np.full(1000, 0.3)))
+    return made_record(position, trial=4, perturbed_joint=1)
 
 
 def test_vaf_is_100_for_the_truth_and_falls_with_the_square_of_a_relative_error() -> None:
     true = TWO_JOINT_ARM.impedance(F)
     factors = np.array([[1.0, 1.1], [1.0 + 0.1j, 3.0]])
-    vaf = scores.vaf(estimate_of(true * factors[:, :, None]), TWO_JOINT_ARM)
+    vaf = scores.vaf(made_estimate(F, true * factors[:, :, None]), TWO_JOINT_ARM)
     np.testing.assert_allclose(vaf, [[100.0, 99.0], [99.0, -300.0]], rtol=1e-12)
 
 
@@ -74,7 +58,7 @@ def _realised(deviation: float, covariance: ComplexArray | None = None) -> Imped
     R = np.zeros_like(Z)
     R[[0, 1], [0, 1]] = 1.0 / (shown + Z)[[0, 1], [0, 1]]
     T = np.einsum("ijf,jkf->ikf", Z, R)
-    return dataclasses.replace(estimate_of(Z), T=T, R=R, covariance=covariance)
+    return dataclasses.replace(made_estimate(F, Z), T=T, R=R, covariance=covariance)
 
 
 def test_a_robot_that_does_what_its_law_says_has_no_deviation_from_the_target() -> None:
@@ -96,10 +80,7 @@ def test_coherence_is_the_share_of_common_power() -> None:
 
 def test_derived_coherence_follows_its_definition() -> None:
     # One joint: tau_delta, theta, tau.
-    one = {name: getattr(moving_record(), name)[:1] for name in ("perturbation", "torque")}
-    record = dataclasses.replace(
-        moving_record(), perturbed_joint=0, joint_names=("a",), position=one["torque"], **one
-    )
+    record = made_record(np.zeros((1, 1000)))
     matrix = np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 4.0 + 2j], [0.0, 4.0 - 2j, 25.0]])
     trial = TrialData(record=record, spectra=spectra_of(matrix))
     noise = (1.0 - 20.0 / 50.0) * 25.0
@@ -147,11 +128,11 @@ def test_lock_ratio_is_the_motion_that_the_perturbation_causes_and_not_that_of_a
 
 def test_a_perturbed_joint_that_stands_still_or_a_torque_that_never_changes_is_an_error() -> None:
     record = dataclasses.replace(moving_record(), perturbed_joint=2)
-    with pytest.raises(DataError, match="trial 4: c is perturbed but does not move"):
+    with pytest.raises(DataError, match="trial 4: joint_3 is perturbed but does not move"):
         scores.require_motion(record)
     record = moving_record()
     record.torque[record.perturbed_joint] = 0.3
-    with pytest.raises(DataError, match=r"torque of \w reads 0.3 N·m throughout"):
+    with pytest.raises(DataError, match=r"torque of joint_2 reads 0.3 N·m throughout"):
         scores.require_motion(record)
 
 

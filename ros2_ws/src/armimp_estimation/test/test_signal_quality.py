@@ -16,6 +16,7 @@ from armimp_estimation.signal_quality import (
     sticking,
     unseen_share,
 )
+from support.synthetic_trials import made_record
 
 RATE = 1000.0
 
@@ -127,18 +128,8 @@ def trials_of(locked: np.ndarray) -> list[TrialRecord]:
     """Two trials in which the locked joint moves alike; the resolution is 1."""
     moving = motion(1, 1.0, 100.0)
     return [
-        TrialRecord(
-            trial=k + 1,
-            perturbed_joint=k,
-            rate=RATE,
-            joint_names=("shoulder", "elbow"),
-            perturbation=np.zeros((2, moving.size)),
-            position=np.stack([moving, locked] if k == 0 else [locked, moving]),
-            torque=np.zeros((2, moving.size)),
-            start_ns=0,
-            seed=None,
-        )
-        for k in range(2)
+        made_record(np.stack(angles), trial=k + 1, perturbed_joint=k)
+        for k, angles in enumerate(([moving, locked], [locked, moving]))
     ]
 
 

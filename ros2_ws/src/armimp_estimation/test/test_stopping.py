@@ -1,7 +1,6 @@
 """When trials may end: never too early, at fixed numbers of samples, only for known errors."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ from armimp_estimation.recorder import StoppingRule, largest_error
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
-from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
+from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, part_of, synthetic_trial
 
 BOUND = 0.02
 LEAST = 20_000 - NOTICE_TICKS
@@ -114,19 +113,15 @@ LPM = LpmFull(config=LpmConfig(reading=TorqueReading(timing=TorqueTiming.SIMULTA
 def ended(record: TrialRecord, others: Sequence[TrialRecord]) -> TrialRecord:
     """The part of a trial of 100 s that it has with a bound of 15 %."""
 
-    def first(samples: int) -> TrialRecord:
-        parts = {
-            name: getattr(record, name)[:, :samples]
-            for name in ("perturbation", "position", "torque")
-        }
-        return replace(record, **parts)
+    def column_of(samples: int) -> FittedColumn:
+        return LPM.column(part_of(record, 0, samples), others)
 
     rule = StoppingRule(0.15, 20.0, trial=1, planned=record.samples, rate=record.rate)
     decision = rule.decide(0, lambda _: None)
     while decision is not None and decision.due is not None:
-        decision = rule.decide(decision.due, lambda count: LPM.column(first(count), others))
+        decision = rule.decide(decision.due, column_of)
     assert decision is not None
-    return first(decision.samples + NOTICE_TICKS) if decision.enough else record
+    return part_of(record, 0, decision.samples + NOTICE_TICKS) if decision.enough else record
 
 
 @pytest.mark.slow

@@ -12,7 +12,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy import signal
 
-from armimp_common.errors import ConfigurationError
 from armimp_sim import presets
 from armimp_sim.model.arm import CuffParameters, HumanArm, MuscleParameters, ReflexParameters
 from armimp_sim.model.friction import LuGre
@@ -67,10 +66,6 @@ def within(commands: Array = COMMANDS) -> tuple[Array, Array]:
     return np.array(starts), np.array(ends)
 
 
-def test_without_imperfections_nothing_stands_between_torque_and_reading() -> None:
-    assert Plant([config(gain=(1.0, 1.0), offset=(0.0, 0.0))]).real is None
-
-
 def test_offset_drift_and_gain_change_the_reading_and_nothing_else() -> None:
     plain_states, plain = run(config())
     states, torques = run(config(offset=(0.5, -1.0), drift=(2.0, 0.0), gain=(1.1, 0.9)))
@@ -87,13 +82,6 @@ def test_a_delay_of_whole_periods_shows_earlier_readings(sampling: Sampling) -> 
     _, late = run(config(sampling, cutoff=1e6, delay=0.003))
     assert np.array_equal(late[3:], prompt[:-3])
     assert np.array_equal(late[:3], np.zeros((3, 2)))
-
-
-def test_the_mean_of_the_interval_is_that_of_all_its_steps() -> None:
-    starts, ends = within()
-    _, means = run(config(Sampling.INTERVAL_MEAN, offset=(1.0,)))
-    steps = 0.5 * (starts + ends).reshape(len(COMMANDS), SUBSTEPS, 2)
-    assert means - 1.0 == pytest.approx(steps.mean(axis=1), abs=1e-11)
 
 
 @pytest.mark.parametrize("order", [1, 2, 4])
@@ -158,11 +146,6 @@ def test_lanes_with_different_imperfections_give_the_bits_that_they_give_alone()
         alone_states, alone = run([one])
         assert np.array_equal(states[:, lane], alone_states[:, 0])
         assert np.array_equal(torques[:, lane], alone[:, 0])
-
-
-def test_a_vector_that_does_not_fit_the_joints_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match=r"torque\.drift has 3 values, needs 1 or 2"):
-        config(drift=(1.0, 2.0, 3.0))
 
 
 SINGLE = presets.human_arm(1)

@@ -1,7 +1,7 @@
 """The simulator node over real DDS: lockstep, faults, parameters, life cycle."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -12,13 +12,14 @@ from rosgraph_msgs.msg import Clock
 from armimp_common import qos
 from armimp_common.cdr import CommandEncoder
 from armimp_common.executor import Spinner
+from armimp_common.pubsub import wait_until_matched
 from armimp_common.status import to_ns
 from armimp_common.topics import CLOCK, PERIOD_NS
 from armimp_sim.node import ArmSimNode
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.simulator import SimulatedRig
 from support.controller import Sample, ScriptedController
-from support.graph import Launch, a_moment, eventually
+from support.graph import PATIENCE, Launch, a_moment, eventually
 
 PARAMETERS = SimulatorParameters.preset()
 
@@ -38,69 +39,47 @@ def expected_samples(commands: Sequence[Sequence[float]]) -> tuple[list[Sample],
     return positions, torques
 
 
-MakeRig = Callable[..., ArmSimNode]
+class World(ScriptedController):
+    """A simulator that is active, and a controller that is told what to command."""
+
+    def __init__(self, node: Node, spinner: Spinner, launch: Launch) -> None:
+        super().__init__(node, spinner)
+        self.simulator: ArmSimNode = launch(ArmSimNode, PARAMETERS)
+        self.bring_up(self.simulator)
+        self.await_samples(1)
+
+    def send(self, commands: Sequence[Sequence[float]]) -> None:
+        """Send commands, and wait for the sample that follows each."""
+        wanted = self.count + len(commands)
+        for command in commands:
+            self.commands.publish(command)
+        self.await_samples(wanted)
 
 
 @pytest.fixture
-def make(launch: Launch) -> MakeRig:
-    return lambda *changes, **kwargs: launch(ArmSimNode, PARAMETERS, *changes, **kwargs)
+def world(node: Node, spinner: Spinner, launch: Launch) -> World:
+    return World(node, spinner, launch)
 
 
-@pytest.fixture
-def commander(node: Node, spinner: Spinner) -> ScriptedController:
-    return ScriptedController(node, spinner)
+def test_clock_and_health_are_published_now_and_then(world: World) -> None:
+    times: list[int] = []
 
+    def hear(message: Clock) -> None:
+        times.append(to_ns(message.clock))
 
-def send(commander: ScriptedController, commands: Sequence[Sequence[float]]) -> None:
-    """Send commands, and wait for the sample that follows each."""
-    wanted = max(commander.count, 1) + len(commands)
-    for command in commands:
-        commander.commands.publish(command)
-    commander.await_samples(wanted)
+    subscription = world.node.create_subscription(Clock, CLOCK, hear, qos.CLOCK)
+    assert not wait_until_matched(world.node, subscriptions=[subscription], timeout_s=PATIENCE)
 
+    for _ in range(11):
+        world.send([(0.0, 0.0)] * 100)
+    last = 1_100 * PERIOD_NS
+    eventually(world.spinner, lambda: bool(times) and times[-1] == last, "the last time")
 
-class TestLockstep:
-    def test_activation_publishes_the_first_sample_and_each_command_one_more(
-        self, make: MakeRig, commander: ScriptedController, spinner: Spinner
-    ) -> None:
-        commander.bring_up(make())
-        commander.await_samples(1)
-        a_moment(spinner)
-        assert commander.count == 1
-
-        commands = some_commands(50)
-        send(commander, commands)
-        a_moment(spinner)
-
-        positions, torques = expected_samples(commands)
-        assert commander.positions == positions
-        assert commander.torques == torques
-        assert [stamp_ns for stamp_ns, _ in positions] == [k * PERIOD_NS for k in range(51)]
-
-    def test_clock_and_health_are_published_now_and_then(
-        self, make: MakeRig, commander: ScriptedController, spinner: Spinner, node: Node
-    ) -> None:
-        times: list[int] = []
-
-        def hear(message: Clock) -> None:
-            times.append(to_ns(message.clock))
-
-        node.create_subscription(Clock, CLOCK, hear, qos.CLOCK)
-        commander.bring_up(make())
-
-        for _ in range(11):
-            send(commander, [(0.0, 0.0)] * 100)
-        eventually(
-            spinner,
-            lambda: bool(times) and times[-1] == 1_100 * PERIOD_NS,
-            "the last time",
-        )
-
-        assert set(times) <= {k * 100 * PERIOD_NS for k in range(12)}
-        eventually(spinner, lambda: len(commander.diagnostics) >= 2, "two reports")
-        assert len(commander.diagnostics) == 2
-        assert commander.faults == []
-        assert {status.name for status in commander.diagnostics} == {"arm_sim: rig"}
+    assert set(times) <= {k * 100 * PERIOD_NS for k in range(12)}
+    eventually(world.spinner, lambda: len(world.diagnostics) >= 2, "two reports")
+    assert len(world.diagnostics) == 2
+    assert world.faults == []
+    assert {status.name for status in world.diagnostics} == {"arm_sim: rig"}
 
 
 MALFORMED = {
@@ -117,44 +96,32 @@ MALFORMED = {
 }
 
 
-class TestFaults:
-    @pytest.mark.parametrize(("message", "reason"), MALFORMED.values(), ids=MALFORMED.keys())
-    def test_when_a_command_is_no_good_expect_zero_torque_the_same_tick_and_an_error(
-        self,
-        make: MakeRig,
-        commander: ScriptedController,
-        spinner: Spinner,
-        message: bytes,
-        reason: str,
-    ) -> None:
-        commander.bring_up(make())
-        commands = some_commands(10)
-        send(commander, commands)
+@pytest.mark.parametrize(("message", "reason"), MALFORMED.values(), ids=MALFORMED.keys())
+def test_when_a_command_is_no_good_expect_zero_torque_the_same_tick_and_an_error(
+    world: World, message: bytes, reason: str
+) -> None:
+    commands = some_commands(10)
+    world.send(commands)
 
-        commander.commands.publisher.publish(message)
-        eventually(spinner, lambda: commander.count == 12, "a sample for the bad command")
-        send(commander, commands)
-        commander.await_fault(reason)
-        a_moment(spinner)
+    world.commands.publisher.publish(message)
+    world.await_samples(12)
+    world.send(commands)
+    world.await_fault(reason)
+    a_moment(world.spinner)
 
-        positions, torques = expected_samples([*commands, *[(0.0, 0.0)] * 11])
-        assert commander.positions == positions
-        assert commander.torques == torques
-        assert len(set(commander.faults)) == 1
+    positions, torques = expected_samples([*commands, *[(0.0, 0.0)] * 11])
+    assert world.positions == positions
+    assert world.torques == torques
+    assert len(set(world.faults)) == 1
 
 
-class TestParameters:
-    def test_while_active_changes_are_refused_with_a_reason(
-        self, make: MakeRig, commander: ScriptedController
-    ) -> None:
-        simulator = make()
-        commander.bring_up(simulator)
-        change = Parameter("voluntary.rms", value=0.5)
+def test_while_active_changes_are_refused_with_a_reason(world: World) -> None:
+    change = Parameter("voluntary.rms", value=0.5)
 
-        (result,) = simulator.set_parameters([change])
-        assert not result.successful
-        assert result.reason == "voluntary.rms cannot be changed now: the simulation is running"
+    (result,) = world.simulator.set_parameters([change])
+    assert not result.successful
+    assert result.reason == "voluntary.rms cannot be changed now: the simulation is running"
 
-        simulator.trigger_deactivate()
-        (result,) = simulator.set_parameters([change])
-        assert result.successful
+    world.simulator.trigger_deactivate()
+    (result,) = world.simulator.set_parameters([change])
+    assert result.successful

@@ -1,4 +1,6 @@
-"""The simulator and its surroundings: emergency stop, reset, and processes that fall silent."""
+"""The simulator and its surroundings: stop, reset, processes that fall silent, real time."""
+
+from __future__ import annotations
 
 from types import SimpleNamespace
 
@@ -9,8 +11,12 @@ from std_msgs.msg import UInt64
 from armimp_common import topics
 from armimp_common.executor import Spinner
 from armimp_common.heartbeat import HeartbeatMonitor
+from armimp_common.schema import Value
+from armimp_common.status import TimingFigures, values_of
 from armimp_sim.node import ArmSimNode
 from armimp_sim.parameters import SimulatorParameters
+from armimp_sim.plant import IntegrationError
+from armimp_sim.simulator import RealtimeSimulator
 from support.controller import ScriptedController
 from support.graph import Launch, a_moment, eventually
 
@@ -129,3 +135,58 @@ def test_when_a_recorder_takes_leave_or_there_was_none_expect_no_fault(
     around.heard(watch, alive=0, silent=0)
     around.command(5.0, -5.0)
     assert around.applied == (5.0, -5.0)
+
+
+# --- The simulator node in real time over DDS: nothing waits, and everything is told ------------
+
+
+REALTIME: dict[str, Value] = {"mode": "realtime"}
+
+
+class Answering(ScriptedController):
+    """A controller that answers as long as it is told to."""
+
+    def figures(self) -> list[TimingFigures]:
+        told = [status for status in self.diagnostics if status.name == TimingFigures.STATUS_NAME]
+        return [TimingFigures.from_values(values_of(status)) for status in told]
+
+
+@pytest.fixture
+def answering(node: Node, spinner: Spinner) -> Answering:
+    return Answering(node, spinner)
+
+
+@pytest.fixture
+def simulator(launch: Launch) -> ArmSimNode:
+    made: ArmSimNode = launch(ArmSimNode, SimulatorParameters.preset(), REALTIME)
+    return made
+
+
+def test_when_commands_stay_away_expect_a_fault_no_torque_and_samples_that_go_on(
+    simulator: ArmSimNode, answering: Answering
+) -> None:
+    answering.answer = (3.0, -3.0)
+    answering.bring_up(simulator)
+    answering.await_samples(20)
+
+    answering.answer = None
+    answering.await_fault()
+    answering.await_samples(answering.count + 1200)
+
+    # Which watchdog is the first one depends on how the machine held up the commands before.
+    assert simulator.limiter is not None
+    assert {message for message, _ in answering.faults} == {simulator.limiter.fault}
+    assert answering.faults[-1][1] == "0.0 0.0"
+
+
+def test_what_goes_wrong_in_the_pacing_thread_ends_the_node(
+    simulator: ArmSimNode, answering: Answering, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(paced: RealtimeSimulator, tick: int) -> None:
+        raise IntegrationError("the plant broke down")
+
+    monkeypatch.setattr(RealtimeSimulator, "advance", broken)
+    answering.bring_up(simulator)
+
+    with pytest.raises(IntegrationError, match="the plant broke down"):
+        eventually(answering.spinner, lambda: False, "the error")

@@ -1,4 +1,4 @@
-"""JointState bytes: agreement with rclpy, and refusal of everything that is not a JointState."""
+"""CDR by hand: agreement with rclpy, and refusal of everything that is no such message."""
 
 import struct
 from collections.abc import Sequence
@@ -9,8 +9,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout, UInt64
 
-from armimp_common.cdr import JointStateDecoder, JointStateEncoder, joint_names_of, stamp_of
+from armimp_common.cdr import (
+    CommandDecoder,
+    CommandEncoder,
+    JointStateDecoder,
+    JointStateEncoder,
+    decode_count,
+    joint_names_of,
+    stamp_of,
+)
 from armimp_common.errors import ConfigurationError, MalformedMessageError
 from armimp_common.topics import ValueField
 
@@ -27,59 +36,11 @@ NAME_LISTS = [
 FRAMES = ["", "a", "ab", "abc", "abcd", "base_link"]
 
 
-class Writer:
-    """CDR written by the letter of its specification.
-
-    ``mask`` has ones where a byte carries meaning and zeros in the padding.
-    """
-
-    def __init__(self) -> None:
-        self.data = bytearray(b"\0\1\0\0")
-        self.mask = bytearray(b"\xff\xff\0\0")
-
-    def put(self, data: bytes, alignment: int) -> None:
-        padding = -(len(self.data) - 4) % alignment
-        self.data += bytes(padding) + data
-        self.mask += bytes(padding) + b"\xff" * len(data)
-
-    def number(self, kind: str, value: float) -> None:
-        data = struct.pack("<" + kind, value)
-        self.put(data, len(data))
-
-    def string(self, text: str) -> None:
-        data = text.encode() + b"\0"
-        self.number("I", len(data))
-        self.put(data, 1)
-
-    def doubles(self, values: Sequence[float]) -> None:
-        self.number("I", len(values))
-        for value in values:
-            self.number("d", value)
-
-
-def written(message: JointState) -> Writer:
-    writer = Writer()
-    writer.number("i", message.header.stamp.sec)
-    writer.number("I", message.header.stamp.nanosec)
-    writer.string(message.header.frame_id)
-    writer.number("I", len(message.name))
-    for name in message.name:
-        writer.string(name)
-    writer.doubles(message.position)
-    writer.doubles(message.velocity)
-    writer.doubles(message.effort)
-    return writer
-
-
 def joint_state(names: Sequence[str], frame: str = "", **fields: Sequence[float]) -> JointState:
     message = JointState(name=list(names), **{key: list(v) for key, v in fields.items()})
     message.header.frame_id = frame
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(STAMP, 10**9)
     return message
-
-
-def masked(data: bytes, mask: bytearray) -> bytes:
-    return bytes(byte & bits for byte, bits in zip(data, mask, strict=True))
 
 
 def outcome(decoder: JointStateDecoder, data: bytes) -> tuple[int, bytes] | str:
@@ -92,20 +53,17 @@ def outcome(decoder: JointStateDecoder, data: bytes) -> tuple[int, bytes] | str:
 
 
 @pytest.mark.parametrize("field", FIELDS)
-def test_encoded_bytes_are_those_of_rclpy_with_zero_padding(field: ValueField) -> None:
+def test_rclpy_reads_what_was_encoded_whatever_the_padding(field: ValueField) -> None:
     for names in NAME_LISTS:
         values = [0.1 * (index + 1) for index in range(len(names))]
-        message = joint_state(names, "", **{str(field): values})
-        expected = written(message)
-
         data = JointStateEncoder(names, field).encode(STAMP, values)
 
-        assert data == bytes(expected.data)
-        # serialize_message leaves garbage in the padding and up to eight bytes of it at the end.
-        serialised = serialize_message(message)
-        assert masked(serialised[: len(data)], expected.mask) == data
-        assert len(serialised) - len(data) in (0, 4, 8)
-        assert deserialize_message(data, JointState) == message
+        assert deserialize_message(data, JointState) == joint_state(
+            names, "", **{str(field): values}
+        )
+        # rclpy leaves up to eight bytes of garbage at the end.
+        surplus = len(serialize_message(joint_state(names, "", **{str(field): values}))) - len(data)
+        assert surplus in (0, 4, 8)
 
 
 @pytest.mark.parametrize("frame", FRAMES)
@@ -124,23 +82,19 @@ def test_when_rclpy_serialised_with_all_fields_filled_expect_the_field_asked_for
         assert stamp_of(data) == STAMP
 
 
-def test_when_truncated_at_any_byte_expect_malformed_message() -> None:
-    message = joint_state(
-        ["a", "bcdef"], "xy", position=[1.0, 2.0], velocity=[3.0, 4.0], effort=[5.0, 6.0]
-    )
-    data = bytes(written(message).data)
-    warm = JointStateDecoder(["a", "bcdef"], "position")
+@pytest.mark.parametrize("field", FIELDS)
+def test_when_truncated_at_any_byte_expect_malformed_message(field: ValueField) -> None:
+    names = ["a", "bcdef"]
+    data = JointStateEncoder(names, field).encode(STAMP, [1.0, 2.0])
+    warm = JointStateDecoder(names, field)
     assert warm.decode(data) == (STAMP, (1.0, 2.0))
 
     for size in range(len(data)):
         # The rest of the message follows in memory, where reading past the end would find it.
         for piece in (data[:size], memoryview(data)[:size], bytearray(data[:size])):
-            with pytest.raises(MalformedMessageError):
-                warm.decode(piece)
-            with pytest.raises(MalformedMessageError):
-                JointStateDecoder(["a", "bcdef"], "effort").decode(piece)
-            with pytest.raises(MalformedMessageError):
-                joint_names_of(piece)
+            for decode in (warm.decode, JointStateDecoder(names, field).decode, joint_names_of):
+                with pytest.raises(MalformedMessageError):
+                    decode(piece)
             if size < 12:
                 with pytest.raises(MalformedMessageError):
                     stamp_of(piece)
@@ -226,7 +180,7 @@ def test_decode_many_agrees_with_decode(length: int, order: list[int], frames: l
     ordered = [names[index] for index in order]
     numbers = np.random.default_rng(length).normal(size=(length, 3)).tolist()
     messages = [
-        bytes(written(joint_state(ordered, frames[k % len(frames)], effort=row)).data)
+        serialize_message(joint_state(ordered, frames[k % len(frames)], effort=row))
         for k, row in enumerate(numbers)
     ]
     decoder = JointStateDecoder(names, "effort")
@@ -269,7 +223,7 @@ def test_when_bytes_are_changed_expect_cached_and_fresh_decoder_to_agree(
     message = joint_state(
         names[::-1], "xy", position=[2.0, 1.0], velocity=[3.0, 4.0], effort=[6.0, 5.0]
     )
-    original = bytes(written(message).data)
+    original = bytes(serialize_message(message))
     mutated = bytearray(original)
     for place, byte in changes:
         mutated[place % len(mutated)] = byte
@@ -294,3 +248,87 @@ def test_joints_are_picked_from_among_others_where_that_is_wished(names: list[st
     # The second time by the layout of the first.
     assert [decoder.decode(data)[1] for _ in range(2)] == [expected, expected]
     assert decoder.decode_many([data, data])[1].T.tolist() == [list(expected)] * 2
+
+
+# --- Float64MultiArray bytes: agreement with rclpy, and refusal of everything else --------------
+
+
+def labelled(values: list[float], *labels: str) -> Float64MultiArray:
+    dimensions = [
+        MultiArrayDimension(label=label, size=len(values), stride=index)
+        for index, label in enumerate(labels)
+    ]
+    return Float64MultiArray(layout=MultiArrayLayout(dim=dimensions), data=values)
+
+
+@pytest.mark.parametrize("n", range(1, 8))
+def test_encoded_commands_are_those_of_rclpy_with_zero_padding(n: int) -> None:
+    values = [0.25 * k - 1 for k in range(n)]
+    message = Float64MultiArray(data=values)
+
+    data = CommandEncoder(n).encode(values)
+
+    assert deserialize_message(data, Float64MultiArray) == message
+    serialised = bytearray(serialize_message(message))
+    serialised[16:20] = bytes(4)  # the only padding
+    assert data == bytes(serialised)
+
+
+def test_the_number_comes_with_the_values_whatever_the_layout() -> None:
+    decoder = CommandDecoder(2)
+    for data, number in (
+        (CommandEncoder(2).encode((1.5, -2.5), 2**32 - 1), 2**32 - 1),
+        (CommandEncoder(2).encode((1.5, -2.5)), 0),
+        (serialize_message(labelled([1.5, -2.5], "a")), 0),
+    ):
+        assert decoder.decode(data) == (number, (1.5, -2.5))
+    with pytest.raises(MalformedMessageError):
+        decoder.decode(CommandEncoder(3).encode((0.0, 0.0, 0.0), 1))
+
+
+@pytest.mark.parametrize("count", [0, 1, 3, 7])
+def test_when_the_number_of_values_is_wrong_expect_malformed_message(count: int) -> None:
+    decoder = CommandDecoder(2)
+    decoder.decode(CommandEncoder(2).encode([1.0, 2.0]))
+
+    with pytest.raises(MalformedMessageError, match=f"{count} values for 2 joints"):
+        decoder.decode(serialize_message(Float64MultiArray(data=[1.0] * count)))
+    with pytest.raises(MalformedMessageError, match="takes 2 numbers"):
+        CommandEncoder(2).encode([1.0] * count)
+
+
+@pytest.mark.parametrize("length", [0, 1, 100])
+def test_decode_many_of_commands_agrees_with_decode(length: int) -> None:
+    numbers = np.random.default_rng(length).normal(size=(length, 3))
+    plain = [CommandEncoder(3).encode(row) for row in numbers]
+    mixed = [
+        data if k % 2 else serialize_message(labelled(row.tolist(), "a"))
+        for k, (data, row) in enumerate(zip(plain, numbers, strict=True))
+    ]
+
+    for messages in (plain, mixed):
+        values = CommandDecoder(3).decode_many(messages)
+        assert values.shape == (3, length)
+        assert values.dtype == np.float64
+        assert values.flags.c_contiguous
+        assert values.T.tolist() == numbers.tolist()
+
+
+# --- UInt64 bytes: agreement with rclpy, and refusal of everything else -------------------------
+
+
+@given(st.integers(0, 2**64 - 1))
+def test_what_rclpy_sends_is_read_also_with_a_little_surplus(count: int) -> None:
+    data: bytes = serialize_message(UInt64(data=count))
+    for one in (data, data + bytes(4)):
+        assert decode_count(one) == count
+
+
+@given(st.binary(max_size=40) | st.binary(max_size=26).map(lambda data: b"\0\1" + data))
+def test_whatever_comes_is_a_count_or_refused(data: bytes) -> None:
+    try:
+        count = decode_count(data)
+    except MalformedMessageError:
+        assert not (data[:2] == b"\0\1" and 12 <= len(data) <= 27)
+    else:
+        assert 0 <= count < 2**64

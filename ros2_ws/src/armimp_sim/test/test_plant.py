@@ -1,0 +1,304 @@
+"""The plant: its integration, equations of motion, friction, lanes, and what is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from armimp_common.errors import ArmimpError, ConfigurationError
+from armimp_sim import dynamics, presets
+from armimp_sim.model.arm import HumanArm
+from armimp_sim.model.friction import LuGre
+from armimp_sim.model.robot import PlanarChain
+from armimp_sim.model.sensors import ReadingParameters, Sampling, SensorParameters
+from armimp_sim.plant import RK4_RADIUS, IntegrationError, Plant, PlantConfig
+from support.plants import (
+    coriolis_torque,
+    load,
+    one_joint,
+    random_chain,
+    random_plant,
+    slopes,
+    study_plant,
+)
+
+Array = NDArray[np.float64]
+START = np.array([[1.3, 0.9], [4.0, -7.0], [0.0, 0.0]])
+TORQUE = np.array([1.5, -2.0])
+
+
+def _exact(config: PlantConfig, start: Array, torque: Array, duration: float) -> Array:
+    solution = solve_ivp(
+        lambda _, state: slopes(config, state.reshape(3, -1), torque).ravel(),
+        (0.0, duration),
+        start.ravel(),
+        method="DOP853",
+        rtol=1e-12,
+        atol=1e-14,
+    )
+    assert solution.success
+    final: Array = solution.y[:, -1].reshape(3, -1)
+    return final
+
+
+def test_error_falls_with_the_fourth_power_of_the_step() -> None:
+    period = 0.04
+    exact = _exact(study_plant(), START, TORQUE, period)[:2]
+    errors = []
+    for substeps in (1, 2, 4, 8):
+        plant = Plant([replace(study_plant(), period=period, substeps=substeps)])
+        plant.set_state(START[None])
+        plant.tick(TORQUE[None], np.zeros((1, 2)))
+        errors.append(np.max(np.abs(plant.state()[0, :2] - exact)))
+    orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+    assert orders == pytest.approx([4.0, 4.0, 4.0], abs=0.25)
+
+
+@pytest.mark.parametrize("friction", [0, 3])
+def test_trajectory_agrees_with_scipy(friction: int) -> None:
+    config = study_plant(friction)
+    plant = Plant([config])
+    plant.set_state(START[None])
+    expected = START
+    # Sliding, stopping and turning back: the bristles bend both ways.
+    for torque, ticks in ((TORQUE, 60), (np.array([-25.0, 15.0]), 80), (np.zeros(2), 60)):
+        for _ in range(ticks):
+            plant.tick(torque[None], np.zeros((1, 2)))
+        expected = _exact(config, expected, torque, ticks * config.period)
+        state = plant.state()[0]
+        assert state[0] == pytest.approx(expected[0], abs=1e-8)
+        assert state[1] == pytest.approx(expected[1], abs=1e-6)
+        if friction:
+            assert state[2] == pytest.approx(expected[2], abs=1e-9)
+            assert np.max(np.abs(state[2])) > 1e-4
+
+
+def test_coarsest_accepted_step_is_stable_and_no_step_beyond_the_limit_is_accepted() -> None:
+    law = LuGre(coulomb=2.0, static=2.5, sigma_0=2000.0, sigma_1=1000.0, sigma_2=0.0)
+    config = replace(study_plant(), friction=(law, law))
+    fastest = 1000.0 / np.min(np.linalg.eigvals(config.mass_matrix()).real)  # σ1 over inertia
+    accepted = []
+    for substeps in range(4, 40):
+        try:
+            accepted.append(replace(config, substeps=substeps))
+        except ConfigurationError:
+            assert fastest * config.period / substeps > 0.98 * RK4_RADIUS
+    coarsest = accepted[0]
+    assert 4 < coarsest.substeps < 39
+    assert fastest * coarsest.step < RK4_RADIUS
+    plant = Plant([coarsest])
+    for _ in range(100):
+        plant.tick(np.full((1, 2), 0.1), np.zeros((1, 2)))
+    assert np.max(np.abs(plant.state()[0, 1])) < 1e-3
+
+
+def _sliding(speed: float) -> Plant:
+    config = study_plant(3)
+    plant = Plant([replace(config, substeps=10)])
+    state = np.zeros((1, 3, 2))
+    state[0, 0], state[0, 1, 1] = config.arm.posture, speed
+    plant.set_state(state)
+    return plant
+
+
+def test_speed_beyond_the_stability_of_the_bristles_is_reported_instead_of_blowing_up() -> None:
+    plant = _sliding(30.0)
+    with pytest.raises(IntegrationError, match=r"h·σ0\|v\|/g\(v\) = \d+.* below 2\.7") as caught:
+        plant.tick(np.zeros((1, 2)), np.zeros((1, 2)))
+    assert "\n" not in str(caught.value)
+    assert isinstance(caught.value, ArmimpError)
+
+
+@pytest.mark.parametrize("shape", [(2,), (1, 3), (1, 1), (2, 2)])
+def test_inputs_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
+    plant, good = Plant([study_plant()]), np.zeros((1, 2))
+    with pytest.raises(ValueError, match="must both be"):
+        plant.tick(np.zeros(shape), good)
+    with pytest.raises(ValueError, match="must both be"):
+        plant.tick(good, np.zeros(shape))
+
+
+# --- Equations of motion: the chain against mechanics, the compiled plant against numpy ---------
+
+
+JOINTS = range(1, 8)
+"""A plant of each size is compiled for itself."""
+
+
+@pytest.mark.parametrize("n", JOINTS)
+def test_coriolis_torque_follows_from_the_mass_matrix_by_lagrange(n: int) -> None:
+    chain, h = random_chain(n), 1e-5
+    random = np.random.default_rng(n)
+    theta, velocity = random.uniform(-np.pi, np.pi, n), random.uniform(-3.0, 3.0, n)
+    gradient = np.array(
+        [
+            (chain.mass_matrix(theta + h * axis) - chain.mass_matrix(theta - h * axis)) / (2.0 * h)
+            for axis in np.eye(n)
+        ]
+    )  # ∂M/∂θ_k
+    rate = np.tensordot(velocity, gradient, axes=1)
+    expected = rate @ velocity - 0.5 * np.einsum("kij,i,j->k", gradient, velocity, velocity)
+    computed = coriolis_torque(chain, theta, velocity)
+    assert computed == pytest.approx(expected, rel=1e-8, abs=1e-8)
+    # Ṁ − 2C is skew: the Coriolis torque does no work beyond the change of inertia.
+    assert velocity @ computed == pytest.approx(0.5 * velocity @ rate @ velocity, abs=1e-8)
+    if n > 1:
+        assert np.max(np.abs(computed)) > 0.01
+
+
+@pytest.mark.parametrize(
+    "n", [2, *(pytest.param(n, marks=pytest.mark.slow) for n in JOINTS if n != 2)]
+)
+def test_torque_on_the_arm_is_that_of_the_equations_of_motion(n: int) -> None:
+    config = random_plant(n)
+    plant = Plant([config])
+    rows = plant.batch.reshape(-1, n)
+    random = np.random.default_rng(n)
+    for _ in range(20):
+        # Slow and fast, stuck and sliding.
+        velocity = random.normal(size=n) * 10.0 ** random.uniform(-3.0, 1.0, n)
+        state = np.stack(
+            [random.uniform(-np.pi, np.pi, n), velocity, random.uniform(-2e-3, 2e-3, n)]
+        )
+        command, voluntary = random.uniform(-20.0, 20.0, (2, n))
+        rows[dynamics.COMMAND], rows[dynamics.VOLUNTARY] = command, voluntary
+        plant.set_state(state[None])
+        expected = load(config, state, command, voluntary)
+        scale = float(np.max(np.abs(expected)))
+        assert plant.torque[0] == pytest.approx(expected, abs=1e-11 * scale)
+
+
+# --- LuGre friction in the plant: sliding, sticking, and what lies between ----------------------
+
+
+LAW = presets.friction(3, 2)[0]
+VELOCITIES = [0.002, 0.005, 0.01, 0.03, 0.5, 3.0]
+
+
+def _steady_friction(v: Array) -> Array:
+    """Friction at constant velocities, rad/s: g(v)·sign(v) + σ2 v, N·m."""
+    bell = np.exp(-((v / LAW.stribeck_velocity) ** 2))
+    level = LAW.coulomb + (LAW.static - LAW.coulomb) * bell
+    return np.asarray(level * np.sign(v) + LAW.sigma_2 * v)
+
+
+def _load(plant: Plant, torques: Array) -> tuple[float, float, float]:
+    """Apply torques tick by tick and return θ, v and z."""
+    for torque in torques:
+        plant.tick(np.array([[torque]]), np.zeros((1, 1)))
+    theta, velocity, bristle = plant.state()[0, :, 0]
+    return float(theta), float(velocity), float(bristle)
+
+
+@pytest.mark.parametrize("direction", [-1.0, 1.0])
+@pytest.mark.parametrize("speed", VELOCITIES)
+def test_at_constant_speed_friction_is_the_steady_state_law(speed: float, direction: float) -> None:
+    velocity, damping = speed * direction, 200.0
+    # Damping steeper than the Stribeck slope makes the balance at this speed a stable one.
+    plant = Plant([one_joint(LAW, inertia=1.0, damping=damping, substeps=20)])
+    friction = float(_steady_friction(np.array(velocity)))
+    _, reached, bristle = _load(plant, np.full(20_000, friction + damping * velocity))
+    assert reached == pytest.approx(velocity, rel=1e-6)
+    level = 2.0 + 0.5 * np.exp(-((speed / 0.01) ** 2))
+    assert bristle == pytest.approx(direction * level / 2000.0, rel=1e-4)
+
+
+def test_bristles_without_a_friction_level_are_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"sigma_0 = 400\.0 needs a positive"):
+        LuGre(coulomb=0.0, static=0.5, sigma_0=400.0, sigma_1=0.0, sigma_2=0.0)
+
+
+# --- Trials side by side: each gives the bits that it gives alone -------------------------------
+
+
+TICKS = 40
+
+
+def _config(n: int, lane: int) -> PlantConfig:
+    """Another arm, robot, friction and resolution in every lane."""
+    resolutions = (ReadingParameters(resolution=scale * lane) for scale in (1e-5, 1e-3))
+    position, torque = resolutions
+    changes = {} if lane else {"friction": (LuGre.none(),) * n}
+    sensors = SensorParameters(position=position, torque=torque)
+    return random_plant(n, lane, sensors=sensors, substeps=20, **changes)
+
+
+def _run(n: int, lanes: Sequence[int]) -> tuple[Array, Array, Array]:
+    """Exact states and readings, (lanes, ticks, ...), of a batch under random torques."""
+    plant = Plant([_config(n, lane) for lane in lanes])
+    commands = np.stack(
+        [np.random.default_rng([9, lane]).uniform(-9.0, 9.0, (TICKS, 2, n)) for lane in lanes],
+        axis=2,
+    )
+    states, positions, torques = [], [], []
+    for command, voluntary in commands:
+        plant.tick(command, 0.1 * voluntary)
+        states.append(plant.state())
+        positions.append(plant.position.copy())
+        torques.append(plant.torque.copy())
+    return np.stack(states, 1), np.stack(positions, 1), np.stack(torques, 1)
+
+
+@pytest.mark.parametrize(
+    ("n", "lanes"),
+    # A plant of each number of joints is compiled for itself.
+    [(2, 5), (2, 19), *(pytest.param(n, 3, marks=pytest.mark.slow) for n in (1, 3, 7))],
+)
+def test_lane_gives_the_same_bits_alone_and_beside_others(n: int, lanes: int) -> None:
+    together = _run(n, range(lanes))
+    for lane in range(lanes):
+        alone = _run(n, [lane])
+        for one, many in zip(alone, together, strict=True):
+            assert np.array_equal(one[0], many[lane])
+    # Lanes do differ, so that none can stand in for another.
+    assert len(np.unique(together[0][:, -1, 0, 0])) == lanes
+
+
+def test_lanes_that_disagree_in_time_or_shape_are_refused() -> None:
+    one = _config(2, 1)
+    for other in (
+        _config(3, 1),
+        replace(one, substeps=21),
+        replace(one, period=2e-3),
+        replace(one, sensors=one.sensors.model_copy(update={"sampling": Sampling.INTERVAL_MEAN})),
+    ):
+        with pytest.raises(ConfigurationError, match="lanes must agree"):
+            Plant([one, other])
+
+
+# --- Configurations that make no sense are refused in one line with the offending value ---------
+
+
+def _arm(n: int) -> HumanArm:
+    return HumanArm(posture=np.zeros(n), inertia=np.eye(n), damping=np.eye(n), stiffness=np.eye(n))
+
+
+def test_arm_matrices_are_kept_as_given_and_never_made_symmetric() -> None:
+    stiffness = np.array([[8.0, 3.0], [-1.0, 7.0]])
+    assert np.array_equal(replace(_arm(2), stiffness=stiffness).stiffness, stiffness)
+
+
+def test_robot_with_a_link_lighter_than_a_point_mass_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"link 2 .* at least m·lg² = 0\.0363 .* 0\.03$"):
+        replace(presets.robot(2), moments=np.array([0.085, 0.03]))
+    # The mass of the first link matters through its moment only, so it may be left out or in.
+    heavy = PlanarChain(
+        lengths=np.array([0.3]),
+        moments=np.array([0.01]),
+        masses=np.array([5.0]),
+        centres=np.array([0.3]),
+    )
+    assert heavy.mass_matrix(np.zeros(1)) == pytest.approx(np.array([[0.01]]))
+
+
+def test_plant_whose_inertia_is_not_positive_definite_is_refused() -> None:
+    inertia = np.array([[0.187, 0.9], [0.9, 0.060]])
+    arm = replace(presets.human_arm(2), inertia=inertia)
+    smallest = np.min(np.linalg.eigvalsh(presets.robot(2).mass_matrix(arm.posture) + inertia))
+    with pytest.raises(ConfigurationError, match=f"smallest eigenvalue is {smallest:.3g} kg·m²"):
+        replace(study_plant(), arm=arm)

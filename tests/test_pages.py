@@ -1,0 +1,187 @@
+"""Pages: their links, names, dates and pictures lead to what is there; hazards name their tests."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import re
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree
+
+import make_pictures
+import pytest
+
+from armimp_common.topics import (
+    CONTROLLER_NODE,
+    DATA_STREAMS,
+    ESTIMATOR_NODE,
+    RECEIVED,
+    SIM_NODE,
+    TRIAL,
+)
+
+ROOT = Path(__file__).resolve().parents[1]
+# Folders of tools, environments and results hold pages of others.
+FOLDERS = (
+    ".",
+    "benchmarks",
+    "docs",
+    "docker",
+    "examples",
+    "research",
+    "ros2_ws/src",
+    "scripts",
+    "tests",
+)
+PAGES = sorted(
+    {
+        path.relative_to(ROOT)
+        for folder in FOLDERS
+        for path in (ROOT / folder).glob("*.md" if folder == "." else "**/*.md")
+        if not any(part.startswith(".") for part in path.relative_to(ROOT).parts)
+    }
+)
+
+
+def text_of(page: Path) -> str:
+    """A page without its blocks of code, in which brackets mean something else."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    return re.sub(r"^( *)(```|~~~).*?^\1\2 *$", "", text, flags=re.MULTILINE | re.DOTALL)
+
+
+def anchors(page: Path) -> set[str]:
+    """Anchors of the headings, as GitHub makes them: a repeated one gets a number."""
+    found: set[str] = set()
+    seen: Counter[str] = Counter()
+    for heading in re.findall(r"^#+ +(.*?) *$", text_of(page), flags=re.MULTILINE):
+        words = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading)
+        name = re.sub(r"[^\w\- ]", "", words.lower()).replace(" ", "-")
+        found.add(f"{name}-{seen[name]}" if seen[name] else name)
+        seen[name] += 1
+    return found
+
+
+def links(page: Path) -> Iterator[str]:
+    text = re.sub(r"`[^`\n]*`", "", text_of(page))
+    for link in re.findall(r"\]\(<?([^)\s>]+)>?(?: \"[^\"]*\")?\)", text):
+        if not re.match(r"[a-z][a-z0-9+.-]*:", link):
+            yield link
+
+
+def leads_somewhere(page: Path, link: str) -> bool:
+    name, _, anchor = link.partition("#")
+    target = ((ROOT / page).parent / name).resolve() if name else ROOT / page
+    if not target.exists() or ROOT not in (target, *target.parents):
+        return False
+    return not anchor or anchor in anchors(target.relative_to(ROOT))
+
+
+def test_there_are_pages_and_they_have_links() -> None:
+    assert {Path("README.md"), Path("CONTRIBUTING.md"), Path("docs/theory.md")} <= set(PAGES)
+    assert sum(len(list(links(page))) for page in PAGES) > 100
+
+
+@pytest.mark.parametrize("page", PAGES, ids=str)
+def test_every_link_leads_somewhere(page: Path) -> None:
+    assert [link for link in links(page) if not leads_somewhere(page, link)] == []
+
+
+def test_every_page_of_docs_can_be_reached_from_the_readme() -> None:
+    reached, waiting = set[Path](), [Path("README.md")]
+    while waiting:
+        page = waiting.pop()
+        if page in reached or page.suffix != ".md":
+            continue
+        reached.add(page)
+        names = [link.partition("#")[0] for link in links(page)]
+        folder = (ROOT / page).parent
+        waiting += [(folder / name).resolve().relative_to(ROOT) for name in names if name]
+    assert {page for page in PAGES if page.parts[0] == "docs"} <= reached
+    assert {Path("CHANGELOG.md"), Path("CONTRIBUTING.md"), Path("examples/README.md")} <= reached
+
+
+# --- The architecture page: its names exist, and its decisions have dates -----------------------
+
+
+ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+PICTURE = ROOT / "docs" / "images" / "architecture.svg"
+
+
+@pytest.mark.parametrize("name", sorted(set(re.findall(r"`(armimp_\w+(?:\.\w+)+)`", ARCHITECTURE))))
+def test_every_module_that_the_page_names_exists(name: str) -> None:
+    assert importlib.util.find_spec(name) is not None
+
+
+def test_every_decision_has_a_date() -> None:
+    part = ARCHITECTURE.partition("\n## 6. Decisions")[2].partition("\n## 7. ")[0]
+    decisions = re.split(r"^\d+\. ", part, flags=re.MULTILINE)[1:]
+    assert len(decisions) > 20
+    assert [one for one in decisions if not re.search(r"20\d\d-\d\d-\d\d\)", one)] == []
+
+
+def test_the_picture_shows_topics_and_nodes_that_exist() -> None:
+    texts = [
+        one.text or "" for one in ElementTree.parse(PICTURE).iter() if one.tag.endswith("text")
+    ]
+    # A topic may be broken over two lines, or be followed by words.
+    shown = re.sub(r"/\n", "/", "\n".join(texts))
+    found = re.findall(r"^(\w+/[a-z]+|joint_states, torque_sensors|\w+_\w+s)(?=:|$)", shown, re.M)
+    topics = {topic for one in found for topic in one.split(", ")}
+    assert topics == {*DATA_STREAMS, TRIAL, RECEIVED}
+    for node in (SIM_NODE, CONTROLLER_NODE, ESTIMATOR_NODE):
+        assert node in texts
+
+
+# --- The page on safety names tests that exist --------------------------------------------------
+
+
+SAFETY = (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
+NAMED = sorted(
+    {
+        found
+        for page in (ROOT / "docs").glob("*.md")
+        for found in re.findall(r"(test_\w+\.py)::(test_\w+)", page.read_text(encoding="utf-8"))
+    }
+)
+
+
+def names_in(file: str) -> set[str]:
+    (path,) = (*ROOT.glob(f"tests/{file}"), *ROOT.glob(f"ros2_ws/src/*/test/{file}"))
+    tree = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    return {node.name for node in tree if isinstance(node, ast.FunctionDef)}
+
+
+def test_every_hazard_of_the_page_has_a_test() -> None:
+    rows = [line for line in SAFETY.splitlines() if line.startswith("| ") and "`test_" in line]
+    assert len(rows) > 15
+    table = SAFETY.partition("| hazard |")[2].partition("\n\n")[0].splitlines()[2:]
+    assert [row for row in table if "::test_" not in row] == []
+
+
+@pytest.mark.parametrize(("file", "test"), NAMED)
+def test_every_test_that_a_page_names_exists(file: str, test: str) -> None:
+    assert test in names_in(file)
+
+
+# --- Pictures of README and docs are made by one command, and none is older than what makes it --
+
+
+@pytest.mark.parametrize("name", make_pictures.RECIPES)
+def test_pictures_are_as_new_as_what_makes_them(name: str) -> None:
+    recipe = make_pictures.RECIPES[name]
+    assert all((make_pictures.IMAGES / picture).exists() for picture in recipe.pictures)
+    assert make_pictures.stored()[name] == recipe.digest(), (
+        f"out of date: make pictures ARGS={name}"
+    )
+
+
+def test_every_picture_of_the_pages_has_a_recipe() -> None:
+    pages = [ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("research/*.md")]
+    shown = {
+        name
+        for page in pages
+        for name in re.findall(r"!\[[^\]]*\]\([^)]*images/([^)]+\.png)\)", page.read_text("utf-8"))
+    }
+    assert shown == {one for recipe in make_pictures.RECIPES.values() for one in recipe.pictures}
