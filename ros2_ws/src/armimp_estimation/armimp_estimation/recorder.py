@@ -254,8 +254,10 @@ class TrialRecorder:
                 self._coherence = mean_coherences(TrialData.of(record, welch=welch))
         # Round numbers: the Fourier transform of others may take several times as long.
         self._column_of(samples // _ROUND * _ROUND)
-        if self._coherence is not None and self._column is None:
-            # A column that can't be estimated yet is tried again soon, but in a tenth of the time.
+        if self._coherence is None:
+            self._look_at = 0.0
+        elif self._column is None:
+            # What can't be estimated yet is tried again soon, but in a tenth of the time.
             ended = time.monotonic()
             self._look_at = ended + min(9.0 * (ended - began), _SEEN_EVERY)
 
