@@ -222,7 +222,7 @@ class TrialRecorder:
         """Tell how far the recording is, and what the samples show so far; None between trials."""
         if (status := self.status) is None:
             return None
-        if time.monotonic() >= self._look_at:
+        if self._coherence is None or time.monotonic() >= self._look_at:
             self._look()
         motion, torque = self._coherence or (None, None)
         so_far: dict[str, Any] = {}
@@ -254,9 +254,7 @@ class TrialRecorder:
                 self._coherence = mean_coherences(TrialData.of(record, welch=welch))
         # Round numbers: the Fourier transform of others may take several times as long.
         self._column_of(samples // _ROUND * _ROUND)
-        if self._coherence is None:
-            self._look_at = 0.0
-        elif self._column is None:
+        if self._column is None:
             # What can't be estimated yet is tried again soon, but in a tenth of the time.
             ended = time.monotonic()
             self._look_at = ended + min(9.0 * (ended - began), _SEEN_EVERY)
