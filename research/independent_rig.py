@@ -45,8 +45,8 @@ class Mismatch:
     """How many of shoulder, elbow and wrist."""
     robot: float = 1.0
     """Inertia of the robot, times the value above."""
-    multisine: bool = False
-    """Whether the perturbation repeats itself every 10 s, with lines up to 20 Hz."""
+    waveform: str = "noise"
+    """Of the perturbation: see :func:`_perturbation`."""
     rate: float = 1000.0
     duration: float = 50.0
     level: float = 1.0
@@ -391,13 +391,29 @@ def simulate(mismatch: Mismatch, seed: int) -> list[Recording]:
 
 
 def _perturbation(mismatch: Mismatch, ticks: int, rng: np.random.Generator) -> FloatArray:
-    if not mismatch.multisine:
+    """Perturbation of any size, (ticks,).
+
+    "noise" up to the cut-off; "multisine", which repeats itself every 10 s, with all lines up to
+    20 Hz; a number of "sines", from 0.15 Hz up to the cut-off, that never repeat themselves;
+    a "chirp" from 0.1 Hz to the cut-off and back every 20 s; "binary" noise that changes sign at
+    chance times of 50 ms at least.
+    """
+    t = np.arange(ticks) / mismatch.rate
+    kind, _, number = mismatch.waveform.partition(" ")
+    if kind == "noise":
         low_pass = butter(4, mismatch.cutoff, fs=mismatch.rate, output="sos")
         noise: FloatArray = sosfilt(low_pass, rng.standard_normal(ticks))
         return noise
+    if kind == "chirp":
+        sweep = 0.1 * (mismatch.cutoff / 0.1) ** (0.5 - 0.5 * np.cos(2.0 * np.pi * t / 20.0))
+        return np.sin(2.0 * np.pi * np.cumsum(sweep) / mismatch.rate)
+    if kind == "binary":
+        held = rng.choice((-1.0, 1.0), round(20.0 * t[-1]) + 1)
+        return np.asarray(held[(20.0 * t).astype(int)])
     lines = 0.1 * np.arange(1, 201)
+    if kind == "sines":
+        lines = np.geomspace(0.15, mismatch.cutoff, int(number))
     phases = rng.uniform(0.0, 2.0 * np.pi, lines.size)
-    t = np.arange(ticks) / mismatch.rate
     return np.asarray(
         sum(np.cos(2 * np.pi * f * t + p) for f, p in zip(lines, phases, strict=True))
     )

@@ -402,11 +402,16 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     add(
         NOISE,
         "multisine",
-        ("", {"multisine": True}),
-        ("2000", {"multisine": True, "rate": 2000.0}),
-        ("weak", {"multisine": True, "level": 0.2}),
-        ("friction 2 N·m", {"multisine": True, "friction": 2.0}),
+        ("", {"waveform": "multisine"}),
+        ("2000", {"waveform": "multisine", "rate": 2000.0}),
+        ("weak", {"waveform": "multisine", "level": 0.2}),
+        ("friction 2 N·m", {"waveform": "multisine", "friction": 2.0}),
     )
+    for waveform in ("sines 12", "sines 20", "sines 40", "chirp", "binary"):
+        # Much of the band has no perturbation, but leakage of it.
+        for size in (0.0, 0.1, 0.3, 1.0):
+            sparse: dict[str, Any] = {"waveform": waveform, "voluntary": size}
+            add(RIGHT, waveform, (f"{size:g} N·m", sparse | {"cutoff": 15.0}))
     for size, stiff in ((0.2, 500.0), (0.5, 2000.0), (1.0, 1e4)):
         add(
             NOISE,
@@ -432,7 +437,7 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         add(MUST, "torque larger in one direction", (f"{share:g}", uneven))
         compressed: dict[str, Any] = {"readings": changed(torque=_yielding(share))}
         add(MUST, "torque compressed", (f"{share:g}", compressed))
-        periodic = compressed | {"multisine": True}
+        periodic = compressed | {"waveform": "multisine"}
         add(MUST, "torque compressed, multisine", (f"{share:g}", periodic))
     for share in (0.02, 0.1):
         add(MUST, "gain that drifts", (f"{share:g}", {"readings": changed(torque=_waning(share))}))
@@ -450,7 +455,7 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         "voluntary": 0.3,
         "cogging": 0.05,
         "readings": changed(torque=_hum(0.1)),
-        "multisine": True,
+        "waveform": "multisine",
     }
     add(NOISE, "mixed", ("hum, voluntary, cogging", hummed))
     add(MUST, "mixed", ("reflex, cuff", {"reflex": 0.2, "cuff": 2e4}))
@@ -491,7 +496,7 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     add(
         RIGHT,
         "synchronous voluntary",
-        ("", {"multisine": True, "voluntary": 0.3, "synchronous": True}),
+        ("", {"waveform": "multisine", "voluntary": 0.3, "synchronous": True}),
     )
     for lean in (0.5, 2.0):
         add(NOISE, "posture drifts", (f"{lean:g} N·m", {"leaning": lean}))

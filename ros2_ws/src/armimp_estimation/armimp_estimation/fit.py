@@ -185,6 +185,7 @@ class MBKFit:
         return replace(self, M_se=M_se, B_se=B_se, K_se=K_se, covariance=covariance)
 
 
+FEWEST_FREQUENCIES = 3
 LACK_LIMIT = 2.0
 """Lack of fit beyond which an impedance isn't of the form of the fit; ideal runs stay below 1.5."""
 _LACK_CHANCE = 5.0
@@ -282,7 +283,7 @@ def fit_impedance(
     DataError
         If there are fewer than three frequencies, or a value or variance is not finite.
     """
-    if estimate.f.size < 3:
+    if estimate.f.size < FEWEST_FREQUENCIES:
         raise DataError(f"{estimate.f.size} frequencies are too few to fit M, B and K")
     if not (np.isfinite(estimate.Z).all() and np.isfinite(estimate.variance).all()):
         raise DataError(f"{estimate.name}: impedance or its variance is not finite")
@@ -444,7 +445,7 @@ def fit_column(  # noqa: PLR0913 (each is a fact of its own)
     DataError
         As :func:`fit_impedance`.
     """
-    if f.size < 3:
+    if f.size < FEWEST_FREQUENCIES:
         raise DataError(f"{f.size} frequencies are too few to fit M, B and K")
     if not (np.isfinite(impedance).all() and np.isfinite(variance).all()):
         raise DataError("impedance or its variance is not finite")
