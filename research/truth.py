@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import butter, sosfilt
+from scipy.signal import bilinear, butter, lfilter, sosfilt
 
 from armimp_bringup.study import parse_seeds
 from armimp_bringup.terminal import display
@@ -182,6 +182,18 @@ def _smoothed(cutoff: float) -> Change:
     return smooth
 
 
+def _swinging(resonance: float) -> Change:
+    """Readings of a sensor whose mount swings at a frequency in Hz, hardly damped."""
+    turning = 2.0 * np.pi * resonance
+    numerator, denominator = bilinear([turning**2], [1.0, 0.1 * turning, turning**2], fs=1000.0)
+
+    def swing(values: FloatArray) -> FloatArray:
+        rest = values[:, :1]
+        return np.asarray(rest + lfilter(numerator, denominator, values - rest))
+
+    return swing
+
+
 def _unsteady(share: float) -> Change:
     """Instants of the readings that jitter, by a share of a period."""
     return _sampled(lambda k: k + share * np.random.default_rng(9).standard_normal(k.size))
@@ -275,6 +287,10 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     for cutoff in (20.0, 30.0, 100.0):
         maximally_flat = {"voluntary": 0.3, "readings": changed(torque=_smoothed(cutoff))}
         add(MUST, "torque low-pass of order 2, voluntary", (f"{cutoff:g} Hz", maximally_flat))
+    for resonance in (40.0, 80.0, 200.0):
+        for name in ("torque", "position"):
+            swings = {"voluntary": 0.3, "readings": changed(**{name: _swinging(resonance)})}
+            add(MUST, f"{name} that swings, voluntary", (f"{resonance:g} Hz", swings))
     for late in (0.1, 0.3, 0.5, 0.8, 1.0, 1.5, 2.0):
         add(RIGHT, "command late", (f"{late:g} ms", {"command_delay": late * MILLI, "lock": 50.0}))
     add(NOISE, "no commands", ("", {"readings": _without_commands}))

@@ -555,8 +555,9 @@ class _Elements:
         *Econometrica* 46, 1978).
         Between robot and arm a cuff of the compliance c at joint l takes ``c Z_il Z_lj`` off, and a
         high-pass of first order with the corner c, which torques passed and angles didn't, about
-        ``c Z_ij/s``. They are the same in all elements, so they count in those, too, where noise
-        hides them.
+        ``c Z_ij/s``. Resonances of transducers and encoders far above the band change Z by a share
+        that goes with s². They are the same in all elements, so they count in those, too, where
+        noise hides them.
         """
         squares = np.zeros((3, len(self.Z)))
         plain = self.values()
@@ -577,7 +578,7 @@ class _Elements:
         if self.whole and n <= _MOST_CUFFS:
             Z = np.stack([_of_mbk(one, self.omega) for one in plain.T]).reshape(n, n, -1)
             common = [-Z[:, joint, None] * Z[None, joint] for joint in range(n)]
-            for place, one in enumerate([*common, -1j * Z / self.omega]):
+            for place, one in enumerate([*common, -1j * Z / self.omega, relative**2 * Z]):
                 terms = one.reshape(self.Z.shape)
                 value, error, _ = self.common_coefficient(terms)
                 # No cuff has a negative compliance; angles may have passed the high-pass, too.
@@ -633,7 +634,7 @@ class _Elements:
         weights = self.weights(row)
         left = term - _of_mbk(_apply(self.coefficients(row), term), self.omega)
         total = float(np.sum(weights * np.abs(left) ** 2))
-        if not 0.0 < total < math.inf:
+        if not np.finfo(np.float64).tiny < total < math.inf:
             return 0.0, math.inf  # nothing was measured: the values are no numbers either
         functional = weights * left / total
         return _functional(functional, self.Z[row]), self.functional_error(row, functional)

@@ -152,7 +152,7 @@ def still(trial: TrialData) -> TrialRecord:
 
 def test_a_response_stands_out_where_its_power_is_beyond_that_of_its_noise() -> None:
     rng = np.random.default_rng(3)
-    f = np.arange(1, 801) * 0.02
+    f = np.arange(1.0, 801.0) * 0.02
     size = np.where(f < 5.0, 10.0, np.where(f < 10.0, 0.5, 0.0))
     noise = np.sqrt(0.5) * (rng.standard_normal(f.size) + 1j * rng.standard_normal(f.size))
     found = stands_out(f, size + noise, np.ones(f.size))
