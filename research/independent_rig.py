@@ -82,6 +82,10 @@ class Mismatch:
     """Stiffness between robot and arm, N·m/rad; 0: rigid."""
     reflex: float = 0.0
     reflex_delay: float = 0.04
+    reflex_spread: float = 0.0
+    """Share of each joint's reflex that acts on the others, as of muscles over two joints."""
+    reflex_length: float = 0.0
+    """Of the reflex by angle over that by speed, 1/s."""
     short_range: float = 0.0
     """Additional stiffness within 5 mrad of a yielding element, N·m/rad."""
     relaxing: float = 0.0
@@ -239,7 +243,7 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0913, PLR091
                 q, v = x[where + i], x[where + n + i]
                 # Reflex: torque after a delay, through two first-order lags of the muscle.
                 contraction[i, 0] += hold * (reflex * stretch[i, oldest] - contraction[i, 0])
-                stretch[i, oldest] = v
+                stretch[i, oldest] = v + nonlinear[9] * q
                 contraction[i, 1] += hold * (contraction[i, 0] - contraction[i, 1])
                 # A spring of limited range that yields and follows.
                 if q - yielding[i] > 0.005:
@@ -257,6 +261,10 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0913, PLR091
                     extra += nonlinear[7] * grip[i] / BRISTLE
                 extra += nonlinear[5] * abs(q) + nonlinear[6] * np.exp(-15.0 * k / ticks) * q
                 force[n + i] = disturbance[i, k] + contraction[i, 1] + extra
+            for i in range(n):
+                for j in range(n):
+                    if i != j:
+                        force[n + i] += nonlinear[8] * contraction[j, 1]
             if s == 0:
                 for i in range(n):
                     value = 0.0
@@ -349,6 +357,8 @@ def simulate_trial(mismatch: Mismatch, joint: int, seed: int) -> Recording:
                 0.5 * mismatch.one_sided * float(K[0, 0]),
                 mismatch.startled * float(K[0, 0]),
                 mismatch.rubbing,
+                mismatch.reflex_spread,
+                mismatch.reflex_length,
             ]
         ),
         1.0 - np.exp(-step / 0.02),

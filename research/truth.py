@@ -362,6 +362,13 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         for delay in (0.03, 0.04, 0.06):
             label = f"{gain:g}, {delay * 1e3:g} ms"
             add(MUST, "reflex", (label, {"reflex": gain, "reflex_delay": delay}))
+    for hiding in (0.0, 0.3):
+        for share in (0.3, 0.8):
+            spread: dict[str, Any] = {"reflex": 0.2, "reflex_spread": share, "voluntary": hiding}
+            add(MUST, "reflex of both joints", (f"{share:g}, {hiding:g} N·m", spread))
+        for length in (5.0, 20.0):
+            long: dict[str, Any] = {"reflex": 0.1, "reflex_length": length, "voluntary": hiding}
+            add(MUST, "reflex by angle", (f"{length:g}, {hiding:g} N·m", long))
     for stiff in (1e5, 3e4, 1e4, 3e3, 1e3):
         add(MUST, "cuff", (f"{stiff / 1e3:g} kN·m/rad", {"cuff": stiff}))
     for stiff in (3e5, 1e5):

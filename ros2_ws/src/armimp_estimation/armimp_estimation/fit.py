@@ -144,8 +144,7 @@ class MBKFit:
     Z : ndarray, shape (n, n, n_freq)
         Fitted impedance at the frequencies of the estimate, N·m/rad.
     lack : ndarray, shape (n, n)
-        Lack of fit: mean of ``|Z - fit|²/variance`` for each degree of freedom, 1 if noise explains
-        all of it.
+        Lack of fit, see :func:`lack_of_fit`.
     lack_limit : float
         What chance alone doesn't exceed: 2, or more for few frequencies.
     delay : CommonDelay or None
@@ -200,6 +199,8 @@ trial."""
 _REFLEX, _REFLEX_DELAY, _MUSCLE = 0.5, 0.04, 30.0
 """Assumption: velocity gain of a reflex that a joint may have, relative to its B; its delay, s, and
 the corner of its muscle, rad/s, as in Kearney, Stein & Parameswaran (1997)."""
+_STRETCH = 0.3
+"""Assumption: stretch gain of a reflex that a joint may have, relative to its K."""
 _RELAXED, _RELAXATIONS = 0.4, (0.05, 0.3)
 """Assumption: stiffness that a joint may have in addition to K and that relaxes, relative to K, and
 with which time constants, s."""
@@ -313,15 +314,16 @@ def fit_impedance(
         bounded=0,
         delay_uncertainty=None,
     )
+    values, errors = problem.fit()
+    M, B, K = (value.reshape(n, n) for value in values)
+    mbk = MBK(M=M, B=B, K=K)
+    fitted = mbk.impedance(estimate.f)
+    lack = lack_of_fit(estimate, fitted)
     if problem.calibration:
         variance = estimate.variance + sum(
             np.abs(one.reshape(estimate.Z.shape)) ** 2 for one in problem.calibration
         )
         estimate = replace(estimate, variance=np.asarray(variance))
-    values, errors = problem.fit()
-    M, B, K = (value.reshape(n, n) for value in values)
-    mbk = MBK(M=M, B=B, K=K)
-    fitted = mbk.impedance(estimate.f)
     quality = [[r_squared(estimate.Z[i, j], fitted[i, j]) for j in range(n)] for i in range(n)]
     M_se, B_se, K_se = (error.reshape(n, n) for error in errors)
     fit = MBKFit(
@@ -331,7 +333,7 @@ def fit_impedance(
         K_se=K_se,
         r2=np.array(quality),
         Z=fitted,
-        lack=problem.lack(values).reshape(n, n),
+        lack=lack,
         lack_limit=lack_limit(estimate.bin_correlation),
         delay=delay,
         covariance=_parameter_covariance(estimate, problem),
@@ -612,13 +614,14 @@ class _Elements:
         s, joints = 1j * self.omega, math.isqrt(len(self.Z))
         if not self.whole or joints > _MOST_CUFFS:
             return []
-        arc = s * np.exp(-s * _REFLEX_DELAY) / (1.0 + s / _MUSCLE) ** 2
+        arc = np.exp(-s * _REFLEX_DELAY) / (1.0 + s / _MUSCLE) ** 2
         springs = [s * time / (1.0 + s * time) for time in _RELAXATIONS if self.unbiased]
         return [
             (row, term)
             for row in range(0, len(self.Z), joints + 1)
             for term in (
-                _REFLEX * values[1, row] * arc,
+                _REFLEX * values[1, row] * s * arc,
+                _STRETCH * values[2, row] * arc,
                 *(_RELAXED * values[2, row] * one for one in springs),
             )
         ]
@@ -743,27 +746,60 @@ class _Elements:
             for Z, variance, power in zip(self.Z, self.total, powers, strict=True)
         ]
 
-    def lack(self, values: FloatArray) -> FloatArray:
-        """Lack of fit of each element, (elements,); three real parameters are 1.5 complex ones."""
-        fitted = np.stack([_of_mbk(one, self.omega) for one in values.T])
-        ratio = _lack_ratio(self.Z, fitted, self.total, self.freedom)
-        return np.asarray(np.sum(ratio, axis=1) / max(self.f.size - 1.5, 1.0))
+    def roughly_fits(self, values: FloatArray) -> bool:
+        """Whether M, B and K explain each element, or a systematic error of any shape does."""
+        left = self.Z - np.stack([_of_mbk(one, self.omega) for one in values.T])
+        ratio = np.abs(left) ** 2 / _spared(self.Z, self.total, self.freedom)
+        lack = np.sum(ratio, axis=1) / max(self.f.size - 1.5, 1.0)
+        return bool((lack <= lack_limit(self.correlation)).all())
+
+
+def lack_of_fit(estimate: ImpedanceEstimate, fitted: ComplexArray) -> FloatArray:
+    """Mean of what noise doesn't explain of each element, for each degree of freedom, (n, n).
+
+    It is 1 if noise explains all. M, B and K, and systematic errors as far as their standard errors
+    allow, take what they can of ``Z - fit``: each has one shape over frequency, and explains
+    nothing else (generalised least squares).
+    """
+    f, n = estimate.f, estimate.joints
+    noise = estimate.without_systematics().variance
+    weights = 1.0 / np.sqrt(_spared(estimate.Z, noise, estimate.averages - 1.0))
+    relative = 1j * f / f[-1]
+    shapes = np.stack((relative**2, relative, np.ones_like(relative)))
+    found = np.zeros((n, n))
+    for at in np.ndindex(n, n):
+        systematic = np.reshape([one[at] for one in estimate.systematics], (-1, f.size))
+        design = _stacked(weights[at] * np.concatenate((shapes, systematic)))
+        # Of the first three nothing is known.
+        known = np.arange(len(design)) >= len(shapes)
+        design /= np.where(known, 1.0, np.linalg.norm(design, axis=1))[:, None]
+        rest = _stacked(weights[at] * (estimate.Z - fitted)[at])
+        normal = design @ design.T + np.diag(np.where(known, 1.0, _ROUNDING))
+        taken = np.linalg.solve(normal, design @ rest)
+        found[at] = rest @ rest - taken @ design @ rest
+    return found / max(f.size - 1.5, 1.0)
+
+
+def _stacked(values: ComplexArray) -> FloatArray:
+    """Real and imaginary parts one after the other, (..., 2 n_freq)."""
+    return np.concatenate((values.real, values.imag), axis=-1)
 
 
 def lack_ratio(estimate: ImpedanceEstimate, fitted: ComplexArray) -> FloatArray:
     """``|Z - fit|²/variance`` of each element and bin, (n, n, n_freq), 1 on average if it fits."""
-    return _lack_ratio(estimate.Z, fitted, estimate.variance, estimate.averages - 1.0)
+    spared = _spared(estimate.Z, estimate.variance, estimate.averages - 1.0)
+    return np.asarray(np.abs(estimate.Z - fitted) ** 2 / spared)
 
 
-def _lack_ratio(
-    Z: ComplexArray, fitted: ComplexArray, variance: FloatArray, freedom: float
-) -> FloatArray:
-    # Variances of m complex degrees of freedom make the mean of their inverses too large.
+def _spared(Z: ComplexArray, variance: FloatArray, freedom: float) -> FloatArray:
+    """Variance by which to judge what is left of a fit.
+
+    Variances of m complex degrees of freedom make the mean of their inverses too large, and without
+    any noise, what the estimator itself leaves would be lack of fit.
+    """
     spare = (freedom - 1.0) / freedom if 1.0 < freedom < math.inf else 1.0
-    # Without any noise, what the estimator itself leaves would be lack of fit.
     least = (_EXACT * np.abs(Z)) ** 2 + np.finfo(np.float64).tiny
-    ratio: FloatArray = spare * np.abs(Z - fitted) ** 2 / (variance + least)
-    return ratio
+    return np.asarray((variance + least) / spare)
 
 
 def _with_delay(
@@ -789,8 +825,7 @@ def _with_delay(
         turn = np.exp(2j * np.pi * problem.f * total)
         trial = replace(problem, Z=problem.Z * turn)
     fitted, plain = trial.values(), problem.values()
-    limit = lack_limit(problem.correlation)
-    fits = bool((trial.lack(fitted) <= limit).all())
+    fits = trial.roughly_fits(fitted)
     sure = max(uncertainty, _SUREST)
     refuted = fits and abs(total) > _REFUTED * math.hypot(sure, told_error)
     assumed = max(uncertainty, unknown) if refuted else uncertainty
