@@ -193,9 +193,9 @@ _SUREST = 20e-6
 _NOTICED = 2.0
 _MOST_CUFFS = 8
 """Joints up to which cuffs and reflexes are looked for: it takes time with the third power."""
-_LIKELY = 0.2
-"""Assumption: how likely a joint has a reflex, a spring that relaxes or a soft cuff, before the
-trial."""
+_LIKELY, _SOFT = 0.3, 0.2
+"""Assumption: how likely a joint has a reflex or a spring that relaxes, and how likely a soft cuff,
+before the trial."""
 _REFLEX, _REFLEX_DELAY, _MUSCLE = 0.5, 0.04, 30.0
 """Assumption: velocity gain of a reflex that a joint may have, relative to its B; its delay, s, and
 the corner of its muscle, rad/s, as in Kearney, Stein & Parameswaran (1997)."""
@@ -586,7 +586,7 @@ class _Elements:
                 # No cuff has a negative compliance; angles may have passed the high-pass, too.
                 square = _noticed(max(value, 0.0) if place < n else value, error)
                 if place < n:
-                    soft, _ = hidden_square(value, error, _LIKELY, sizes=(_CUFF,), positive=True)
+                    soft, _ = hidden_square(value, error, _SOFT, sizes=(_CUFF,), positive=True)
                     square = max(square, soft)
                 for row, of_mbk in enumerate(self.coefficients_of_all):
                     squares[:, row] += square * _apply(of_mbk, terms[row]) ** 2

@@ -113,6 +113,8 @@ class Term:
     likely: float = 0.0
     sizes: tuple[float, ...] = (0.0,)
     """Assumptions: how likely it is there, and by what share if so."""
+    positive: bool = False
+    """Whether what is told is negative by chance alone."""
     robots: float = 0.0
     """Share in the largest of M, B and K up to which it is the robot's, and no more than that."""
     doubted: float = 0.0
@@ -159,8 +161,9 @@ TERMS: Mapping[str, Term] = {
     "slack": Term(
         bend=lambda signals: -play(signals[3], SLACK),
         code=ProblemCode.HYSTERESIS,
-        likely=0.2,
+        likely=0.4,
         sizes=(0.01, 0.03, 0.1),
+        positive=True,
         broad=True,
     ),
     "friction": Term(
@@ -262,9 +265,16 @@ class Deviation:
             return 0.0, 0.0
         if abs(self.share) <= term.robots:
             return 0.0, 0.0
-        told = abs(self.share)
-        error = told / self._errors
-        return hidden_square(told, error, term.likely, sizes=term.sizes, elsewhere=elsewhere)
+        error = abs(self.share) / self._errors
+        told = self.share if term.positive else abs(self.share)
+        return hidden_square(
+            told,
+            error,
+            term.likely,
+            sizes=term.sizes,
+            positive=term.positive,
+            elsewhere=elsewhere,
+        )
 
     @property
     def _errors(self) -> float:
