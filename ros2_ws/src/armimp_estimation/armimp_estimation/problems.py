@@ -98,6 +98,7 @@ class ProblemCode(str, Enum):
     CLIPPED = "clipped"
     STUCK = "stuck"
     DROPPED = "dropped"
+    MENDED = "mended"
     TORQUE_IS_COMMAND = "torque_is_command"
     UNRESOLVED = "unresolved"
     DEPENDS_ON_AMPLITUDE = "depends_on_amplitude"

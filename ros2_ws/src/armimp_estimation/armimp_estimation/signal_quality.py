@@ -1,4 +1,4 @@
-"""What is wrong with single signals: clipped, stuck, too coarse to tell.
+"""What is wrong with single signals: clipped, stuck, too coarse to tell; and lost readings mended.
 
 Noise, hum and drift are no problem: the perturbation doesn't cause them, so the estimate is right
 and its intervals know. But what follows from the motion itself biases it.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -15,7 +16,8 @@ from numpy.typing import NDArray
 
 from armimp_common.arrays import FloatArray
 from armimp_common.topics import JOINT_STATES, TORQUE_SENSORS
-from armimp_estimation.problems import Problem, ProblemCode, problem
+from armimp_estimation.hold_correction import command_steps, regress
+from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
 
 Values = dict[str, Any]
@@ -39,6 +41,18 @@ _LEAST_HELD = 5
 _LEAST_DIPS = 3
 DROPPED = 0.002
 """Share of the samples that may be dropped; as large is the bias of what is lost."""
+_BRIEF = 5
+"""Samples in a row that are mended at most."""
+_USUAL = 0.98
+_AWAY = 16.0
+"""What readings stand out by that are lost, per what one in fifty does, or count: sound ones do so
+by 12.5 at most, where a joint that sticks begins to slip."""
+_SMALL = 0.05
+"""Share of the rms of a signal by which lost readings may stand out and hardly change it."""
+_PERIODS = 6
+"""For which torques follow a command by jumps and not as the arm moves."""
+MENDED = 0.005
+"""Share of the samples that may be mended; of those lost some remain that don't stand out."""
 _TELLING_COUNTS = 50.0
 _TELLING_SAMPLES = 4096
 _LOST = 0.16
@@ -97,6 +111,75 @@ def judge_signals(record: TrialRecord) -> list[Problem]:
                 for code, values in found
             ]
     return problems
+
+
+def mended(record: TrialRecord) -> tuple[TrialRecord, list[Problem]]:
+    """Interpolate readings that are lost: up to 5 in a row that jump away, and back again.
+
+    A bus or a converter that fails now and then shows 0, an old value, or any other. How far a
+    reading stands out is by how much it exceeds both what is least within 5 samples before and
+    after it, or the same downwards. What commands that chatter make of torques is taken out before.
+    A record of which nothing stands out stays as it is.
+
+    Parameters
+    ----------
+    record : TrialRecord
+        One trial, without gaps.
+
+    Returns
+    -------
+    record : TrialRecord
+    problems : list of Problem
+        How many samples of which signals; errors where they are too many.
+    """
+    problems, k = [], np.arange(record.samples)
+    whole = {JOINT_STATES: record.position.copy(), TORQUE_SENSORS: record.torque.copy()}
+    known = {JOINT_STATES: np.zeros_like(record.position), TORQUE_SENSORS: _of_commands(record)}
+    for stream, signals in whole.items():
+        for joint, (name, signal) in enumerate(zip(record.joint_names, signals, strict=True)):
+            rest = signal - known[stream][joint]
+            height = np.maximum(_over_opening(rest), _over_opening(-rest))
+            if record.command is not None:
+                height[:_PERIODS] = 0.0  # which follow commands that nobody recorded
+            usual = max(float(np.quantile(height, _USUAL)), resolution_of(signal))
+            away = height > max(_AWAY * usual, _SMALL * float(np.std(signal)))
+            if not away.any():
+                continue
+            signal[away] += np.interp(k[away], k[~away], rest[~away]) - rest[away]
+            share = float(np.mean(away))
+            problems.append(
+                problem(
+                    ProblemCode.MENDED,
+                    severity=Severity.NOTE if share <= MENDED else Severity.ERROR,
+                    trial=record.trial,
+                    stream=stream,
+                    name=name,
+                    count=int(np.sum(away)),
+                    percent=100.0 * share,
+                )
+            )
+    if problems:
+        record = replace(record, position=whole[JOINT_STATES], torque=whole[TORQUE_SENSORS])
+    return record, problems
+
+
+def _of_commands(record: TrialRecord) -> FloatArray:
+    """What the commands of the last periods make of the torques by jumps, (n, N)."""
+    if record.command is None or record.samples <= _TELLING_COUNTS:
+        return np.zeros_like(record.torque)
+    lags = range(_PERIODS)
+    steps = np.pad(command_steps(record, record.samples), ((0, 0), (_PERIODS, 0)))
+    lagged = np.concatenate([steps[:, _PERIODS - lag : steps.shape[1] - lag] for lag in lags])
+    changes = np.diff(record.torque, axis=1, prepend=record.torque[:, :1])
+    return np.asarray(np.cumsum(regress([lagged], [changes])[0] @ lagged, axis=1))
+
+
+def _over_opening(signal: FloatArray) -> FloatArray:
+    """By how much a signal (N,) exceeds its morphological opening: peaks that are brief."""
+    low = np.pad(signal, _BRIEF, mode="edge")
+    low = np.min(np.lib.stride_tricks.sliding_window_view(low, _BRIEF + 1), axis=-1)
+    opened = np.max(np.lib.stride_tricks.sliding_window_view(low, _BRIEF + 1), axis=-1)
+    return np.asarray(signal - opened)
 
 
 def clipping(signal: FloatArray) -> list[tuple[float, int]]:

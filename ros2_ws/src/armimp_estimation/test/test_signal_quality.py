@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
 
-from armimp_estimation.problems import ProblemCode
+from armimp_estimation.problems import ProblemCode, Severity
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.signal_quality import (
     clipping,
     dropouts,
     judge_signals,
     lost_motion,
+    mended,
     sticking,
     unseen_share,
 )
@@ -103,6 +104,40 @@ def test_a_signal_that_drops_out_for_milliseconds_is_found(
     count, share = dropouts(replaced(length, value), motion(3, 1e-3))
     assert count >= 500 // length / 2
     assert 0.005 < share < 0.03
+
+
+@pytest.mark.parametrize(("length", "value"), [(1, 0.0), (5, 0.0), (3, 9.0), (1, None)])
+def test_readings_that_are_lost_now_and_then_are_interpolated_and_counted(
+    length: int, value: float | None
+) -> None:
+    torque = np.stack([motion(1, 1e-3), motion(2, 1e-3)])
+    rng = np.random.default_rng(3)
+    lost = (20 + 50 * rng.choice(900, 100 // length, replace=False))[:, None] + np.arange(length)
+    spoiled = torque.copy()
+    spoiled[0, lost.ravel()] = rng.normal(scale=5.0, size=lost.size) if value is None else value
+    command = np.cumsum(rng.normal(size=torque.shape), axis=1) / 100.0
+    record, problems = mended(made_record(torque, spoiled + command, command=command))
+    assert np.max(np.abs(record.torque - torque - command)) < 0.5
+    assert [(one.code, one.severity) for one in problems] == [(ProblemCode.MENDED, Severity.NOTE)]
+    assert 0.6 * lost.size < float(problems[0].values["count"]) <= lost.size
+
+
+@pytest.mark.parametrize(("share", "severity"), [(0.002, Severity.NOTE), (0.01, Severity.ERROR)])
+def test_a_signal_of_which_much_is_lost_is_refused(share: float, severity: Severity) -> None:
+    torque = motion(1, 1e-3)
+    torque[np.random.default_rng(2).random(torque.size) < share] = 9.0
+    found = mended(made_record(motion(3, 1e-3)[None], torque[None]))[1]
+    assert [one.severity for one in found] == [severity]
+
+
+@pytest.mark.parametrize("step", [1e-9, 1e-3, 0.1])
+def test_a_sound_record_stays_as_it_is_however_its_commands_chatter(step: float) -> None:
+    command = np.random.default_rng(3).choice((-2.0, 0.0, 2.0), (1, 50_000), p=(0.01, 0.98, 0.01))
+    torque = motion(1, step) + 0.5 * np.roll(command, 1) - 0.2 * np.roll(command, 2)
+    record = made_record(motion(3, 1e-3)[None], torque, command=command)
+    kept, problems = mended(record)
+    assert kept is record
+    assert problems == []
 
 
 @pytest.mark.parametrize("every", [1, 2, 4, 10])
