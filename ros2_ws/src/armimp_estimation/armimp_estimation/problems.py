@@ -99,6 +99,8 @@ class ProblemCode(str, Enum):
     STUCK = "stuck"
     DROPPED = "dropped"
     MENDED = "mended"
+    DEAD_ZONE = "dead_zone"
+    TORQUE_REPEATS = "torque_repeats"
     TORQUE_IS_COMMAND = "torque_is_command"
     UNRESOLVED = "unresolved"
     DEPENDS_ON_AMPLITUDE = "depends_on_amplitude"

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import median_filter
 from scipy.signal import butter, sosfilt
 
 from armimp_estimation.problems import ProblemCode, Severity
@@ -14,8 +15,10 @@ from armimp_estimation.signal_quality import (
     judge_signals,
     lost_motion,
     mended,
+    repeating,
     sticking,
     unseen_share,
+    zeros_beyond_chance,
 )
 from support.synthetic_trials import made_record
 
@@ -138,6 +141,49 @@ def test_a_sound_record_stays_as_it_is_however_its_commands_chatter(step: float)
     kept, problems = mended(record)
     assert kept is record
     assert problems == []
+
+
+@pytest.mark.parametrize("zone", [0.03, 0.1])
+@pytest.mark.parametrize("step", [1e-9, 1e-2])
+def test_a_dead_zone_leaves_more_zeros_than_chance(zone: float, step: float) -> None:
+    signal = motion(1, step)
+    dead = np.where(np.abs(signal) <= zone, 0.0, signal)
+    assert zeros_beyond_chance(dead) == pytest.approx(0.8 * zone * signal.size, rel=0.5)
+
+
+@pytest.mark.parametrize("step", [1e-9, 1e-2, 0.3, 3.0])
+def test_a_sound_signal_has_no_zeros_too_many_even_if_it_rests_there(step: float) -> None:
+    signal = motion(1, step)
+    assert zeros_beyond_chance(signal) == 0
+    crossing = int(np.argmin(np.abs(signal)))
+    assert zeros_beyond_chance(np.insert(signal, crossing, np.zeros(20_000))) == 0
+
+
+def lively(seed: int, step: float) -> np.ndarray:
+    """Motion with quick noise, in steps of a resolution."""
+    noise = np.random.default_rng(seed + 9).standard_normal(50_000)
+    return np.asarray(np.round((motion(seed, 1e-9) + 0.1 * noise) / step) * step)
+
+
+@pytest.mark.parametrize("step", [1e-9, 1e-3])
+def test_a_signal_that_was_held_filtered_or_interpolated_repeats_itself(step: float) -> None:
+    signal = lively(1, step)
+    k = np.arange(signal.size)
+    spoiled = [
+        np.repeat(signal[::4], 4),
+        median_filter(signal, 5),
+        np.interp(k, k[::10], signal[::10]),
+        np.interp(k, k[:-8:8] + 0.4, signal[:-8:8]),
+    ]
+    assert all(repeating(one) > 0.3 for one in spoiled)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("step", [1e-9, 1e-3, 1e-2, 0.1, 1.0])
+def test_a_sound_signal_doesn_t_repeat_itself_however_coarse(step: float, seed: int) -> None:
+    for signal in (motion(seed, step), lively(seed, step)):
+        assert repeating(signal) == 0.0
+        assert repeating(signal * (1.0 + 0.1 * signal**2)) == 0.0, "through a table"
 
 
 @pytest.mark.parametrize("every", [1, 2, 4, 10])
