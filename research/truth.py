@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 from scipy.signal import bilinear, butter, lfilter, sosfilt
 
 from armimp_bringup.study import parse_seeds
@@ -21,7 +22,15 @@ from armimp_estimation.alignment.assemble import assemble_trials
 from armimp_estimation.alignment.streams import Stream, Streams
 from armimp_estimation.metadata import CALIBRATION_KEYS
 from armimp_estimation.result import Result, conclude
-from research.independent_rig import NAMES, Mismatch, Recording, arm_of, changed, simulate
+from research.independent_rig import (
+    NAMES,
+    POSTURE,
+    Mismatch,
+    Recording,
+    arm_of,
+    changed,
+    simulate,
+)
 from research.options import InvestigationOptions
 from research.writing import print_table, to_json, write_tables
 
@@ -104,6 +113,59 @@ def _yielding(share: float) -> Change:
         return np.asarray(torque * (1.0 - share * (torque / peak) ** 2))
 
     return compress
+
+
+def _dead(zone: float, *, less: bool) -> Change:
+    """Small torques read 0, and larger ones are shown as they are, or less by as much."""
+
+    def cut(torque: FloatArray) -> FloatArray:
+        beyond = np.maximum(np.abs(torque) - zone, 0.0)
+        return np.sign(torque) * (beyond if less else np.where(beyond > 0.0, abs(torque), 0.0))
+
+    return cut
+
+
+def _lost(share: float, kind: str) -> Change:
+    """Single readings that read 0, or the value before, or jump to either side."""
+
+    def lose(torque: FloatArray) -> FloatArray:
+        rng = np.random.default_rng(7)
+        lost = rng.random(torque.shape) < share
+        lost[:, :2] = False
+        jumps = torque + rng.choice((-1.0, 1.0), torque.shape) * 2.0
+        filled = {"zero": 0.0 * torque, "held": np.roll(torque, 1, axis=1), "spike": jumps}
+        return np.where(lost, filled[kind], torque)
+
+    return lose
+
+
+def _median(samples: int) -> Change:
+    return lambda torque: median_filter(torque, size=(1, samples), mode="nearest")
+
+
+def _slower(rate: float) -> Change:
+    """Readings at a lower rate, interpolated to 1 kHz."""
+    size = 1000.0 / rate
+
+    def interpolate(torque: FloatArray) -> FloatArray:
+        k = np.arange(torque.shape[1])
+        known = np.rint(np.arange(0.0, k.size, size)).astype(np.int64)
+        return np.stack([np.interp(k, known, row[known]) for row in torque])
+
+    return interpolate
+
+
+def _uneven_counts(share: float, counts: int) -> Change:
+    """Encoder whose steps of 61.36 µrad lie off by a share of one, the same each few counts."""
+    step = Mismatch().angle_step
+    off = share * np.random.default_rng(11).uniform(-1.0, 1.0, counts)
+
+    def shift(angle: FloatArray) -> FloatArray:
+        rest = POSTURE[: len(angle), None]
+        count = np.rint((angle - rest) / step).astype(np.int64)
+        return np.asarray(rest + step * (count + off[count % counts]))
+
+    return shift
 
 
 def _waning(share: float) -> Change:
@@ -452,6 +514,27 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         add(MUST, "friction of the arm", (f"{rub:g} N·m", {"rubbing": rub}))
         moved: dict[str, Any] = {"rubbing": rub, "voluntary": 0.3}
         add(MUST, "friction of the arm, voluntary 0.3 N·m", (f"{rub:g} N·m", moved))
+    for zone in (0.005, 0.02, 0.1):
+        for name, less in (("torque dead zone", True), ("torque dead zone that jumps", False)):
+            dead: dict[str, Any] = {"readings": changed(torque=_dead(zone, less=less))}
+            add(MUST, name, (f"{zone:g} N·m", dead))
+            add(MUST, f"{name}, voluntary 0.3 N·m", (f"{zone:g} N·m", dead | {"voluntary": 0.3}))
+    for share in (0.0005, 0.002, 0.01):
+        for name in ("zero", "held", "spike"):
+            lost: dict[str, Any] = {"readings": changed(torque=_lost(share, name))}
+            add(RIGHT, f"torque samples lost, {name}", (f"{share:g}", lost))
+            beside = lost | {"voluntary": 0.3}
+            add(RIGHT, f"torque samples lost, {name}, voluntary 0.3 N·m", (f"{share:g}", beside))
+    for samples in (3, 5, 9):
+        smooth_one = {"voluntary": 0.3, "readings": changed(torque=_median(samples))}
+        add(MUST, "torque median, voluntary 0.3 N·m", (f"{samples}", smooth_one))
+    for rate in (50.0, 100.0, 250.0):
+        slow_one = {"voluntary": 0.3, "readings": changed(torque=_slower(rate))}
+        add(MUST, "torque of a lower rate, voluntary 0.3 N·m", (f"{rate:g} Hz", slow_one))
+    for share in (0.1, 0.3, 0.5):
+        for counts in (4, 16):
+            steps = {"readings": changed(position=_uneven_counts(share, counts))}
+            add(MUST, "encoder counts uneven", (f"{share:g}, {counts}", steps))
     for gap in (1e-4, 1e-3, 5e-3):
         loose = changed(position=_backlash(gap))
         add(MUST, "angle backlash", (f"{gap:g} rad", {"readings": loose}))

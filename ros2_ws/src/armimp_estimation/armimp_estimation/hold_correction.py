@@ -166,10 +166,10 @@ def _from_chatter(
         lagged = [steps[:, lags - 1 - lag : last - lag] for lag in range(lags)]
         inputs.append(np.diff(np.concatenate(lagged), n=_DIFFERENCES, axis=1))
         outputs.append(np.diff(changes[:, before + lags - 1 :], n=_DIFFERENCES, axis=1))
-    coefficients, _ = _regress(inputs, outputs)
+    coefficients, _ = regress(inputs, outputs)
     n = records[0].joints
     # Nearly all has to come from the last steps; else commands are not those of these samples.
-    _, explained = _regress([rows[: n * edge] for rows in inputs], outputs)
+    _, explained = regress([rows[: n * edge] for rows in inputs], outputs)
     torque, slope = (
         sum(weight * coefficients[:, n * lag : n * (lag + 1)] for lag, weight in enumerate(row))
         for row in to_parabola
@@ -212,15 +212,20 @@ def _from_motion(records: Sequence[TrialRecord]) -> tuple[HoldCorrection, FloatA
         steps = command_steps(record, record.samples)[:, 1:-1]
         inputs.append(np.concatenate((-0.5 * steps, acceleration, velocity, now)))
         outputs.append(torque[:, 1:-1])
-    coefficients, explained = _regress(inputs, outputs)
+    coefficients, explained = regress(inputs, outputs)
     transmission = coefficients[:, : records[0].joints]
     return HoldCorrection(torque=transmission, slope=np.zeros_like(transmission)), explained
 
 
-def _regress(
+def regress(
     inputs: Sequence[FloatArray], outputs: Sequence[FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
     """Coefficients of outputs (m, N) on inputs (p, N), (m, p), and the shares explained, (m,).
+
+    Parameters
+    ----------
+    inputs, outputs : sequence of ndarray
+        Of each trial.
 
     Raises
     ------

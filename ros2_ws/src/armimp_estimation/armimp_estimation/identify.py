@@ -200,7 +200,7 @@ def identify(
     first = next(iter(results.values()))
     problems = verdict.judge_band(trials[0].f, ordered[0].f)
     for trial in ordered:
-        problems += judge_angles(trial.record) + judge_signals(trial.record)
+        problems += [*trial.problems, *judge_angles(trial.record), *judge_signals(trial.record)]
     problems += verdict.judge_order(names, locks)
     problems += verdict.judge_coherence(
         names, first.coherence_motion, first.coherence_torque, level

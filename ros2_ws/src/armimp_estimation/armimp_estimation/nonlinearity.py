@@ -7,8 +7,9 @@ short range yields, a play operator of the angle (the spring's stretch: Brokate 
 *Hysteresis and Phase Transitions*, ch. 2); if friction is left in it, the sign of ``θ̇``; if
 stiffness changes over the trial, ``θ t``, or is larger at its begin, ``θ exp(-t)``. If the
 transducer is not linear, e follows the torque τ̂, up to the end of the perturbation: ``|τ̂|`` if it
-shows more in one direction, ``τ̂³`` if its gain changes with the torque, ``τ̂ t`` if its gain
-changes over the trial, a play operator of it if it has hysteresis. Terms and e are taken without
+shows more in one direction, ``τ̂³`` if its gain changes with the torque, the sign of τ̂ if small
+torques don't show, ``τ̂ t`` if its gain changes over the trial, a play operator of it if it has
+hysteresis. Terms and e are taken without
 all that any linear filter makes of angle and perturbation, and the coefficient is found with what
 of the term turns with the sign of the perturbation, or the same term of what that alone causes, as
 the instrument (Söderström & Stoica, *Instrumental Variable Methods for System Identification*): so
@@ -29,6 +30,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,6 +68,10 @@ PLAY = 0.12
 """Half of the play, in rms angles."""
 SLACK = 0.05
 """Half of the play of a transducer, in rms torques."""
+DEAD = 0.1
+"""Torque beyond which a dead zone has taken all that it takes, in rms torques."""
+_OWN_ZONE = 1.4
+"""Half of a dead zone per what readings without it, and with little noise, show of it."""
 _OWN_LAG = 2.0
 """Slack of a transducer per what its readings show of it, which lag themselves: 1.3 to 2 of
 perturbed joints, of slack of 1 to 15 % of the rms torque, and up to 8 where torques are small."""
@@ -166,6 +172,15 @@ TERMS: Mapping[str, Term] = {
         positive=True,
         broad=True,
     ),
+    "dead zone": Term(
+        bend=lambda signals: -np.clip(signals[3] / DEAD, -1.0, 1.0),
+        code=ProblemCode.TORQUE_NOT_LINEAR,
+        large=0.1,
+        likely=0.1,
+        sizes=(0.01, 0.03, 0.1),
+        positive=True,
+        broad=True,
+    ),
     "friction": Term(
         bend=lambda signals: np.tanh(signals[2] / SLOW),
         code=ProblemCode.FRICTION_LEFT,
@@ -236,7 +251,7 @@ class Deviation:
     """Torque of friction or of a spring that yields, N·m: it is there while the joint hardly moves,
     too."""
     slack: float = 0.0
-    """Torque by which the transducer lags on either way, N·m."""
+    """Torque by which the transducer lags on either way, or that it shows as none, N·m."""
 
     @property
     def significant(self) -> bool:
@@ -495,8 +510,8 @@ def deviations(
                 slope
                 * np.linalg.lstsq(motion[2::-1, kept].T, band.signal(bent[1])[kept], rcond=None)[0]
             )
-            if name == "slack":
-                slack = _OWN_LAG * slope
+            if name in _LOST:
+                slack = _LOST[name][0] * slope
                 share = slack / float(sizes[3, 0])
             elif name in {"hysteresis", "friction"}:
                 share = float(np.max(np.abs(shift / own)))
@@ -519,14 +534,37 @@ def deviations(
     return found
 
 
-def _lag(record: TrialRecord, joint: int, slack: float) -> FloatArray:
-    """What the slack of a joint's transducer, N·m, takes off its torque, (N,).
+_LOST: Mapping[str, tuple[float, Callable[[FloatArray, float], FloatArray]]] = {
+    "slack": (_OWN_LAG, lambda torque, slack: -slack * play(torque, slack)),
+    "dead zone": (_OWN_ZONE, lambda torque, zone: -np.clip(torque, -zone, zone)),
+}
+"""What transducers lack by slack or a dead zone, N·m, of what they show; its size per slope."""
+
+
+def _lost(record: TrialRecord, joint: int, name: str, size: float) -> FloatArray:
+    """What the transducer of a joint lacks in one of these ways, of that size, N·m, (N,).
 
     It is that of the torque as it was read, whatever the person adds to it.
     """
     wide = _Band(record, WIDE)
     torque = wide.signal(wide.of(record.torque[joint])) + record.torque[joint].mean()
-    return -slack * play(torque, slack)
+    return _LOST[name][1](torque, size)
+
+
+def _lacking(found: Sequence[Mapping[str, Deviation]]) -> dict[str, float]:
+    """Standard errors of slack and dead zones, N·m, where they are felt.
+
+    Transducers of one rig are alike, and small torques tell little of what is lost of them.
+    """
+    sizes = dict.fromkeys(_LOST, 0.0)
+    for joint, one in enumerate(found):
+        others = [other for k, other in enumerate(found) if k != joint and other]
+        for name in sizes if one else ():
+            told = sum(other[name].evidence for other in others)
+            doubt = one[name].doubt(max(told, 0.0))
+            if doubt * abs(one[name].share) > _UNFELT:
+                sizes[name] = max(sizes[name], abs(doubt * one[name].slack))
+    return {name: size for name, size in sizes.items() if size}
 
 
 def _held(record: TrialRecord, joint: int, term: Term) -> FloatArray:
@@ -637,7 +675,7 @@ def judge_linearity(
     """
     n = len(records)
     problems: list[Problem] = []
-    doubts, gain, slack = [np.zeros((3, n, n)) for _ in records], np.zeros(n), 0.0
+    doubts, gain = [np.zeros((3, n, n)) for _ in records], np.zeros(n)
     found = [deviations(record, fit.mbk, jump, reading) for record in records]
 
     def of_torque(joint: int, trial: int, torque: FloatArray) -> FloatArray:
@@ -656,8 +694,6 @@ def judge_linearity(
             # A transducer that isn't linear doesn't clear the others of it.
             doubt = one.doubt(told if name == "curvature" else max(told, 0.0))
             gain[k] = np.hypot(gain[k], doubt * one.gain)
-            if doubt * abs(one.share) > _UNFELT:
-                slack = max(slack, abs(doubt * one.slack))
             for m in range(n) if doubt * one.held else ():
                 if m != k:
                     held = _held(records[m].whole_periods, k, TERMS[name])
@@ -671,10 +707,12 @@ def judge_linearity(
             if not one.significant or (code, severity) in said:
                 continue
             said.add((code, severity))
+            of_transducer = TERMS[name].doubted or name in _LOST
+            concern = Concern.IMPEDANCE if of_transducer else Concern.PARAMETERS
             problems.append(
                 problem(
                     code,
-                    concern=Concern.IMPEDANCE if TERMS[name].doubted else Concern.PARAMETERS,
+                    concern=concern,
                     severity=severity,
                     trial=record.trial,
                     name=record.joint_names[record.perturbed_joint],
@@ -682,11 +720,10 @@ def judge_linearity(
                     error=100.0 * one.error,
                 )
             )
-    # Transducers of one rig are alike, and small torques tell little of what is lost of them.
-    for k in range(n) if slack else ():
-        lags = [_lag(record.whole_periods, k, slack) for record in records]
-        lost = np.asarray(sum(of_torque(k, m, lag) for m, lag in enumerate(lags)))
-        if fit.delay is not None and fit.delay.error > 0.0:
+    for (name, size), k in product(_lacking(found).items(), range(n)):
+        parts = [_lost(record.whole_periods, k, name, size) for record in records]
+        lost = np.asarray(sum(of_torque(k, m, part) for m, part in enumerate(parts)))
+        if name == "slack" and fit.delay is not None and fit.delay.error > 0.0:
             lost[1] = 0.0  # in phase it is a delay, which was fitted, and has errors of its own
         doubts.append(lost)
     return problems, doubts, gain

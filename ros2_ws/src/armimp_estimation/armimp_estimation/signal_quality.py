@@ -1,4 +1,4 @@
-"""What is wrong with single signals: clipped, stuck, too coarse to tell.
+"""What is wrong with single signals: clipped, stuck, too coarse to tell; and lost readings mended.
 
 Noise, hum and drift are no problem: the perturbation doesn't cause them, so the estimate is right
 and its intervals know. But what follows from the motion itself biases it.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -15,7 +16,8 @@ from numpy.typing import NDArray
 
 from armimp_common.arrays import FloatArray
 from armimp_common.topics import JOINT_STATES, TORQUE_SENSORS
-from armimp_estimation.problems import Problem, ProblemCode, problem
+from armimp_estimation.hold_correction import command_steps, regress
+from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
 
 Values = dict[str, Any]
@@ -26,6 +28,8 @@ _HEAPED = 4.0
 _NEIGHBOURS = 8
 _REACH = 3.0
 _VISITS = 3
+_PASSED = 20
+_FELT = 0.005
 _APPROACH = 5
 _UNSLOWED = 0.4
 STUCK = 0.1
@@ -39,8 +43,25 @@ _LEAST_HELD = 5
 _LEAST_DIPS = 3
 DROPPED = 0.002
 """Share of the samples that may be dropped; as large is the bias of what is lost."""
+_BRIEF = 5
+"""Samples in a row that are mended at most: one less than those over which extremes are taken."""
+_USUAL = 0.98
+_AWAY = 16.0
+"""What readings stand out by that are lost, per what one in fifty does, or count: sound ones do so
+by 12.5 at most, where a joint that sticks begins to slip."""
+_SMALL = 0.05
+"""Share of the rms of a signal by which lost readings may stand out and hardly change it."""
+_PERIODS = 6
+"""For which torques follow a command by jumps and not as the arm moves."""
+MENDED = 0.005
+"""Share of the samples that may be mended; of those lost some remain that don't stand out."""
 _TELLING_COUNTS = 50.0
 _TELLING_SAMPLES = 4096
+_TELLING_MOST = 16384
+_REPEATED = 0.15
+_BESIDE = 9.0
+_BROAD = 0.5
+_EXACT = 1e-9
 _LOST = 0.16
 _LEADING = 0.2
 _TINY = float(np.finfo(np.float64).tiny)
@@ -66,6 +87,8 @@ def judge_signals(record: TrialRecord) -> list[Problem]:
     """
     problems = []
     streams = {JOINT_STATES: record.position, TORQUE_SENSORS: record.torque}
+    # What was interpolated with all that is recorded did the same to cause and effect.
+    resampled = repeating(record.perturbation[record.perturbed_joint]) > 0.0
     for stream, signals in streams.items():
         for joint, (name, signal) in enumerate(zip(record.joint_names, signals, strict=True)):
             found: list[tuple[ProblemCode, Values]] = []
@@ -87,6 +110,11 @@ def judge_signals(record: TrialRecord) -> list[Problem]:
                 if share > DROPPED:
                     about = {"count": dropped, "percent": 100.0 * share}
                     found.append((ProblemCode.DROPPED, about))
+            if stream == TORQUE_SENSORS and (count := zeros_beyond_chance(signal)):
+                about = {"count": count, "percent": 100.0 * count / signal.size}
+                found.append((ProblemCode.DEAD_ZONE, about))
+            if stream == TORQUE_SENSORS and not resampled and (share := repeating(signal)):
+                found.append((ProblemCode.TORQUE_REPEATS, {"percent": 100.0 * share}))
             if stream == TORQUE_SENSORS and joint == record.perturbed_joint:
                 factor, share = beside_command(record)
                 if share < _OF_COMMAND:
@@ -97,6 +125,77 @@ def judge_signals(record: TrialRecord) -> list[Problem]:
                 for code, values in found
             ]
     return problems
+
+
+def mended(record: TrialRecord) -> tuple[TrialRecord, list[Problem]]:
+    """Interpolate readings that are lost: up to 5 in a row that jump away, and back again.
+
+    A bus or a converter that fails now and then shows 0, an old value, or any other. How far a
+    reading stands out is by how much it exceeds both what is least within 5 samples before and
+    after it, or the same downwards. What commands that chatter make of torques is taken out before.
+    A record of which nothing stands out stays as it is.
+
+    Parameters
+    ----------
+    record : TrialRecord
+        One trial, without gaps.
+
+    Returns
+    -------
+    record : TrialRecord
+    problems : list of Problem
+        How many samples of which signals; errors where they are too many.
+    """
+    problems, k = [], np.arange(record.samples)
+    whole = {JOINT_STATES: record.position.copy(), TORQUE_SENSORS: record.torque.copy()}
+    known = {JOINT_STATES: np.zeros_like(record.position), TORQUE_SENSORS: _of_commands(record)}
+    for stream, signals in whole.items():
+        for joint, (name, signal) in enumerate(zip(record.joint_names, signals, strict=True)):
+            rest = signal - known[stream][joint]
+            height = np.maximum(_over_opening(rest), _over_opening(-rest))
+            if record.command is not None:
+                height[:_PERIODS] = 0.0  # which follow commands that nobody recorded
+            usual = max(float(np.quantile(height, _USUAL)), resolution_of(signal))
+            away = height > max(_AWAY * usual, _SMALL * float(np.std(signal)))
+            if not away.any():
+                continue
+            signal[away] += np.interp(k[away], k[~away], rest[~away]) - rest[away]
+            share = float(np.mean(away))
+            problems.append(
+                problem(
+                    ProblemCode.MENDED,
+                    severity=Severity.NOTE if share <= MENDED else Severity.ERROR,
+                    trial=record.trial,
+                    stream=stream,
+                    name=name,
+                    count=int(np.sum(away)),
+                    percent=100.0 * share,
+                )
+            )
+    if problems:
+        record = replace(record, position=whole[JOINT_STATES], torque=whole[TORQUE_SENSORS])
+    return record, problems
+
+
+def _of_commands(record: TrialRecord) -> FloatArray:
+    """What the commands of the last periods make of the torques by jumps, (n, N)."""
+    if record.command is None or record.samples <= _TELLING_COUNTS:
+        return np.zeros_like(record.torque)
+    lags = range(_PERIODS)
+    steps = np.pad(command_steps(record, record.samples), ((0, 0), (_PERIODS, 0)))
+    lagged = np.concatenate([steps[:, _PERIODS - lag : steps.shape[1] - lag] for lag in lags])
+    changes = np.diff(record.torque, axis=1, prepend=record.torque[:, :1])
+    answers, _ = regress([lagged[:, :_TELLING_MOST]], [changes[:, :_TELLING_MOST]])
+    return np.asarray(np.cumsum(answers @ lagged, axis=1))
+
+
+def _over_opening(signal: FloatArray) -> FloatArray:
+    """By how much a signal (N,) exceeds its morphological opening: peaks that are brief."""
+    opened = np.pad(signal, _BRIEF, mode="edge")
+    for extreme in (np.minimum, np.maximum):
+        of_two = extreme(opened[:-1], opened[1:])
+        opened = extreme(extreme(of_two[:-4], of_two[2:-2]), of_two[4:])
+    return np.asarray(signal - opened)
 
 
 def clipping(signal: FloatArray) -> list[tuple[float, int]]:
@@ -339,6 +438,59 @@ def dropouts(signal: FloatArray, partner: FloatArray) -> tuple[int, float]:
     if counts.size and np.max(counts) >= max(_LEAST_DIPS, np.sum(dips) / 2):
         found |= dips & (signal[starts] == values[np.argmax(counts)])
     return int(np.sum(found)), float(np.sum(runs[found])) / signal.size
+
+
+def zeros_beyond_chance(signal: FloatArray) -> int:
+    """In how many samples a signal is 0 where it passes that; 0 if chance explains it.
+
+    Torques that are small are shown as none by a dead zone, and lost ones by a bus. A sound signal
+    of which most is larger than that is 0 about as often as it has any of the 8 values on either
+    side: 4 times as much is more. Where it rests, it does so at any value, and is counted for 20
+    samples.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (N,)
+    """
+    zero = np.concatenate(([False], signal == 0.0, [False]))
+    edges = np.flatnonzero(zero[1:] != zero[:-1])
+    passed = int(np.sum(np.minimum(edges[1::2] - edges[::2], _PASSED)))
+    if edges.size < 2 * _CLIPPED or passed < _FELT * signal.size:
+        return 0
+    values, counts = np.unique(signal, return_counts=True)
+    place = int(np.searchsorted(values, 0.0))
+    around = counts[max(place - _NEIGHBOURS, 0) : place + _NEIGHBOURS + 1]
+    few = around.size <= 2 * _NEIGHBOURS or np.sum(around) > _BROAD * signal.size
+    others = np.delete(around, min(place, _NEIGHBOURS))
+    return 0 if few or passed <= _HEAPED * float(np.max(others)) else passed
+
+
+def repeating(signal: FloatArray) -> float:
+    """In which share of its samples a signal stays the same or goes on straight; 0 if by chance.
+
+    A median filter returns values as they were, readings of a lower rate are held or interpolated
+    by lines: what is quick in the torque, as where a law throws a joint back, is then lost, or
+    comes back at other frequencies. Rounding makes a sound signal do the same, but then steps by
+    one count, or another, are as frequent. So it repeats itself where it does so in more than
+    15 % of the samples, 9 times as often as it takes the most frequent step in either direction,
+    and less than half of the other steps are of that size. Sound torques have 4 times at most.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (N,)
+    """
+    signal = signal[: 2 * _TELLING_SAMPLES]
+    counts = np.unique(signal, return_inverse=True)[1]
+    unit = max(_EXACT * float(np.ptp(signal)), _TINY)
+    changes, bends = np.diff(counts), np.rint(np.diff(signal, n=2) / unit)
+    for steps in (changes, bends[changes[1:] != 0]):
+        still = float(np.mean(steps == 0.0)) if steps.size else 1.0
+        if _REPEATED < still < 1.0:
+            others = np.unique(np.abs(steps[steps != 0.0]), return_counts=True)[1]
+            usual = float(np.max(others)) / steps.size
+            if still > _BESIDE * 0.5 * usual and usual < _BROAD * (1.0 - still):
+                return still
+    return 0.0
 
 
 def beside_command(record: TrialRecord) -> tuple[float, float]:

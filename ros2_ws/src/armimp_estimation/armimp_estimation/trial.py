@@ -23,7 +23,9 @@ from armimp_common.arrays import FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.local_polynomial import LocalPolynomialConfig
 from armimp_estimation.periods import common_periods
+from armimp_estimation.problems import Problem
 from armimp_estimation.record import TrialRecord
+from armimp_estimation.signal_quality import mended
 from armimp_estimation.spectra import CrossSpectra, SpectralAccumulator, WelchConfig
 from armimp_estimation.torque_timing import TorqueReading
 
@@ -134,6 +136,8 @@ class TrialData:
     """Samples without a gap; of a trial with gaps the longest stretch."""
     spectra: CrossSpectra
     """Of ``[tau_delta_k, theta_1..theta_n, tau_1..tau_n]`` in all stretches, N·m and rad."""
+    problems: tuple[Problem, ...] = ()
+    """What of the record was mended."""
 
     @classmethod
     def of(
@@ -145,15 +149,17 @@ class TrialData:
         """Compute the spectra of a whole record, or of the intact stretches of a trial.
 
         They are bit-identical to those that are gathered live, and no segment spans a gap. Torques
-        are taken without the delay and the filter of their ``reading``. Drift, as the longest
-        stretch tells it, is taken out of record and spectra.
+        are taken without the delay and the filter of their ``reading``. Lost readings are
+        interpolated. Drift, as the longest stretch tells it, is taken out of record and spectra.
 
         Raises
         ------
         DataError
             If none of them is as long as one segment.
         """
-        record = max(stretches, key=lambda stretch: stretch.samples)
+        whole = [mended(stretch) for stretch in stretches]
+        record, problems = max(whole, key=lambda one: one[0].samples)
+        stretches = tuple(stretch for stretch, _ in whole)
         drift = drift_of(record)
         if drift is not None and drift.significant:
             stretches = tuple(drift.removed_from(stretch) for stretch in stretches)
@@ -168,7 +174,8 @@ class TrialData:
             found = accumulator.result()
             if record.periods is not None:
                 found = found.at(record.periods.frequencies(record.rate))
-            return cls(record=record, spectra=_read_at_once(found, reading or TorqueReading()))
+            spectra = _read_at_once(found, reading or TorqueReading())
+            return cls(record=record, spectra=spectra, problems=tuple(problems))
         except DataError as error:
             gaps = "" if len(stretches) == 1 else f" in {len(stretches)} intact parts"
             raise DataError(f"trial {record.trial}: {error}{gaps}", error.code) from error

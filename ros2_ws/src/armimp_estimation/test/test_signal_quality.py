@@ -4,17 +4,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import median_filter
 from scipy.signal import butter, sosfilt
 
-from armimp_estimation.problems import ProblemCode
+from armimp_estimation.problems import ProblemCode, Severity
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.signal_quality import (
     clipping,
     dropouts,
     judge_signals,
     lost_motion,
+    mended,
+    repeating,
     sticking,
     unseen_share,
+    zeros_beyond_chance,
 )
 from support.synthetic_trials import made_record
 
@@ -103,6 +107,83 @@ def test_a_signal_that_drops_out_for_milliseconds_is_found(
     count, share = dropouts(replaced(length, value), motion(3, 1e-3))
     assert count >= 500 // length / 2
     assert 0.005 < share < 0.03
+
+
+@pytest.mark.parametrize(("length", "value"), [(1, 0.0), (5, 0.0), (3, 9.0), (1, None)])
+def test_readings_that_are_lost_now_and_then_are_interpolated_and_counted(
+    length: int, value: float | None
+) -> None:
+    torque = np.stack([motion(1, 1e-3), motion(2, 1e-3)])
+    rng = np.random.default_rng(3)
+    lost = (20 + 50 * rng.choice(900, 100 // length, replace=False))[:, None] + np.arange(length)
+    spoiled = torque.copy()
+    spoiled[0, lost.ravel()] = rng.normal(scale=5.0, size=lost.size) if value is None else value
+    command = np.cumsum(rng.normal(size=torque.shape), axis=1) / 100.0
+    record, problems = mended(made_record(torque, spoiled + command, command=command))
+    assert np.max(np.abs(record.torque - torque - command)) < 0.5
+    assert [(one.code, one.severity) for one in problems] == [(ProblemCode.MENDED, Severity.NOTE)]
+    assert 0.6 * lost.size < float(problems[0].values["count"]) <= lost.size
+
+
+@pytest.mark.parametrize(("share", "severity"), [(0.002, Severity.NOTE), (0.01, Severity.ERROR)])
+def test_a_signal_of_which_much_is_lost_is_refused(share: float, severity: Severity) -> None:
+    torque = motion(1, 1e-3)
+    torque[np.random.default_rng(2).random(torque.size) < share] = 9.0
+    found = mended(made_record(motion(3, 1e-3)[None], torque[None]))[1]
+    assert [one.severity for one in found] == [severity]
+
+
+@pytest.mark.parametrize("step", [1e-9, 1e-3, 0.1])
+def test_a_sound_record_stays_as_it_is_however_its_commands_chatter(step: float) -> None:
+    command = np.random.default_rng(3).choice((-2.0, 0.0, 2.0), (1, 50_000), p=(0.01, 0.98, 0.01))
+    torque = motion(1, step) + 0.5 * np.roll(command, 1) - 0.2 * np.roll(command, 2)
+    record = made_record(motion(3, 1e-3)[None], torque, command=command)
+    kept, problems = mended(record)
+    assert kept is record
+    assert problems == []
+
+
+@pytest.mark.parametrize("zone", [0.03, 0.1])
+@pytest.mark.parametrize("step", [1e-9, 1e-2])
+def test_a_dead_zone_leaves_more_zeros_than_chance(zone: float, step: float) -> None:
+    signal = motion(1, step)
+    dead = np.where(np.abs(signal) <= zone, 0.0, signal)
+    assert zeros_beyond_chance(dead) == pytest.approx(0.8 * zone * signal.size, rel=0.5)
+
+
+@pytest.mark.parametrize("step", [1e-9, 1e-2, 0.3, 3.0])
+def test_a_sound_signal_has_no_zeros_too_many_even_if_it_rests_there(step: float) -> None:
+    signal = motion(1, step)
+    assert zeros_beyond_chance(signal) == 0
+    crossing = int(np.argmin(np.abs(signal)))
+    assert zeros_beyond_chance(np.insert(signal, crossing, np.zeros(20_000))) == 0
+
+
+def lively(seed: int, step: float) -> np.ndarray:
+    """Motion with quick noise, in steps of a resolution."""
+    noise = np.random.default_rng(seed + 9).standard_normal(50_000)
+    return np.asarray(np.round((motion(seed, 1e-9) + 0.1 * noise) / step) * step)
+
+
+@pytest.mark.parametrize("step", [1e-9, 1e-3])
+def test_a_signal_that_was_held_filtered_or_interpolated_repeats_itself(step: float) -> None:
+    signal = lively(1, step)
+    k = np.arange(signal.size)
+    spoiled = [
+        np.repeat(signal[::4], 4),
+        median_filter(signal, 5),
+        np.interp(k, k[::10], signal[::10]),
+        np.interp(k, k[:-8:8] + 0.4, signal[:-8:8]),
+    ]
+    assert all(repeating(one) > 0.3 for one in spoiled)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("step", [1e-9, 1e-3, 1e-2, 0.1, 1.0])
+def test_a_sound_signal_doesn_t_repeat_itself_however_coarse(step: float, seed: int) -> None:
+    for signal in (motion(seed, step), lively(seed, step)):
+        assert repeating(signal) == 0.0
+        assert repeating(signal * (1.0 + 0.1 * signal**2)) == 0.0, "through a table"
 
 
 @pytest.mark.parametrize("every", [1, 2, 4, 10])
