@@ -105,7 +105,9 @@ def _range(model: type[BaseModel], name: str) -> str:
     if isinstance(kind, type) and issubclass(kind, enum.Enum):
         choices = tuple(member.value for member in kind)
     bounds = [f"`{choice}`" for choice in choices]
-    for constraint in field.metadata:
+    # Those of the items of an array are in the annotation of the item.
+    of_items = (one for item in get_args(kind) for one in get_args(item)[1:])
+    for constraint in (*field.metadata, *(limit for one in of_items for limit in one.metadata)):
         for attribute, sign in (("gt", ">"), ("ge", "≥"), ("lt", "<"), ("le", "≤")):
             if (value := getattr(constraint, attribute, None)) is not None:
                 bounds.append(f"{sign} {value:g}")

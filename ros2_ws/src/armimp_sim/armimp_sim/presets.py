@@ -31,10 +31,10 @@ _TORQUE_RESOLUTION = (0.0, 0.005, 0.010, 0.020)  # N·m, Table II
 
 # Assumption (the paper only cites its source), for the two joints of the paper.
 _FRICTION = (
-    LuGre.none(),
-    LuGre(coulomb=0.4, static=0.5, sigma_0=400.0, sigma_1=0.8, sigma_2=0.04),
-    LuGre(coulomb=1.0, static=1.25, sigma_0=1000.0, sigma_1=2.0, sigma_2=0.10),
-    LuGre(coulomb=2.0, static=2.5, sigma_0=2000.0, sigma_1=4.0, sigma_2=0.20),
+    LuGre(),
+    LuGre(coulomb=(0.4,), static=(0.5,), sigma_0=(400.0,), sigma_1=(0.8,), sigma_2=(0.04,)),
+    LuGre(coulomb=(1.0,), static=(1.25,), sigma_0=(1000.0,), sigma_1=(2.0,), sigma_2=(0.10,)),
+    LuGre(coulomb=(2.0,), static=(2.5,), sigma_0=(2000.0,), sigma_1=(4.0,), sigma_2=(0.20,)),
 )
 
 Rig = Literal["paper", "realistic"]
@@ -94,25 +94,23 @@ def robot(joints: int) -> PlanarChain:
         If there is no preset for that number of joints.
     """
     _check_joints("robot", joints)
-    if joints <= 2:
-        kept = slice(2 - joints, 2)
+    if joints == 1:
+        return PlanarChain(lengths=(0.35,), moments=(0.18,), masses=(0.75,), centres=(0.22,))
+    if joints == 2:
         return PlanarChain(
-            lengths=np.array([0.30, 0.35])[kept],
-            moments=np.array([0.085, 0.18])[kept],
-            masses=np.array([0.0, 0.75])[kept],
-            centres=np.array([0.0, 0.22])[kept],
+            lengths=(0.30, 0.35), moments=(0.085, 0.18), masses=(0.0, 0.75), centres=(0.0, 0.22)
         )
     if joints == 3:
         return PlanarChain(
-            lengths=np.array([0.30, 0.25, 0.10]),
-            moments=np.array([0.085, 0.16, 0.015]),
-            masses=np.array([0.0, 0.60, 0.20]),
-            centres=np.array([0.0, 0.15, 0.04]),
+            lengths=(0.30, 0.25, 0.10),
+            moments=(0.085, 0.16, 0.015),
+            masses=(0.0, 0.60, 0.20),
+            centres=(0.0, 0.15, 0.04),
         )
     return _even_robot(joints)
 
 
-def friction(level: int, joints: int) -> tuple[LuGre, ...]:
+def friction(level: int, joints: int) -> LuGre:
     """LuGre friction of every joint at a level from 0 (none) to 3. Assumption.
 
     Shoulder and elbow have the same. The friction of any other joint is in proportion to its size,
@@ -125,10 +123,8 @@ def friction(level: int, joints: int) -> tuple[LuGre, ...]:
     """
     law = _FRICTION[_checked("friction", level)]
     _check_joints("friction", joints)
-    return tuple(
-        law.scaled(1.0 if name in _PAPER_JOINTS else size)
-        for name, size in zip(JOINT_NAMES[joints], JOINT_SIZES[joints], strict=True)
-    )
+    named = zip(JOINT_NAMES[joints], JOINT_SIZES[joints], strict=True)
+    return law.scaled([1.0 if name in _PAPER_JOINTS else size for name, size in named])
 
 
 def sensors(level: int, sampling: Sampling = Sampling.BEFORE_UPDATE) -> SensorParameters:
@@ -203,8 +199,8 @@ def _even_robot(joints: int) -> PlanarChain:
     drives = (_ROBOT_SHARE - links) * (inertia - np.append(inertia[1:], 0.0))
     return PlanarChain(
         lengths=rods.lengths,
-        moments=links * rods.moments + drives,
-        masses=links * rods.masses,
+        moments=tuple((links * np.array(rods.moments) + drives).tolist()),
+        masses=tuple(links * mass for mass in rods.masses),
         centres=rods.centres,
     )
 
@@ -235,10 +231,10 @@ def _rods(joints: int) -> PlanarChain:
 
     def rods(mass: float) -> PlanarChain:
         return PlanarChain(
-            lengths=np.full(joints, length),
-            moments=np.full(joints, mass * length**2 / 3.0),
-            masses=np.full(joints, mass),
-            centres=np.full(joints, length / 2.0),
+            lengths=(length,) * joints,
+            moments=(mass * length**2 / 3.0,) * joints,
+            masses=(mass,) * joints,
+            centres=(length / 2.0,) * joints,
         )
 
     return rods(_INERTIA / float(rods(1.0).mass_matrix(_posture(joints))[0, 0]))

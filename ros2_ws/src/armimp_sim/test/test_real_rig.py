@@ -112,7 +112,7 @@ def test_a_drive_that_lags_follows_the_command_exponentially() -> None:
     free = replace(
         config(parts={"actuators": drive}),
         arm=HumanArm(posture=arm.posture, inertia=arm.inertia, damping=nothing, stiffness=nothing),
-        friction=(LuGre.none(), LuGre.none()),
+        friction=LuGre(),
     )
     states, torques = run(free, np.tile(torque, (20, 1)))
     t = 1e-3 * np.arange(1, 21)[:, None]
@@ -157,12 +157,11 @@ ONE = PlantConfig(
         stiffness=SINGLE.stiffness * np.eye(2),
     ),
     robot=PlanarChain(
-        lengths=np.zeros(2),
-        moments=np.append(presets.robot(1).moments, 1e-12),
-        masses=np.zeros(2),
-        centres=np.zeros(2),
+        lengths=(0.0, 0.0),
+        moments=(*presets.robot(1).moments, 1e-12),
+        masses=(0.0, 0.0),
+        centres=(0.0, 0.0),
     ),
-    friction=(LuGre.none(),) * 2,
     sensors=SensorParameters(),
     substeps=SUBSTEPS,
 )
@@ -194,7 +193,6 @@ def test_behind_a_cuff_the_transducers_feel_arm_and_cuff_in_series() -> None:
     soft = PlantConfig(
         arm=SINGLE,
         robot=presets.robot(1),
-        friction=(LuGre.none(),),
         sensors=SensorParameters(),
         substeps=SUBSTEPS,
         cuff=CuffParameters(stiffness=k, damping=b),

@@ -49,9 +49,9 @@ def test_resolutions_are_those_of_table_two(
     ],
 )
 def test_friction_is_that_of_the_design(level: int, values: tuple[float, ...]) -> None:
-    for law in presets.friction(level, 2):
-        assert (law.coulomb, law.static, law.sigma_0, law.sigma_1, law.sigma_2) == values
-        assert law.stribeck_velocity == 0.01
+    law = presets.friction(level, 2).of_joints(2)
+    for joint in range(2):
+        assert tuple(one[joint] for one in law.values()) == (*values, 0.01)
 
 
 # --- Presets of one to seven joints: the rules that they follow, and that they make sound plants

@@ -6,12 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from armimp_common.errors import ConfigurationError
-from armimp_common.schema import Schema
-
-Vector = tuple[float, ...]
+from armimp_common.schema import Schema, Vector, matrix, vector
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -19,11 +16,6 @@ class HumanArm:
     """τ_h = M_h θ̈ + B_h θ̇ + K_h (θ − θ_0), eq. 1–3 of the paper.
 
     The matrices are general: nothing here assumes or makes them symmetric.
-
-    Raises
-    ------
-    ConfigurationError
-        If shapes disagree, a value is not finite, or a diagonal inertia is not positive.
     """
 
     posture: NDArray[np.float64]
@@ -35,28 +27,47 @@ class HumanArm:
     stiffness: NDArray[np.float64]
     """(n, n) K_h, N·m/rad."""
 
-    def __post_init__(self) -> None:
-        n = self.posture.size
-        if self.posture.shape != (n,) or not 1 <= n <= 7:
-            raise ConfigurationError(f"arm: posture needs 1 to 7 joints, got {self.posture.shape}")
-        for name in ("inertia", "damping", "stiffness"):
-            matrix = getattr(self, name)
-            if matrix.shape != (n, n):
-                raise ConfigurationError(f"arm: {name} is {matrix.shape}, expected {(n, n)}")
-        for name in ("posture", "inertia", "damping", "stiffness"):
-            values = getattr(self, name)
-            if not np.all(np.isfinite(values)):
-                raise ConfigurationError(f"arm: {name} is not finite: {values.tolist()}")
-        for i, value in enumerate(np.diag(self.inertia)):
-            if not value > 0.0:
-                raise ConfigurationError(
-                    f"arm: inertia of joint {i + 1} must be positive, got {value}"
-                )
-
     @property
     def joints(self) -> int:
         """Number of joints n."""
         return self.posture.size
+
+
+class ArmParameters(Schema):
+    """The human arm; matrices row by row."""
+
+    posture: Vector
+    """Posture θ_0 of the arm, in which it has no elastic torque (rad)."""
+    inertia: Vector
+    """Inertia M_h of the arm, n×n row by row (kg·m²)."""
+    damping: Vector
+    """Damping B_h of the arm, n×n row by row (N·m·s/rad)."""
+    stiffness: Vector
+    """Stiffness K_h of the arm, n×n row by row (N·m/rad)."""
+
+    @model_validator(mode="after")
+    def _is_heavy(self) -> ArmParameters:
+        if not all(value > 0.0 for value in self.inertia[:: len(self.posture) + 1]):
+            raise ValueError(f"inertia of every joint must be positive, got {self.inertia}")
+        return self
+
+    @classmethod
+    def of(cls, arm: HumanArm) -> ArmParameters:
+        """Parameters of an arm."""
+        return cls(**{name: tuple(values.ravel().tolist()) for name, values in vars(arm).items()})
+
+    def matrices(self, n: int) -> HumanArm:
+        """The arm of n joints with its matrices in shape.
+
+        Raises
+        ------
+        ConfigurationError
+            If there are not as many values as that needs.
+        """
+        shapes = {name: vector if name == "posture" else matrix for name, _ in self}
+        return HumanArm(
+            **{name: of(f"arm.{name}", getattr(self, name), n) for name, of in shapes.items()}
+        )
 
 
 class ReflexParameters(Schema):
