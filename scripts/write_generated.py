@@ -6,7 +6,7 @@ import enum
 import json
 import re
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel
 from robot_description import robot_description
@@ -101,13 +101,17 @@ def _range(model: type[BaseModel], name: str) -> str:
         model = annotation
     field = model.model_fields[last]
     kind: Any = field.annotation
-    choices: tuple[Any, ...] = get_args(kind) if get_origin(kind) is Literal else ()
+    # What the items of an array may be, the annotation of the item says.
+    items = [kind, *get_args(kind)] if get_origin(kind) is tuple else [kind]
+    choices = [one for item in items if get_origin(item) is Literal for one in get_args(item)]
     if isinstance(kind, type) and issubclass(kind, enum.Enum):
-        choices = tuple(member.value for member in kind)
+        choices = [member.value for member in kind]
     bounds = [f"`{choice}`" for choice in choices]
-    # Those of the items of an array are in the annotation of the item.
-    of_items = (one for item in get_args(kind) for one in get_args(item)[1:])
-    for constraint in (*field.metadata, *(limit for one in of_items for limit in one.metadata)):
+    annotated = [item.__metadata__ for item in items if get_origin(item) is Annotated]
+    for constraint in (
+        *field.metadata,
+        *(one for fields in annotated for one in fields[0].metadata),
+    ):
         for attribute, sign in (("gt", ">"), ("ge", "≥"), ("lt", "<"), ("le", "≤")):
             if (value := getattr(constraint, attribute, None)) is not None:
                 bounds.append(f"{sign} {value:g}")

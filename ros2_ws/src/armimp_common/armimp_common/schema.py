@@ -40,6 +40,7 @@ Vector: TypeAlias = tuple[float, ...]
 """One value for each joint, for all of them, or a matrix row by row, as a field says."""
 PositiveVector: TypeAlias = tuple[Annotated[float, Field(gt=0.0)], ...]
 NonNegativeVector: TypeAlias = tuple[Annotated[float, Field(ge=0.0)], ...]
+Signs: TypeAlias = tuple[Literal[1, -1], ...]
 ModelT = TypeVar("ModelT", bound=BaseModel)
 
 _DEEPEST: Final = 50

@@ -160,8 +160,3 @@ def test_defaults_bear_one_late_period_and_any_arm_within_a_factor_of_three() ->
     # An observer that does not know of the delay makes a heavy arm swing.
     with pytest.raises(ConfigurationError, match=r"locked, .* an arm 3 times as heavy, with comm"):
         check(0, 1)
-
-
-def test_when_commands_are_known_to_be_later_than_the_law_can_remember_expect_an_error() -> None:
-    with pytest.raises(ConfigurationError, match="0 to 20 periods late, got 21"):
-        _config(delay=21)

@@ -47,7 +47,7 @@ NAN, INF = float("nan"), float("inf")
         ("law.gamma", [0.0]),
         ("law.kind", ["lqr"]),
         ("known.robot_inertia", [(1.0, 2.0, 2.0, 1.0), (1.0,)]),
-        ("known.command_delay", [-1]),
+        ("known.command_delay", [-1, 21]),
         ("known.actuator_lag", [1e-12, 0.2]),
         ("known.torque_cutoff", [1e-6, INF]),
         ("known.torque_order", [0, 5]),

@@ -1,12 +1,4 @@
-"""What all laws share: the rows of the arrays that they work on, and checks of their vectors."""
-
-from __future__ import annotations
-
-from typing import Any
-
-import numpy as np
-
-from armimp_common.errors import ConfigurationError
+"""What all laws share: the rows of the arrays that they work on."""
 
 MOST_DELAY = 20
 """Control periods by which commands may be known to act late, at most."""
@@ -38,33 +30,3 @@ NO_JOINT = -1
 
 IMBIC, PD, IMBIC_OBSERVER = 0, 1, 2
 """What tells the laws apart in compiled code."""
-
-
-def check_numbers(
-    config: Any, shapes: dict[str, tuple[int, ...]], positive: tuple[str, ...]
-) -> None:
-    """Check arrays and numbers of a configuration.
-
-    Parameters
-    ----------
-    config : with these attributes
-    shapes : of those that must be finite arrays, by name
-    positive : names of those that must be positive and finite, in each element
-
-    Raises
-    ------
-    ConfigurationError
-        Naming the attribute, its joint, and the value.
-    """
-    for name, shape in shapes.items():
-        values = getattr(config, name)
-        if values.shape != shape or not np.all(np.isfinite(values)):
-            size = "×".join(map(str, shape))
-            raise ConfigurationError(
-                f"controller: {name} needs {size} finite values: {values.tolist()}"
-            )
-    for name in positive:
-        for i, value in enumerate(np.atleast_1d(getattr(config, name))):
-            if not 0.0 < value < np.inf:
-                where = f"{name} of joint {i + 1}" if name in shapes else name
-                raise ConfigurationError(f"controller: {where} must be positive, got {value}")

@@ -46,7 +46,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.compiled import inlined
-from armimp_common.errors import ConfigurationError
 from armimp_control.laws import (
     ANGLE,
     ANGLE_GAIN,
@@ -65,7 +64,6 @@ from armimp_control.laws import (
     INVERSE,
     LATE,
     MODEL_ROWS,
-    MOST_DELAY,
     OFFSET,
     ROLE_ROWS,
     SENSED,
@@ -77,7 +75,6 @@ from armimp_control.laws import (
     TICKS,
     VELOCITY,
     VELOCITY_GAIN,
-    check_numbers,
 )
 
 SECOND_TONE = 1.55
@@ -96,11 +93,6 @@ class Observer:
     Rounding of the encoders counts as white noise of variance δ²/12. Torques that nobody knows,
     mostly friction, count as random walks. They act on all joints through M̄⁻¹, so that friction
     which is seen in the motion of the perturbed joint is known at the locked ones before they move.
-
-    Raises
-    ------
-    ConfigurationError
-        If the delay is none that the law can remember commands for.
     """
 
     resolution: float
@@ -111,12 +103,6 @@ class Observer:
     while it is locked, N·m."""
     delay: int = 0
     """D, periods by which commands act later than right after the sample that they answer."""
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.delay <= MOST_DELAY:
-            raise ConfigurationError(
-                f"controller: commands may act 0 to {MOST_DELAY} periods late, got {self.delay}"
-            )
 
     def gains(
         self, inverse: NDArray[np.float64], locked: NDArray[np.bool_], period: float
@@ -156,13 +142,7 @@ class Observer:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImbicConfig:
-    """Target impedance and internal model.
-
-    Raises
-    ------
-    ConfigurationError
-        If shapes disagree or a value is out of range.
-    """
+    """Target impedance and internal model."""
 
     target_posture: NDArray[np.float64]
     """(n,) θ_rd, rad."""
@@ -195,26 +175,6 @@ class ImbicConfig:
     _models: dict[int | None, NDArray[np.float64]] = field(
         default_factory=dict, init=False, repr=False
     )
-
-    def __post_init__(self) -> None:
-        n = self.joints
-        vectors = ("target_posture", "target_inertia", "target_damping", "target_stiffness")
-        check_numbers(
-            self,
-            {**dict.fromkeys(vectors, (n,)), "model_inertia": (n, n)},
-            (
-                *("target_inertia", "lock_damping_ratio"),
-                *("gamma", "period"),
-            ),
-        )
-        for name in ("lock_dither", "lock_frequency", "lock_approach"):
-            if not 0.0 <= (value := getattr(self, name)) < np.inf:
-                raise ConfigurationError(f"controller: {name} must not be negative, got {value}")
-        if not 0.0 < SECOND_TONE * self.lock_dither_frequency < 0.5 / self.period:
-            raise ConfigurationError(
-                "controller: lock_dither_frequency must lie between 0 and "
-                f"{0.5 / self.period / SECOND_TONE:.4g} Hz, got {self.lock_dither_frequency}"
-            )
 
     @property
     def kind(self) -> int:

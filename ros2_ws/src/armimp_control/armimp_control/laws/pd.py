@@ -34,19 +34,12 @@ from armimp_control.laws import (
     STIFFNESS,
     THETA_1,
     TICKS,
-    check_numbers,
 )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PdConfig:
-    """Gains of plain PD locking.
-
-    Raises
-    ------
-    ConfigurationError
-        If shapes disagree or a value is out of range.
-    """
+    """Gains of plain PD locking."""
 
     target_posture: NDArray[np.float64]
     """(n,) θ_rd, rad."""
@@ -65,14 +58,6 @@ class PdConfig:
 
     kind: ClassVar[int] = PD
     gamma: ClassVar[float] = 0.0
-
-    def __post_init__(self) -> None:
-        vectors = ("target_posture", "target_damping", "target_stiffness", "inertia")
-        check_numbers(
-            self,
-            dict.fromkeys(vectors, (self.joints,)),
-            ("inertia", "frequency", "damping_ratio", "period"),
-        )
 
     def model(self, _perturbed: int | None) -> NDArray[np.float64]:
         """There is no internal model: (MODEL_ROWS, n, n) zeros."""
