@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -126,7 +126,7 @@ def test_every_dotted_name_on_a_page_that_looks_like_a_parameter_is_one(page: st
     ],
 )
 def test_the_keys_of_every_record_are_those_of_the_code(heading: str, record: Any) -> None:
-    assert list(_table(heading, "key")) == [one.name for one in fields(record)]
+    assert list(_table(heading, "key")) == list(record.model_fields)
     assert f"`{record.STATUS_NAME}`" in PAGE
 
 
