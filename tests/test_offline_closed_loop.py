@@ -79,12 +79,9 @@ def _shown(
     theta = position[joint, 2000:] @ demodulator
     net = (tau_delta[2000:] - torque[joint, 2000:]) @ demodulator
     s = 2j * np.pi * frequency
-    target = (
-        law.target_inertia[joint] * s**2
-        + law.target_damping[joint] * s
-        + law.target_stiffness[joint]
-    )
-    return complex(net / theta), complex(target)
+    target = law.target
+    shown = (target.inertia[joint] * s + target.damping[joint]) * s + target.stiffness[joint]
+    return complex(net / theta), complex(shown)
 
 
 @pytest.mark.parametrize("internal_model", ["tde", "observer"])

@@ -12,40 +12,14 @@ from pydantic import Field
 from armimp_common.realtime import SchedulingParameters
 from armimp_common.schema import PositiveVector, Schema, Vector, each, matrix, vector
 from armimp_control import presets
-from armimp_control.laws.imbic import SECOND_TONE, ImbicConfig, Observer
+from armimp_control.laws import TargetParameters
+from armimp_control.laws.imbic import ImbicConfig, Observer
 from armimp_control.laws.law import LawConfig
 from armimp_control.laws.pd import PdConfig
 from armimp_control.perturbation import JointPrior, PerturbationKind, PerturbationParameters
 from armimp_control.safety_limiter import SafetyParameters
 from armimp_control.sequence import PERIOD, SequenceParameters, TareParameters
 from armimp_control.stability import RigDynamics, check_stability
-
-
-class TargetParameters(Schema):
-    """Target impedance Y_rd, diagonal (eq. 8); assumptions."""
-
-    posture: Vector
-    """Target posture θ_rd of each joint (rad)."""
-    inertia: PositiveVector
-    """Target inertia of each joint, diagonal of M_rd (kg·m²)."""
-    damping: Vector
-    """Target damping B_rd of each joint while it is perturbed (N·m·s/rad)."""
-    stiffness: Vector
-    """Target stiffness K_rd of each joint while it is perturbed (N·m/rad)."""
-    lock_frequency: float = Field(default=100.0, ge=0.0, le=1e4)
-    """Natural frequency of the target of joints locked by the law imbic (rad/s); 0: the target that
-    they have while they are perturbed."""
-    lock_damping_ratio: float = Field(default=1.0, gt=0.0)
-    """Damping ratio of the target of joints locked by the law imbic (–)."""
-    lock_approach: float = Field(default=0.05, ge=0.0)
-    """Time constant with which the target of a joint that gets locked goes from where the joint is
-    to the target posture (s); 0: it is there at once."""
-    lock_dither: float = Field(default=0.0, ge=0.0, lt=0.01)
-    """Amplitude of each of two sines that locked joints make against the bias of their encoders
-    (rad)."""
-    lock_dither_frequency: float = Field(default=35.0, gt=0.0, lt=0.5 / PERIOD / SECOND_TONE)
-    """Frequency of the first of two sines that locked joints make, above the band of the
-    perturbation (Hz)."""
 
 
 class LawParameters(Schema):
@@ -176,20 +150,10 @@ class ControllerParameters(Schema):
 
     def imbic_config(self) -> ImbicConfig:
         """The law of the study, whichever was chosen."""
-        target = self.target
         return ImbicConfig(
-            target_posture=self._vector("target.posture"),
-            target_inertia=self._vector("target.inertia"),
-            target_damping=self._vector("target.damping"),
-            target_stiffness=self._vector("target.stiffness"),
-            lock_frequency=target.lock_frequency,
-            lock_damping_ratio=target.lock_damping_ratio,
-            lock_approach=target.lock_approach,
-            lock_dither=target.lock_dither,
-            lock_dither_frequency=target.lock_dither_frequency,
+            target=self.target,
             model_inertia=self._matrix("law.model_inertia"),
             gamma=self.law.gamma,
-            period=PERIOD,
             observer=self._observer() if self.law.internal_model == "observer" else None,
         )
 
@@ -217,13 +181,10 @@ class ControllerParameters(Schema):
     def pd_config(self) -> PdConfig:
         """The negative control, whichever was chosen; its gains follow from diag(M_r(θ_0))."""
         return PdConfig(
-            target_posture=self._vector("target.posture"),
-            target_damping=self._vector("target.damping"),
-            target_stiffness=self._vector("target.stiffness"),
+            target=self.target,
             inertia=np.diag(self._matrix("known.robot_inertia")).copy(),
             frequency=self.law.pd_frequency,
             damping_ratio=self.law.pd_damping_ratio,
-            period=PERIOD,
         )
 
     @property
@@ -239,6 +200,8 @@ class ControllerParameters(Schema):
         ConfigurationError
             If not; the message carries the offending value.
         """
+        for name in ("posture", "inertia", "damping", "stiffness"):
+            self._vector(f"target.{name}")
         law = self.law_config()
         self._vector("perturbation.peak")
         self._each("perturbation.angle_limit")

@@ -66,6 +66,7 @@ from armimp_control.laws import (
     MODEL_ROWS,
     OFFSET,
     ROLE_ROWS,
+    SECOND_TONE,
     SENSED,
     SENSED_BEFORE,
     STIFFNESS,
@@ -75,15 +76,8 @@ from armimp_control.laws import (
     TICKS,
     VELOCITY,
     VELOCITY_GAIN,
+    TargetLaw,
 )
-
-SECOND_TONE = 1.55
-"""Frequency of the second sine of the dither, over that of the first.
-
-Rounding mixes the two: slow motion of the joint is read beside each ``m f_1 - n f_2``. With 1.3 the
-strongest, ``f_2 - f_1``, is at the end of the band, and the errors of a heavy locked joint hide the
-response of a light one; ratios of small whole numbers make many of them meet.
-"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -141,35 +135,13 @@ class Observer:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ImbicConfig:
+class ImbicConfig(TargetLaw):
     """Target impedance and internal model."""
 
-    target_posture: NDArray[np.float64]
-    """(n,) θ_rd, rad."""
-    target_inertia: NDArray[np.float64]
-    """(n,) diagonal of M_rd, kg·m²."""
-    target_damping: NDArray[np.float64]
-    """(n,) diagonal of B_rd of a joint while it is perturbed, N·m·s/rad."""
-    target_stiffness: NDArray[np.float64]
-    """(n,) diagonal of K_rd of a joint while it is perturbed, N·m/rad."""
     model_inertia: NDArray[np.float64]
     """(n, n) M̄, kg·m²."""
-    lock_frequency: float = 100.0
-    """Natural frequency ω of a locked joint's target, rad/s; with 0 it is the target that it has
-    while it is perturbed."""
-    lock_damping_ratio: float = 1.0
-    """Its ζ; so B_rd = 2ζω·M_rd and K_rd = ω²·M_rd."""
     gamma: float = 100.0
     """Γ, rad/s."""
-    period: float = 1e-3
-    """L, s."""
-    lock_approach: float = 0.05
-    """Time constant with which the target of a joint that gets locked goes to θ_rd, s; with 0 it is
-    there at once."""
-    lock_dither: float = 0.0
-    """Amplitude of each of two sines that a locked joint is to make, rad; 0 for none."""
-    lock_dither_frequency: float = 35.0
-    """Lower of their frequencies, Hz; the other is 1.55 times that."""
     observer: Observer | None = None
     """The internal model; None for time-delay estimation."""
     _models: dict[int | None, NDArray[np.float64]] = field(
@@ -181,11 +153,6 @@ class ImbicConfig:
         """Which law it is in compiled code."""
         return IMBIC if self.observer is None else IMBIC_OBSERVER
 
-    @property
-    def joints(self) -> int:
-        """Number of joints n."""
-        return self.target_posture.size
-
     def model(self, perturbed: int | None) -> NDArray[np.float64]:
         """Internal model (MODEL_ROWS, n, n) in the same trial as :meth:`role`; don't change it.
 
@@ -196,14 +163,10 @@ class ImbicConfig:
             rows[INERTIA_MODEL] = self.model_inertia
             if self.observer is not None:
                 rows[INVERSE] = np.linalg.inv(self.model_inertia)
-                locked = self._locked(perturbed)
+                locked = self.locked(perturbed)
                 rows[ANGLE_GAIN:] = self.observer.gains(rows[INVERSE], locked, self.period)
             self._models[perturbed] = rows
         return self._models[perturbed]
-
-    def _locked(self, perturbed: int | None) -> NDArray[np.bool_]:
-        every = np.arange(self.joints)
-        return np.asarray(every != (every if perturbed is None else perturbed))
 
     def role(self, perturbed: int | None) -> NDArray[np.float64]:
         """Law parameters (ROLE_ROWS, n) while joint ``perturbed`` (0-based) yields, others lock.
@@ -213,23 +176,24 @@ class ImbicConfig:
         target and θ_rd, amplitude (rad) and angle per tick (rad) of the dither in the target, tare
         (N·m; 0), periods by which commands act late.
         """
-        locked = self._locked(perturbed)
-        rows = np.empty((ROLE_ROWS, self.joints))
+        locked = self.locked(perturbed)
+        target, rows = self.target, np.empty((ROLE_ROWS, self.joints))
         rows[SENSED] = ~locked
-        rows[INERTIA] = self.target_inertia
-        rows[DAMPING], rows[STIFFNESS] = self.target_damping, self.target_stiffness
-        if self.lock_frequency > 0.0:
-            inertia = self.target_inertia[locked]
-            rows[DAMPING, locked] = 2.0 * self.lock_damping_ratio * self.lock_frequency * inertia
-            rows[STIFFNESS, locked] = self.lock_frequency**2 * inertia
-        rows[APPROACH] = np.exp(-self.period / self.lock_approach) if self.lock_approach else 0.0
+        rows[INERTIA] = target.inertia
+        rows[DAMPING], rows[STIFFNESS] = target.damping, target.stiffness
+        if (frequency := target.lock_frequency) > 0.0:
+            inertia = rows[INERTIA, locked]
+            rows[DAMPING, locked] = 2.0 * target.lock_damping_ratio * frequency * inertia
+            rows[STIFFNESS, locked] = frequency**2 * inertia
+        approach = target.lock_approach
+        rows[APPROACH] = np.exp(-self.period / approach) if approach else 0.0
         # The target has to move further than the joint, which follows like a low-pass.
-        turning = 2.0 * np.pi * self.lock_dither_frequency
+        turning = 2.0 * np.pi * target.lock_dither_frequency
         moving = 1j * math.sqrt(SECOND_TONE) * turning
         stiffness = rows[STIFFNESS]
-        asked = (self.target_inertia * moving + rows[DAMPING]) * moving + stiffness
+        asked = (rows[INERTIA] * moving + rows[DAMPING]) * moving + stiffness
         attenuation = np.abs(asked) / np.where(stiffness > 0.0, stiffness, np.inf)
-        rows[DITHER] = np.where(locked, self.lock_dither * attenuation, 0.0)
+        rows[DITHER] = np.where(locked, target.lock_dither * attenuation, 0.0)
         rows[DITHER_ANGLE] = turning * self.period
         rows[TARE] = 0.0
         rows[LATE] = 0.0 if self.observer is None else self.observer.delay
