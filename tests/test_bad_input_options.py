@@ -133,7 +133,7 @@ WRONG = {
     # Shapes of matrices
     "arm_sim: {arm: {inertia: [[1, 0], [0]]}}": "'arm.inertia' = [[1, 0], [0]]: rows differ",
     "arm_sim: {arm: {inertia: [[1, 0, 0, 1]]}}": "'arm.inertia' has 1 row for 4 columns",
-    "arm_sim: {arm: {inertia: [1.0]}}": "'arm.inertia' has 1 values, needs 4",
+    "arm_sim: {arm: {inertia: [1.0]}}": "inertia has 1 values, needs 4",
     "arm_sim: {joints: []}": "'joints' = []",
     # Numbers
     "duration: .nan": "'duration' = nan",

@@ -34,12 +34,7 @@ def one_joint(
     """One joint, half of whose inertia (kg·m²) is the robot's, about an angle of 0."""
     half = 0.5 * inertia
     return PlantConfig(
-        arm=HumanArm(
-            posture=np.zeros(1),
-            inertia=np.array([[half]]),
-            damping=np.array([[damping]]),
-            stiffness=np.array([[stiffness]]),
-        ),
+        arm=HumanArm(posture=(0.0,), inertia=(half,), damping=(damping,), stiffness=(stiffness,)),
         robot=PlanarChain(lengths=(0.3,), moments=(half,), masses=(0.0,), centres=(0.0,)),
         friction=law or LuGre(),
         sensors=SensorParameters(),
@@ -64,10 +59,10 @@ def random_plant(n: int, seed: int = 0, **changes: Any) -> PlantConfig:
     random = np.random.default_rng([100 + n, seed])
     parts: dict[str, Any] = {
         "arm": HumanArm(
-            posture=random.uniform(-1.0, 1.0, n),
-            inertia=0.1 * np.eye(n) + random.uniform(-0.02, 0.02, (n, n)),
-            damping=random.uniform(-1.0, 1.0, (n, n)),
-            stiffness=random.uniform(-9.0, 9.0, (n, n)),
+            posture=tuple(random.uniform(-1.0, 1.0, n)),
+            inertia=tuple((0.1 * np.eye(n) + random.uniform(-0.02, 0.02, (n, n))).ravel()),
+            damping=tuple(random.uniform(-1.0, 1.0, n * n)),
+            stiffness=tuple(random.uniform(-9.0, 9.0, n * n)),
         ),
         "robot": random_chain(n, seed + 1),
         "friction": LuGre(
@@ -100,12 +95,12 @@ def slopes(config: PlantConfig, state: Array, torque: Array) -> Array:
     rate = v - law["sigma_0"] * abs(v) * z / np.where(level > 0.0, level, 1.0)
     friction = law["sigma_0"] * z + law["sigma_1"] * rate + law["sigma_2"] * v
     acceleration = np.linalg.solve(
-        robot.mass_matrix(theta) + arm.inertia,
+        robot.mass_matrix(theta) + arm.M,
         torque
         - coriolis_torque(robot, theta, v)
         - friction
-        - arm.damping @ v
-        - arm.stiffness @ (theta - arm.posture),
+        - arm.B @ v
+        - arm.K @ (theta - arm.theta_0),
     )
     return np.stack([v, acceleration, rate])
 
@@ -117,9 +112,6 @@ def load(
     arm, (theta, velocity, _) = config.arm, state
     acceleration = slopes(config, state, command - voluntary)[1]
     total: Array = (
-        arm.inertia @ acceleration
-        + arm.damping @ velocity
-        + arm.stiffness @ (theta - arm.posture)
-        + voluntary
+        arm.M @ acceleration + arm.B @ velocity + arm.K @ (theta - arm.theta_0) + voluntary
     )
     return total

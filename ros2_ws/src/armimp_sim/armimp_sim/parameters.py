@@ -6,17 +6,12 @@ from typing import Literal
 
 from pydantic import Field
 
+from armimp_common.errors import ConfigurationError
 from armimp_common.realtime import SchedulingParameters
 from armimp_common.schema import Schema
 from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_sim import presets
-from armimp_sim.model.arm import (
-    ArmParameters,
-    CuffParameters,
-    HumanArm,
-    MuscleParameters,
-    ReflexParameters,
-)
+from armimp_sim.model.arm import CuffParameters, HumanArm, MuscleParameters, ReflexParameters
 from armimp_sim.model.friction import LuGre
 from armimp_sim.model.robot import ActuatorParameters, PlanarChain
 from armimp_sim.model.sensors import SensorParameters
@@ -42,7 +37,7 @@ class SimulatorParameters(Schema):
     take the torque away in mode realtime."""
     substeps: int = Field(default=100, ge=1)
     """RK4 steps in one control period of 1 ms."""
-    arm: ArmParameters
+    arm: HumanArm
     robot: PlanarChain
     friction: LuGre
     sensors: SensorParameters
@@ -75,16 +70,12 @@ class SimulatorParameters(Schema):
         return cls(
             joints=presets.JOINT_NAMES[joints],
             seed=seed,
-            arm=ArmParameters.of(presets.human_arm(joints)),
+            arm=presets.human_arm(joints),
             robot=presets.robot(joints),
             friction=presets.friction(friction, joints),
             sensors=sensors,
             **real,
         )
-
-    def human_arm(self) -> HumanArm:
-        """The arm with its matrices in shape."""
-        return self.arm.matrices(len(self.joints))
 
     def plant_config(self) -> PlantConfig:
         """Everything that the plant needs.
@@ -94,8 +85,12 @@ class SimulatorParameters(Schema):
         ConfigurationError
             If a shape or a value is wrong; the message names the parameter.
         """
+        if self.arm.joints != len(self.joints):
+            raise ConfigurationError(
+                f"'arm.posture' has {self.arm.joints} values, needs {len(self.joints)}"
+            )
         return PlantConfig(
-            arm=self.human_arm(),
+            arm=self.arm,
             robot=self.robot,
             friction=self.friction,
             sensors=self.sensors,

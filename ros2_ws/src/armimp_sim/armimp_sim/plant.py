@@ -91,7 +91,7 @@ class PlantConfig(RigConfig):
         """
         arm, chain = self.arm, self.robot.coefficients()
         if not self.soft:
-            return arm.inertia, arm.damping, arm.stiffness, chain
+            return arm.M, arm.B, arm.K, chain
         nothing = np.zeros_like(chain)
 
         def cuffed(value: float, of_arm: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -99,9 +99,9 @@ class PlantConfig(RigConfig):
             return np.block([[cuff, -cuff], [-cuff, cuff + of_arm]])
 
         return (
-            cuffed(0.0, arm.inertia),
-            cuffed(self.cuff.damping, arm.damping),
-            cuffed(self.cuff.stiffness, arm.stiffness),
+            cuffed(0.0, arm.M),
+            cuffed(self.cuff.damping, arm.B),
+            cuffed(self.cuff.stiffness, arm.K),
             np.block([[chain, nothing], [nothing, nothing]]),
         )
 
@@ -109,7 +109,7 @@ class PlantConfig(RigConfig):
         """Inertia of all coordinates in the posture, kg·m²: of a rigid arm M_r(θ_0) + M_h."""
         inertia: NDArray[np.float64] = self.coordinates()[0].copy()
         n = self.joints
-        inertia[:n, :n] += self.robot.mass_matrix(self.arm.posture)
+        inertia[:n, :n] += self.robot.mass_matrix(self.arm.theta_0)
         return inertia
 
     def _check_step(self, mass: NDArray[np.float64]) -> None:
@@ -295,7 +295,7 @@ def _pack(config: PlantConfig) -> NDArray[np.float64]:
     n = config.joints
     inertia, damping, stiffness, chain = config.coordinates()
     vectors = np.zeros((dynamics.VECTORS, len(chain)))
-    posture = np.resize(config.arm.posture, len(chain))
+    posture = np.resize(config.arm.theta_0, len(chain))
     vectors[dynamics.THETA] = vectors[dynamics.POSTURE] = posture
     # An arm in a cuff has no friction of its own.
     law = config.friction.of_joints(n)

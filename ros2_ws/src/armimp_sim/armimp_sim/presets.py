@@ -63,22 +63,23 @@ def human_arm(joints: int) -> HumanArm:
         If there is no preset for that number of joints.
     """
     _check_joints("arm", joints)
-    if joints <= 2:
-        kept = slice(2 - joints, 2)
+    if joints == 1:
         return HumanArm(
-            posture=np.radians([62.708, 77.260])[kept],
-            inertia=np.array([[0.187, 0.084], [0.079, 0.060]])[kept, kept],
-            damping=np.array([[0.651, 0.239], [0.236, 0.407]])[kept, kept],
-            stiffness=np.array([[7.967, 3.187], [1.663, 6.901]])[kept, kept],
+            posture=_radians(77.260), inertia=(0.060,), damping=(0.407,), stiffness=(6.901,)
+        )
+    if joints == 2:
+        return HumanArm(
+            posture=_radians(62.708, 77.260),
+            inertia=(0.187, 0.084, 0.079, 0.060),
+            damping=(0.651, 0.239, 0.236, 0.407),
+            stiffness=(7.967, 3.187, 1.663, 6.901),
         )
     if joints == 3:
         return HumanArm(
-            posture=np.radians([62.708, 77.260, 15.0]),
-            inertia=np.array(
-                [[0.187, 0.084, 0.0095], [0.079, 0.060, 0.0080], [0.0090, 0.0075, 0.0050]]
-            ),
-            damping=np.array([[0.651, 0.239, 0.030], [0.236, 0.407, 0.040], [0.028, 0.036, 0.070]]),
-            stiffness=np.array([[7.967, 3.187, 0.40], [1.663, 6.901, 0.55], [0.30, 0.45, 1.60]]),
+            posture=_radians(62.708, 77.260, 15.0),
+            inertia=(0.187, 0.084, 0.0095, 0.079, 0.060, 0.0080, 0.0090, 0.0075, 0.0050),
+            damping=(0.651, 0.239, 0.030, 0.236, 0.407, 0.040, 0.028, 0.036, 0.070),
+            stiffness=(7.967, 3.187, 0.40, 1.663, 6.901, 0.55, 0.30, 0.45, 1.60),
         )
     return _even_arm(joints)
 
@@ -161,6 +162,14 @@ def realistic(joints: int) -> dict[str, Any]:
     }
 
 
+def _radians(*degrees: float) -> tuple[float, ...]:
+    return _flat(np.radians(degrees))
+
+
+def _flat(values: NDArray[np.float64]) -> tuple[float, ...]:
+    return tuple(values.ravel().tolist())
+
+
 def _checked(name: str, level: int) -> int:
     if level not in LEVELS:
         raise ConfigurationError(f"{name} level must be one of {LEVELS}, got {level}")
@@ -183,10 +192,10 @@ def _even_arm(joints: int) -> HumanArm:
     distance = np.arange(joints) - np.arange(joints)[:, None]
     coupling = np.where(distance > 0, *_STIFFNESS_COUPLING)
     return HumanArm(
-        posture=posture,
-        inertia=_rods(joints).mass_matrix(posture),
-        damping=_DAMPING * mean_size * _DAMPING_COUPLING ** np.abs(distance),
-        stiffness=_STIFFNESS * mean_size * coupling ** np.abs(distance),
+        posture=_flat(posture),
+        inertia=_flat(_rods(joints).mass_matrix(posture)),
+        damping=_flat(_DAMPING * mean_size * _DAMPING_COUPLING ** np.abs(distance)),
+        stiffness=_flat(_STIFFNESS * mean_size * coupling ** np.abs(distance)),
     )
 
 
@@ -199,7 +208,7 @@ def _even_robot(joints: int) -> PlanarChain:
     drives = (_ROBOT_SHARE - links) * (inertia - np.append(inertia[1:], 0.0))
     return PlanarChain(
         lengths=rods.lengths,
-        moments=tuple((links * np.array(rods.moments) + drives).tolist()),
+        moments=_flat(links * np.array(rods.moments) + drives),
         masses=tuple(links * mass for mass in rods.masses),
         centres=rods.centres,
     )

@@ -101,7 +101,7 @@ def _sliding(speed: float) -> Plant:
     config = study_plant(3)
     plant = Plant([replace(config, substeps=10)])
     state = np.zeros((1, 3, 2))
-    state[0, 0], state[0, 1, 1] = config.arm.posture, speed
+    state[0, 0], state[0, 1, 1] = config.arm.theta_0, speed
     plant.set_state(state)
     return plant
 
@@ -268,13 +268,13 @@ def test_lanes_that_disagree_in_time_or_shape_are_refused() -> None:
 # --- Configurations that make no sense are refused in one line with the offending value ---------
 
 
-def _arm(n: int) -> HumanArm:
-    return HumanArm(posture=np.zeros(n), inertia=np.eye(n), damping=np.eye(n), stiffness=np.eye(n))
-
-
 def test_arm_matrices_are_kept_as_given_and_never_made_symmetric() -> None:
-    stiffness = np.array([[8.0, 3.0], [-1.0, 7.0]])
-    assert np.array_equal(replace(_arm(2), stiffness=stiffness).stiffness, stiffness)
+    arm = HumanArm(
+        posture=(0.0,) * 2, inertia=(1, 2, 3, 4), damping=(5, 6, 7, 8), stiffness=(8, 3, -1, 7)
+    )
+    assert arm.M.tolist() == [[1.0, 2.0], [3.0, 4.0]]
+    assert arm.B.tolist() == [[5.0, 6.0], [7.0, 8.0]]
+    assert arm.K.tolist() == [[8.0, 3.0], [-1.0, 7.0]]
 
 
 def test_robot_with_a_link_lighter_than_a_point_mass_is_refused() -> None:
@@ -287,8 +287,7 @@ def test_robot_with_a_link_lighter_than_a_point_mass_is_refused() -> None:
 
 
 def test_plant_whose_inertia_is_not_positive_definite_is_refused() -> None:
-    inertia = np.array([[0.187, 0.9], [0.9, 0.060]])
-    arm = replace(presets.human_arm(2), inertia=inertia)
-    smallest = np.min(np.linalg.eigvalsh(presets.robot(2).mass_matrix(arm.posture) + inertia))
+    arm = presets.human_arm(2).model_copy(update={"inertia": (0.187, 0.9, 0.9, 0.060)})
+    smallest = np.min(np.linalg.eigvalsh(presets.robot(2).mass_matrix(arm.theta_0) + arm.M))
     with pytest.raises(ConfigurationError, match=f"smallest eigenvalue is {smallest:.3g} kg·m²"):
         replace(study_plant(), arm=arm)

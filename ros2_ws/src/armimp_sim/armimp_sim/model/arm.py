@@ -2,39 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from armimp_common.schema import Schema, Vector, matrix, vector
+from armimp_common.schema import Schema, Vector
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class HumanArm:
+class HumanArm(Schema):
     """τ_h = M_h θ̈ + B_h θ̇ + K_h (θ − θ_0), eq. 1–3 of the paper.
 
     The matrices are general: nothing here assumes or makes them symmetric.
     """
-
-    posture: NDArray[np.float64]
-    """(n,) θ_0, rad."""
-    inertia: NDArray[np.float64]
-    """(n, n) M_h, kg·m²."""
-    damping: NDArray[np.float64]
-    """(n, n) B_h, N·m·s/rad."""
-    stiffness: NDArray[np.float64]
-    """(n, n) K_h, N·m/rad."""
-
-    @property
-    def joints(self) -> int:
-        """Number of joints n."""
-        return self.posture.size
-
-
-class ArmParameters(Schema):
-    """The human arm; matrices row by row."""
 
     posture: Vector
     """Posture θ_0 of the arm, in which it has no elastic torque (rad)."""
@@ -46,28 +25,41 @@ class ArmParameters(Schema):
     """Stiffness K_h of the arm, n×n row by row (N·m/rad)."""
 
     @model_validator(mode="after")
-    def _is_heavy(self) -> ArmParameters:
-        if not all(value > 0.0 for value in self.inertia[:: len(self.posture) + 1]):
+    def _has_a_shape(self) -> HumanArm:
+        for name in ("inertia", "damping", "stiffness"):
+            if len(values := getattr(self, name)) != (needed := self.joints**2):
+                raise ValueError(f"{name} has {len(values)} values, needs {needed}")
+        if not all(value > 0.0 for value in self.inertia[:: self.joints + 1]):
             raise ValueError(f"inertia of every joint must be positive, got {self.inertia}")
         return self
 
-    @classmethod
-    def of(cls, arm: HumanArm) -> ArmParameters:
-        """Parameters of an arm."""
-        return cls(**{name: tuple(values.ravel().tolist()) for name, values in vars(arm).items()})
+    @property
+    def joints(self) -> int:
+        """Number of joints n."""
+        return len(self.posture)
 
-    def matrices(self, n: int) -> HumanArm:
-        """The arm of n joints with its matrices in shape.
+    @property
+    def theta_0(self) -> NDArray[np.float64]:
+        """(n,) θ_0, rad."""
+        return np.array(self.posture)
 
-        Raises
-        ------
-        ConfigurationError
-            If there are not as many values as that needs.
-        """
-        shapes = {name: vector if name == "posture" else matrix for name, _ in self}
-        return HumanArm(
-            **{name: of(f"arm.{name}", getattr(self, name), n) for name, of in shapes.items()}
-        )
+    @property
+    def M(self) -> NDArray[np.float64]:
+        """(n, n) M_h, kg·m²."""
+        return self._matrix(self.inertia)
+
+    @property
+    def B(self) -> NDArray[np.float64]:
+        """(n, n) B_h, N·m·s/rad."""
+        return self._matrix(self.damping)
+
+    @property
+    def K(self) -> NDArray[np.float64]:
+        """(n, n) K_h, N·m/rad."""
+        return self._matrix(self.stiffness)
+
+    def _matrix(self, values: Vector) -> NDArray[np.float64]:
+        return np.array(values).reshape(self.joints, self.joints)
 
 
 class ReflexParameters(Schema):
