@@ -192,25 +192,28 @@ class TrialStatus(Record):
     phase: Phase
     """What the controller is doing."""
     trial: _Number
+    """Number of the present trial, from 1."""
     trials: _Number
-    """Number of the present trial, from 1, and how many there are."""
+    """How many there are."""
     joint: _Joint
-    """Perturbed joint, from 0 (written from 1 on the wire)."""
+    """Perturbed joint in the order of the controller's ``joints``: from 1 in messages, from 0 in
+    Python."""
     joint_name: str
     """Its name."""
     tick: _Count
-    """Controller ticks since activation."""
+    """Samples answered since the experiment began."""
     start_ns: _MaybeCount
-    """Stamp of the first perturbed sample of this trial (ns); None until it is known."""
+    """Stamp of the first perturbed sample of this trial (ns); empty until it is known."""
     ticks: _Count
-    """Planned number of perturbed samples of this trial."""
+    """Perturbed samples of this trial: as planned, or less from when it is to end early."""
     seed: _Count
-    """Seed of the experiment."""
+    """Seed of the perturbation."""
     valid: _Truth
     """False as soon as something spoiled the present trial."""
     cause: Cause = Cause.NONE
+    """Why it is not valid, as a code; empty if it is."""
     reason: str = ""
-    """Why it is not valid: as a code, and in words."""
+    """The same in words."""
     lost: _Count = 0
     """Samples that did not reach the controller between others of this trial."""
     clipped: _Count = 0
@@ -220,9 +223,10 @@ class TrialStatus(Record):
     """When: ``first-last first-last ...`` in ticks from the first perturbed sample, which is 0; at
     most 100 intervals, which hold all clipped ticks (and others, where there would be more)."""
     tare: _Numbers = ()
+    """What the torque transducer of each joint read at rest before this trial (N·m); empty until
+    that is known, and without a tare."""
     tare_error: _Numbers = ()
-    """What each torque transducer read at rest before this trial, and its standard error (N·m);
-    empty as long as that is not known."""
+    """Standard errors of these (N·m), likewise."""
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -252,15 +256,17 @@ class StoppingDecision(Record):
     trial: _Number
     """Number of the trial, from 1."""
     samples: _Count
-    """Perturbed samples that the decision is based on; 0 announces the first decision."""
+    """Perturbed samples that were judged, the first ones of the trial; 0 announces the first
+    decision."""
     enough: _Truth
-    """Whether all relative standard errors are below the bound."""
+    """Whether all relative standard errors of the column are below the bound."""
     due: _MaybeCount
-    """Number of samples at which the next decision is made; None if there will be none."""
+    """Number of samples at which the next decision is made; empty if there will be none."""
     bound: float
-    """Largest relative standard error that is enough."""
+    """Largest relative standard error that is enough, ``target_error``."""
     largest: float = math.nan
-    """Largest one there is; NaN if it is not known."""
+    """Largest standard error (one, not 95 %) of M, B and K of the column, relative to the absolute
+    value of its parameter; NaN if it is not known."""
     element: str = ""
     """Where it is, such as ``K21``; empty if it is not known."""
 
@@ -289,19 +295,23 @@ class TimingFigures(Record):
     STATUS_NAME: ClassVar[str] = f"{SIM_NODE}: timing"
 
     ticks: _Count
-    """Samples sent."""
+    """Samples sent, of all trials and of what lies between them."""
     late: _Count
-    """Those sent more than :data:`armimp_common.realtime.LATE_NS` after their deadline."""
+    """Samples sent more than 0.25 ms after their deadline."""
     missed: _Count
     """Periods for which the command did not come in time, so that the last one was held."""
     period_p50: _Duration = math.nan
+    """Time from one sample to the next (s): median. Quantiles are rounded up by at most 2 %."""
     period_p99: _Duration = math.nan
+    """99 % quantile of it (s)."""
     period_max: _Duration = math.nan
-    """Median, 99 % quantile and maximum of the time from one sample to the next, s."""
+    """Longest (s)."""
     latency_p50: _Duration = math.nan
+    """Time from a sample to the command that answers it, both at the rig (s): median."""
     latency_p99: _Duration = math.nan
+    """99 % quantile of it (s)."""
     latency_max: _Duration = math.nan
-    """The same of the time from a sample to the command that answers it, both at the rig, s."""
+    """Longest (s)."""
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -321,33 +331,41 @@ class Progress(Record):
     STATUS_NAME: ClassVar[str] = f"{ESTIMATOR_NODE}: progress"
 
     trial: _Believed = Field(ge=1)
+    """Number of the present trial, from 1."""
     trials: _Believed = Field(ge=1)
-    """Number of the present trial, from 1, and how many there are. It may be above that, as trials
-    of a session may be left out of its replay."""
+    """How many there are; fewer than its number where a replay leaves trials out."""
     joint: _Believed
     """Perturbed joint k, from 1."""
     phase: Phase
     """What the controller is doing."""
     samples: _Believed
+    """Perturbed samples recorded so far, complete ones."""
     planned: _Believed
-    """Perturbed samples recorded so far, and those that there will be."""
+    """Perturbed samples that there will be."""
     rate: float = Field(ge=0.0, lt=_MOST)
     """Samples per second of wall time."""
     coherence_motion: _MaybeNumber = None
+    """Band mean of γ²(τ_Δ, θ_k) so far, from two segments on."""
     coherence_torque: _MaybeNumber = None
-    """Band means of γ²(τ_Δ, θ_k) and γ²(τ_Δ, τ_k) so far; None as long as there are none."""
+    """Band mean of γ²(τ_Δ, τ_k) so far, likewise."""
     M: _Numbers = ()
+    """Column k of the inertia as ``lpm_full`` finds it from this trial so far and those before
+    (kg·m²); anew at most once a second, empty while samples are too few or if one is missing."""
     M_se: _Numbers = ()
+    """Standard errors of M."""
     B: _Numbers = ()
+    """The same of the viscosity (N·m·s/rad)."""
     B_se: _Numbers = ()
+    """Standard errors of B."""
     K: _Numbers = ()
+    """The same of the stiffness (N·m/rad)."""
     K_se: _Numbers = ()
-    """Column k of the matrices so far (n,) and its standard errors, SI units; empty as long as
-    there is none."""
+    """Standard errors of K."""
     largest_error: _MaybeNumber = None
-    """Largest one of these standard errors, relative."""
+    """Largest of these standard errors relative to the absolute value of its parameter."""
     preliminary: _Truth = False
-    """Whether motion of locked joints is in the values, as those had no trial yet."""
+    """Whether another joint had no trial yet: the values then contain what locked joints move, of
+    which the standard errors know nothing."""
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
