@@ -6,29 +6,22 @@ LuGre's six numbers hold simpler models, too: with static = coulomb and sigma_1 
 with sigma_0 = 0 it is viscous. For other equations see docs/extending.md.
 """
 
-from dataclasses import asdict
-
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import simulate
 from armimp_sim.model.friction import LuGre
 
-dahl = LuGre(coulomb=1.5, static=1.5, sigma_0=1500.0, sigma_1=0.0, sigma_2=0.0)
-viscous = LuGre(coulomb=0.0, static=0.0, sigma_0=0.0, sigma_1=0.0, sigma_2=0.8)
+dahl = LuGre(coulomb=(1.5,), static=(1.5,), sigma_0=(1500.0,))
 rigs = {
-    "none": (LuGre.none(), LuGre.none()),
-    "dahl": (dahl, dahl.scaled(0.5)),
-    "viscous": (viscous, viscous),
+    "none": LuGre(),
+    "dahl": dahl.scaled([1.0, 0.5]),
+    "viscous": LuGre(sigma_2=(0.8,)),
 }
 
-for name, laws in rigs.items():
+for name, law in rigs.items():
     # Beyond the Stribeck velocity bristles slide at the Coulomb level.
-    at_speed = [law.coulomb + law.sigma_2 for law in laws]
-    # In the parameters of the node each number is a list with one value for each joint.
-    numbers = [asdict(law) for law in laws]
-    config = ExperimentConfig(
-        duration=10.0,
-        arm_sim={"friction": {key: [one[key] for one in numbers] for key in numbers[0]}},
-    )
+    joints = law.of_joints(2)
+    at_speed = joints["coulomb"] + joints["sigma_2"]
+    config = ExperimentConfig(duration=10.0, arm_sim={"friction": law.model_dump(mode="json")})
     (experiment,) = simulate([config])
     result = experiment.identify(["lpm_full"])
     found = result.estimators["lpm_full"].fit.mbk.B[1, 1]

@@ -1,21 +1,37 @@
-"""Write what follows from the code: parameter files, robot descriptions, tables of parameters."""
+"""Write what follows from the code: parameter files, robot descriptions, tables of the pages."""
 
 from __future__ import annotations
 
 import enum
 import json
 import re
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel
 from robot_description import robot_description
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.parameters import node_parameters
-from armimp_common.schema import defaults, flatten, leaves, to_params_yaml
+from armimp_common.schema import defaults, descriptions, flatten, leaves, to_params_yaml
+from armimp_common.status import Progress, StoppingDecision, TimingFigures, TrialStatus
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
+from armimp_estimation.alignment.lost_samples import StreamCount
+from armimp_estimation.fit import CommonDelay
+from armimp_estimation.metadata import Timing
 from armimp_estimation.parameters import EstimatorParameters
+from armimp_estimation.problems import Problem
+from armimp_estimation.summary import (
+    EstimatorSummary,
+    ModelParameterSummary,
+    ModelSummary,
+    OriginSummary,
+    Summary,
+    TrialSummary,
+    WallSummary,
+)
+from armimp_estimation.torque_timing import TorqueReading
 from armimp_ros2_control.parameters import BridgeParameters
 from armimp_sim.presets import JOINT_NAMES
 
@@ -28,6 +44,19 @@ _PACKAGES = {
     CONTROLLER_NODE: "armimp_control",
     ESTIMATOR_NODE: "armimp_estimation",
 }
+_KEYS: dict[str, Sequence[type[BaseModel]]] = {
+    "## 4. Trial status": (TrialStatus,),
+    "### Progress": (Progress,),
+    "### Stopping decision": (StoppingDecision,),
+    "### Timing in real time": (TimingFigures,),
+    "### `summary.json`": (
+        *(Summary, Problem, TrialSummary, StreamCount, EstimatorSummary, CommonDelay),
+        *(ModelSummary, ModelParameterSummary, Timing, WallSummary, TorqueReading, OriginSummary),
+    ),
+}
+"""Models by the heading of the page under which their keys are told, in the order of the tables."""
+_MOST_CHOICES = 20
+"""Of a key that are told."""
 
 
 def generated() -> dict[Path, str]:
@@ -48,17 +77,42 @@ def generated() -> dict[Path, str]:
         texts[f"armimp_sim/urdf/armimp_{joints}_joints.urdf"] = robot_description(joints)
     page = (ROOT / PAGE).read_text(encoding="utf-8")
     for node, model in models.items():
-        page = _with_table(page, node, parameter_table(model, given=node == CONTROLLER_NODE))
+        table = parameter_table(model, given=node == CONTROLLER_NODE)
+        page = _with_tables(page, f"### `{node}`", [table])
+    for heading, kinds in _KEYS.items():
+        page = _with_tables(page, heading, [key_table(kind) for kind in kinds])
     return {**{SOURCES / name: text for name, text in texts.items()}, PAGE: page}
 
 
-def _with_table(page: str, node: str, table: str) -> str:
-    """Replace what follows the heading of a node among the parameters, up to the next heading."""
-    pattern = rf"(### `{node}`\n\n)(?:\|.*\n)+"
-    page, found = re.subn(pattern, lambda match: match[1] + table, page)
-    if found != 1:
-        raise SystemExit(f"{PAGE}: {found} tables under the heading of {node}, not one")
-    return page
+def _with_tables(page: str, heading: str, tables: Sequence[str]) -> str:
+    """Replace the tables under a heading, up to the next one, all of which must be there."""
+    before, found, after = page.partition(f"\n{heading}\n")
+    section, *rest = re.split(r"(?m)^(?=#)", after, maxsplit=1)
+    new = iter(tables)
+    section, number = re.subn(r"(?:^\|.*\n)+", lambda _: next(new), section, flags=re.MULTILINE)
+    if number != len(tables):
+        raise SystemExit(f"{PAGE}: {number} tables under {heading!r}, not {len(tables)}")
+    return "".join([before, found, section, *rest])
+
+
+def key_table(model: type[BaseModel]) -> str:
+    """Return the rows of the keys that a model has in a message or file."""
+    told = descriptions(model)
+    keys = {field.alias or name: told[name] for name, field in model.model_fields.items()}
+    for name, field in model.model_fields.items():
+        if choices := _choices(field.annotation):
+            keys[field.alias or name] += f" {choices}"
+    keys |= {name: one.description or "" for name, one in model.model_computed_fields.items()}
+    rows = [f"| `{key}` | {' '.join(text.split())} |\n" for key, text in keys.items()]
+    return "| key | value |\n|---|---|\n" + "".join(rows).replace("``", "`")
+
+
+def _choices(kind: Any) -> str:
+    """Name what an enumeration holds, if that is not too much."""
+    if not (isinstance(kind, type) and issubclass(kind, enum.Enum)):
+        return ""
+    values = [f"`{member.value}`" for member in kind if member.value]
+    return f"One of {', '.join(values)}." if len(values) <= _MOST_CHOICES else ""
 
 
 def parameter_table(model: BaseModel, *, given: bool) -> str:
@@ -101,11 +155,17 @@ def _range(model: type[BaseModel], name: str) -> str:
         model = annotation
     field = model.model_fields[last]
     kind: Any = field.annotation
-    choices: tuple[Any, ...] = get_args(kind) if get_origin(kind) is Literal else ()
+    # What the items of an array may be, the annotation of the item says.
+    items = [kind, *get_args(kind)] if get_origin(kind) is tuple else [kind]
+    choices = [one for item in items if get_origin(item) is Literal for one in get_args(item)]
     if isinstance(kind, type) and issubclass(kind, enum.Enum):
-        choices = tuple(member.value for member in kind)
+        choices = [member.value for member in kind]
     bounds = [f"`{choice}`" for choice in choices]
-    for constraint in field.metadata:
+    annotated = [item.__metadata__ for item in items if get_origin(item) is Annotated]
+    for constraint in (
+        *field.metadata,
+        *(one for fields in annotated for one in fields[0].metadata),
+    ):
         for attribute, sign in (("gt", ">"), ("ge", "≥"), ("lt", "<"), ("le", "≤")):
             if (value := getattr(constraint, attribute, None)) is not None:
                 bounds.append(f"{sign} {value:g}")

@@ -133,13 +133,13 @@ WRONG = {
     # Shapes of matrices
     "arm_sim: {arm: {inertia: [[1, 0], [0]]}}": "'arm.inertia' = [[1, 0], [0]]: rows differ",
     "arm_sim: {arm: {inertia: [[1, 0, 0, 1]]}}": "'arm.inertia' has 1 row for 4 columns",
-    "arm_sim: {arm: {inertia: [1.0]}}": "'arm.inertia' has 1 values, needs 4",
-    "arm_sim: {joints: []}": "0 joints",
+    "arm_sim: {arm: {inertia: [1.0]}}": "inertia has 1 values, needs 4",
+    "arm_sim: {joints: []}": "'joints' = []",
     # Numbers
     "duration: .nan": "'duration' = nan",
     "arm_sim: {seed: 99999999999999999999}": "'seed' = 99999999999999999999: is too large",
     # Physics
-    "arm_sim: {arm: {inertia: [-1.0, 0.0, 0.0, 1.0]}}": "inertia of joint 1 must be positive",
+    "arm_sim: {arm: {inertia: [-1.0, 0.0, 0.0, 1.0]}}": "inertia of every joint must be positive",
     "arm_sim: {arm: {stiffness: [1.0e+300, 0, 0, 1.0]}}": "'arm.stiffness' = 1e+300: is too large",
     "arm_sim: {arm: {stiffness: [1.0e+20, 0, 0, 1.0]}}": "|h·λ|",
     "imbic_controller: {law: {internal_model: tde, model_inertia: [9.0, 0.0, 0.0, 9.0]}}": (

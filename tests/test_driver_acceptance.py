@@ -56,7 +56,7 @@ def figures(told: Result) -> dict[str, float]:
     """The worst of each figure of merit of `lpm_full` over all elements; the test knows the arm."""
     result, estimate = told.summary.estimators["lpm_full"], told.curves["lpm_full"]
     rig = human_arm(2)
-    arm = MBK(M=rig.inertia, B=rig.damping, K=rig.stiffness)
+    arm = MBK(M=rig.M, B=rig.B, K=rig.K)
     true = arm.impedance(estimate.f)
     missed = np.sum(np.abs(true - estimate.Z) ** 2, axis=2) / np.sum(np.abs(true) ** 2, axis=2)
     found = {

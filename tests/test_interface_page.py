@@ -1,10 +1,11 @@
-"""The tables of docs/interfaces.md say what the code does: names, types, QoS, defaults, keys."""
+"""The tables of docs/interfaces.md which are written by hand say what the code does."""
 
 from __future__ import annotations
 
 import json
 import re
-from dataclasses import fields, replace
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from armimp_common import qos
 from armimp_common.schema import leaves
 from armimp_common.status import (
     Progress,
+    Record,
     StoppingDecision,
     TimingFigures,
     TrialStatus,
@@ -32,21 +34,12 @@ from armimp_common.topics import (
 )
 from armimp_control.parameters import ControllerParameters
 from armimp_estimation.estimators.registry import estimator_names
-from armimp_estimation.identify import Identification, identify
-from armimp_estimation.metadata import READING_KEYS, Timing
-from armimp_estimation.node import RESULT_NAME, column_message, result_message
+from armimp_estimation.identify import identify
+from armimp_estimation.metadata import READING_KEYS
+from armimp_estimation.node import column_message, result_message
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.result import Result
-from armimp_estimation.summary import (
-    EstimatorSummary,
-    ImpedanceCurve,
-    OriginSummary,
-    Summary,
-    TrialSummary,
-    WallSummary,
-    write_frf,
-)
-from armimp_estimation.torque_timing import TorqueReading
+from armimp_estimation.summary import ImpedanceCurve, Summary, write_frf
 from armimp_estimation.trial import TrialData
 from armimp_sim.parameters import SimulatorParameters
 from support.pages import markdown_tables
@@ -113,21 +106,7 @@ def test_every_dotted_name_on_a_page_that_looks_like_a_parameter_is_one(page: st
     assert {name for name in named if name.split(".")[0] in groups} <= known
 
 
-# --- messages ----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("heading", "record"),
-    [
-        ("Trial status", TrialStatus),
-        ("Progress", Progress),
-        ("Stopping decision", StoppingDecision),
-        ("Timing in real time", TimingFigures),
-    ],
-)
-def test_the_keys_of_every_record_are_those_of_the_code(heading: str, record: Any) -> None:
-    assert list(_table(heading, "key")) == [one.name for one in fields(record)]
-    assert f"`{record.STATUS_NAME}`" in PAGE
+# --- keys of messages and files ----------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -137,37 +116,34 @@ def trials() -> list[TrialData]:
 
 
 @pytest.fixture(scope="module")
-def identification(trials: list[TrialData]) -> Identification:
-    return identify(trials, estimator_names(), TWO_JOINT_ARM)
-
-
-def curves_of(identification: Identification) -> dict[str, ImpedanceCurve]:
-    return {name: ImpedanceCurve.of(one) for name, one in identification.estimators.items()}
-
-
-def _general(key: str) -> str:
-    """A key as the page writes it: for any estimator and any element."""
-    for name in estimator_names():
-        key = re.sub(rf"(^|_){name}(\.|$)", r"\1ESTIMATOR\2", key)
-    return re.sub(r"_[12][12]\.", "_IK.", key)
-
-
-def test_the_keys_of_a_column_are_those_of_the_code(trials: list[TrialData]) -> None:
-    message = column_message(trials[0], 0)
-    assert _keys("Column") == {_general(key) for key in values_of(message)}
-    assert message.name.replace("1", "K") in PAGE
-
-
-def test_the_keys_of_the_conclusion_are_those_of_the_code(identification: Identification) -> None:
-    names = identification.joint_names
+def result(trials: list[TrialData]) -> Result:
+    found = identify(trials, estimator_names(), TWO_JOINT_ARM)
     rest: dict[str, Any] = {"config": {}, "seed": 1, "problems": [], "trials": []}
-    summary = Summary.of(identification, joint_names=names, truth=None, **rest)
-    message = result_message(Result(summary=summary, curves=curves_of(identification)))
-    assert _keys("Conclusion") == {_general(key) for key in values_of(message)}
-    assert f"`{RESULT_NAME}`" in PAGE
+    summary = Summary.of(found, joint_names=found.joint_names, truth=None, **rest)
+    curves = {name: ImpedanceCurve.of(one) for name, one in found.estimators.items()}
+    return Result(summary=summary, curves=curves)
 
 
-# --- bags and files ----------------------------------------------------------------------------
+def _general(keys: Iterable[str]) -> set[str]:
+    """Keys as the page writes them: for any estimator and any element."""
+    for name in estimator_names():
+        keys = [re.sub(rf"(^|_){name}(\.|$)", r"\1ESTIMATOR\2", key) for key in keys]
+    return {re.sub(r"_[12][12]\.", "_IK.", key) for key in keys}
+
+
+@pytest.mark.parametrize("record", [TrialStatus, Progress, StoppingDecision, TimingFigures])
+def test_the_page_tells_the_name_of_every_record(record: type[Record]) -> None:
+    assert f"`{record.STATUS_NAME}`" in PAGE
+
+
+def test_the_keys_of_column_and_conclusion_are_those_of_the_code(
+    trials: list[TrialData], result: Result
+) -> None:
+    column, conclusion = column_message(trials[0], 0), result_message(result)
+    assert _keys("Column") == _general(values_of(column))
+    assert _keys("Conclusion") == _general(values_of(conclusion))
+    assert column.name.replace("1", "K") in PAGE
+    assert f"`{conclusion.name}`" in PAGE
 
 
 def test_the_metadata_keys_of_the_page_are_those_that_a_run_stores() -> None:
@@ -180,32 +156,9 @@ def test_the_metadata_keys_of_the_page_are_those_that_a_run_stores() -> None:
     assert _keys("Bags", 1) == set(READING_KEYS)
 
 
-@pytest.mark.parametrize(
-    ("place", "model"),
-    [
-        (0, Summary),
-        (1, TrialSummary),
-        (2, EstimatorSummary),
-        (3, Timing),
-        (4, WallSummary),
-        (5, TorqueReading),
-        (6, OriginSummary),
-    ],
-)
-def test_the_keys_of_summary_json_are_those_of_its_model(
-    place: int, model: type[BaseModel]
-) -> None:
-    expected = {field.alias or name for name, field in model.model_fields.items()}
-    expected |= set(model.model_computed_fields)
-    assert _keys("summary.json", place) == expected
-
-
-def test_the_arrays_of_frf_npz_are_those_that_are_written(
-    identification: Identification, tmp_path: Path
-) -> None:
-    curves = curves_of(identification)
-    last = list(curves)[-1]
-    curves[last] = replace(curves[last], f=curves[last].f + 1.0)
-    write_frf(tmp_path / "frf.npz", curves)
+def test_the_arrays_of_frf_npz_are_those_that_are_written(result: Result, tmp_path: Path) -> None:
+    *others, last = result.curves.values()
+    other = replace(last, f=last.f + 1.0)
+    write_frf(tmp_path / "frf.npz", {one.name: one for one in (*others, other)})
     with np.load(tmp_path / "frf.npz") as file:
-        assert set(_table("frf.npz", "array")) == {_general(name) for name in file.files}
+        assert set(_table("frf.npz", "array")) == _general(file.files)

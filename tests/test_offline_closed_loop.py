@@ -23,7 +23,7 @@ PERIOD = 1e-3
 
 
 def _law(plant: PlantConfig, internal_model: control_presets.InternalModel = "tde") -> ImbicConfig:
-    posture = plant.arm.posture
+    posture = plant.arm.theta_0
     return preset_law(plant.robot.mass_matrix(posture), posture, internal_model)
 
 
@@ -35,7 +35,7 @@ def _run(plant_config: PlantConfig, law: ImbicConfig, tau_delta: Array, joint: i
     still, push = np.zeros((1, law.joints)), np.zeros(law.joints)
     for k, value in enumerate(tau_delta):
         push[joint] = value
-        record[0, :, k] = plant.position[0] - plant_config.arm.posture
+        record[0, :, k] = plant.position[0] - plant_config.arm.theta_0
         record[1, :, k] = plant.torque[0]
         controller.tick(plant.position[0], plant.torque[0], push)
         record[2, :, k] = controller.command
@@ -79,12 +79,9 @@ def _shown(
     theta = position[joint, 2000:] @ demodulator
     net = (tau_delta[2000:] - torque[joint, 2000:]) @ demodulator
     s = 2j * np.pi * frequency
-    target = (
-        law.target_inertia[joint] * s**2
-        + law.target_damping[joint] * s
-        + law.target_stiffness[joint]
-    )
-    return complex(net / theta), complex(target)
+    target = law.target
+    shown = (target.inertia[joint] * s + target.damping[joint]) * s + target.stiffness[joint]
+    return complex(net / theta), complex(shown)
 
 
 @pytest.mark.parametrize("internal_model", ["tde", "observer"])

@@ -52,7 +52,7 @@ def test_records_have_the_shapes_and_order_that_are_stated(joints: int) -> None:
             == brief_rig(joints=joints).controller.perturbation.peak[trial.perturbed_joint]
         )
         # The perturbed joint moves most, about the posture.
-        deflection = trial.position - human_arm(joints).posture[:, None]
+        deflection = trial.position - human_arm(joints).theta_0[:, None]
         assert np.argmax(np.std(deflection, axis=1)) == trial.perturbed_joint
 
 
@@ -71,7 +71,7 @@ def _another(level: int) -> NodeParameters:
         level=max(level, 1),
         seed=10 + level,
         arm_sim={
-            "arm.posture": (human_arm(2).posture + 0.1 * level).tolist(),
+            "arm.posture": [0.1 * level + angle for angle in human_arm(2).posture],
             "voluntary.rms": 0.1 * (level + 1),
         },
         imbic_controller={

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rosbags.highlevel import AnyReader
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import run_experiment
@@ -20,7 +19,7 @@ from armimp_estimation.bags import BagWriter
 from armimp_estimation.bags.reader import BAGS
 from armimp_estimation.bags.writer import finish_bag
 from armimp_estimation.recorder import TrialRecorder
-from support.bag_files import iterate_messages
+from support.bag_files import assert_other_readers_open, iterate_messages
 from support.streams import record
 from support.synthetic_bags import synthetic_recording
 from support.telling import tell_by_samples
@@ -60,11 +59,7 @@ def fill(place: Path) -> None:
 def assert_finished(bag: Path) -> int:
     """The bag is whole and opens everywhere; its number of messages."""
     assert {path.name for path in bag.iterdir()} == {f"{bag.name}_0.mcap", "metadata.yaml"}
-    with AnyReader([bag]) as reader:
-        read = [raw for _, _, raw in reader.messages()]
-        assert reader.message_count == len(read)
-    assert read == [raw for _, _, raw in iterate_messages(bag)]
-    return len(read)
+    return assert_other_readers_open(bag)
 
 
 def test_when_the_disk_is_nearly_full_expect_a_refusal_before_the_trial(

@@ -1,7 +1,6 @@
 """Bags of trials with gaps, or that were aborted: refused, or used as far as they go on request."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,7 +12,7 @@ from armimp_estimation.bags.reader import BAGS
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.recorder import TrialRecorder
 from armimp_estimation.summary import FRF_FILE, SUMMARY_FILE, Summary, read_summary
-from support.streams import record
+from support.streams import changed, record
 from support.synthetic_bags import recorded_arm
 
 pytestmark = pytest.mark.usefixtures("environment")
@@ -46,7 +45,7 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> Bags:
     last = recording.status
     assert last is not None
     assert last.phase is Phase.PERTURB
-    recording.add_status(replace(last, phase=Phase.ABORTED, valid=False, reason=REASON))
+    recording.add_status(changed(last, phase=Phase.ABORTED, valid=False, reason=REASON))
     recording.stop()
     return {
         kind: [str(path) for path in sorted((directory / BAGS).iterdir())]

@@ -13,19 +13,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rosbags.highlevel import AnyReader
 
-from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline_estimate import estimate_bags
-from armimp_bringup.orchestrator import run_experiment
-from armimp_common.status import Progress
 from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.reader import BAGS
 from armimp_estimation.bags.writer import finish_bag
-from armimp_estimation.problems import ProblemCode
-from support.bag_files import iterate_messages
+from support.bag_files import assert_other_readers_open
 from support.fault_figures import Figures
-from support.processes import processes_of
 from support.synthetic_bags import recorded_arm
 
 pytestmark = [pytest.mark.alone, pytest.mark.slow]
@@ -125,13 +119,6 @@ def assert_little_is_lost(killed: Killed) -> int:
     return record.samples
 
 
-def assert_other_readers_open(bag: Path) -> None:
-    with AnyReader([bag]) as reader:
-        read = [(time, data) for _, time, data in reader.messages()]
-        assert reader.message_count == len(read)
-    assert read == [(time, data) for _, time, data in iterate_messages(bag)]
-
-
 @pytest.mark.timeout(1200)
 def test_when_killed_at_twenty_random_moments_expect_little_lost_each_time(
     tmp_path: Path, figures: Figures
@@ -147,31 +134,3 @@ def test_when_killed_at_twenty_random_moments_expect_little_lost_each_time(
         figures.add("recorder killed", loss=(one.received - left, "ms"))
     longest = [max(killed[k::2], key=lambda one: one.received).bag for k in (0, 1)]
     assert estimate_bags(longest, ()).curves
-
-
-def test_when_the_estimator_node_is_killed_expect_its_bag_finished_by_the_run(
-    tmp_path: Path, environment: None
-) -> None:
-    seen: list[Progress] = []
-
-    def on_progress(progress: Progress) -> None:
-        if not seen and progress.samples > 2000:
-            seen.append(progress)
-            (estimator,) = processes_of("armimp_estimation.node", tmp_path)
-            os.kill(estimator, signal.SIGKILL)
-
-    config = ExperimentConfig.model_validate({"duration": 10.0, "processes": "separate"})
-    summary = run_experiment(config, tmp_path / "out", on_progress=on_progress).summary
-
-    assert seen
-    assert any(
-        one.code is ProblemCode.NODE_FAILED
-        and "impedance_estimator was killed by SIGKILL" in str(one)
-        for one in summary.problems
-    )
-    bags = sorted((tmp_path / "out" / BAGS).iterdir())
-    for bag in bags:
-        assert_other_readers_open(bag)
-    (trial,) = read_bag(bags[seen[0].trial - 1]).trials
-    assert trial.segments[0].samples >= seen[0].samples - MOST_LOST
-    assert not (tmp_path / "out" / ".reserve").exists()

@@ -50,7 +50,7 @@ def mass_matrix(urdf: str, names: tuple[str, ...], theta: Vector) -> Vector:
 
 @pytest.mark.parametrize("joints", sorted(presets.JOINT_NAMES))
 def test_the_inertia_of_the_description_is_that_of_the_plant(joints: int) -> None:
-    theta = presets.human_arm(joints).posture + 0.3
+    theta = presets.human_arm(joints).theta_0 + 0.3
 
     found = mass_matrix(robot_description(joints), presets.JOINT_NAMES[joints], theta)
 

@@ -31,7 +31,7 @@ def _fastest(
     config = study_plant(friction, sensors=sim_presets.sensors(resolution))
     plant, arm, robot = Plant([config]), config.arm, config.robot
     controller = Controller(
-        preset_law(robot.mass_matrix(arm.posture), arm.posture, law),
+        preset_law(robot.mass_matrix(arm.theta_0), arm.theta_0, law),
         safety=control_presets.safety(2, 9.0).model_copy(update={"ramp_time": ramp_time}),
     )
     signal = perturbation(

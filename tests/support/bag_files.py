@@ -5,6 +5,7 @@ from pathlib import Path
 
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
+from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -100,3 +101,12 @@ def iterate_messages(path: Path, *, namespace: str | None = None) -> Iterator[Me
 def records_of(content: BagContent) -> list[TrialRecord]:
     """Records of all trials of a bag, or the refusal of the first that must not be estimated."""
     return [record for trial in content.trials for record in trial.intact()]
+
+
+def assert_other_readers_open(bag: Path) -> int:
+    """A reader of others finds the messages that ours finds, as many as the bag says; how many."""
+    with AnyReader([bag]) as reader:
+        read = [(time, data) for _, time, data in reader.messages()]
+        assert reader.message_count == len(read)
+    assert read == [(time, data) for _, time, data in iterate_messages(bag)]
+    return len(read)

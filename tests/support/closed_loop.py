@@ -51,8 +51,8 @@ class ClosedLoop:
             told = {"trial": status.trial, "perturbed_joint": status.joint}
             record = made_record(position[span], torque[span], perturbation[span], **told)
             trials.append(TrialData.of(replace(record, command=command[span])))
-        arm = self._parameters.simulator.human_arm()
-        truth = MBK(M=arm.inertia, B=arm.damping, K=arm.stiffness)
+        arm = self._parameters.simulator.arm
+        truth = MBK(M=arm.M, B=arm.B, K=arm.K)
         found = identify(trials, ("lpm_full",), truth)
         result = found.estimators["lpm_full"]
         assert found.valid, found.problems

@@ -54,9 +54,9 @@ def main() -> None:
     still = np.zeros((1, 1))
     Plant([brief_rig(joints=1).simulator.plant_config()]).tick(still, still)
     arm = sim_presets.human_arm(2)
-    inertia = sim_presets.robot(2).mass_matrix(arm.posture)
-    law = Controller(preset_law(inertia, arm.posture), safety=torque_only(80.0))
-    law.tick(arm.posture, np.zeros(2), np.zeros(2))
+    inertia = sim_presets.robot(2).mass_matrix(arm.theta_0)
+    law = Controller(preset_law(inertia, arm.theta_0), safety=torque_only(80.0))
+    law.tick(arm.theta_0, np.zeros(2), np.zeros(2))
     law.release()
     law.continue_ramp(1)
 

@@ -32,16 +32,11 @@ def one_joint(
     **changes: Any,
 ) -> PlantConfig:
     """One joint, half of whose inertia (kg·m²) is the robot's, about an angle of 0."""
-    zero, half = np.zeros(1), np.array([0.5 * inertia])
+    half = 0.5 * inertia
     return PlantConfig(
-        arm=HumanArm(
-            posture=zero,
-            inertia=np.diag(half),
-            damping=np.array([[damping]]),
-            stiffness=np.array([[stiffness]]),
-        ),
-        robot=PlanarChain(lengths=np.array([0.3]), moments=half, masses=zero, centres=zero),
-        friction=(law or LuGre.none(),),
+        arm=HumanArm(posture=(0.0,), inertia=(half,), damping=(damping,), stiffness=(stiffness,)),
+        robot=PlanarChain(lengths=(0.3,), moments=(half,), masses=(0.0,), centres=(0.0,)),
+        friction=law or LuGre(),
         sensors=SensorParameters(),
         **changes,
     )
@@ -52,10 +47,10 @@ def random_chain(n: int, seed: int = 0) -> PlanarChain:
     random = np.random.default_rng([n, seed])
     masses, centres = random.uniform(0.2, 2.0, n), random.uniform(0.02, 0.3, n)
     return PlanarChain(
-        lengths=random.uniform(0.1, 0.5, n),
-        moments=masses * centres**2 + random.uniform(0.01, 0.1, n),
-        masses=masses,
-        centres=centres,
+        lengths=tuple(random.uniform(0.1, 0.5, n)),
+        moments=tuple(masses * centres**2 + random.uniform(0.01, 0.1, n)),
+        masses=tuple(masses),
+        centres=tuple(centres),
     )
 
 
@@ -64,22 +59,19 @@ def random_plant(n: int, seed: int = 0, **changes: Any) -> PlantConfig:
     random = np.random.default_rng([100 + n, seed])
     parts: dict[str, Any] = {
         "arm": HumanArm(
-            posture=random.uniform(-1.0, 1.0, n),
-            inertia=0.1 * np.eye(n) + random.uniform(-0.02, 0.02, (n, n)),
-            damping=random.uniform(-1.0, 1.0, (n, n)),
-            stiffness=random.uniform(-9.0, 9.0, (n, n)),
+            posture=tuple(random.uniform(-1.0, 1.0, n)),
+            inertia=tuple((0.1 * np.eye(n) + random.uniform(-0.02, 0.02, (n, n))).ravel()),
+            damping=tuple(random.uniform(-1.0, 1.0, n * n)),
+            stiffness=tuple(random.uniform(-9.0, 9.0, n * n)),
         ),
         "robot": random_chain(n, seed + 1),
-        "friction": tuple(
-            LuGre(
-                coulomb=random.uniform(0.4, 2.0),
-                static=random.uniform(2.0, 3.0),
-                sigma_0=random.uniform(400.0, 2000.0),
-                sigma_1=random.uniform(0.5, 4.0),
-                sigma_2=random.uniform(0.05, 0.2),
-                stribeck_velocity=random.uniform(0.01, 0.1),
-            )
-            for _ in range(n)
+        "friction": LuGre(
+            coulomb=tuple(random.uniform(0.4, 2.0, n)),
+            static=tuple(random.uniform(2.0, 3.0, n)),
+            sigma_0=tuple(random.uniform(400.0, 2000.0, n)),
+            sigma_1=tuple(random.uniform(0.5, 4.0, n)),
+            sigma_2=tuple(random.uniform(0.05, 0.2, n)),
+            stribeck_velocity=tuple(random.uniform(0.01, 0.1, n)),
         ),
         "sensors": SensorParameters(),
     }
@@ -97,20 +89,18 @@ def slopes(config: PlantConfig, state: Array, torque: Array) -> Array:
     """Derivative of θ, θ̇ and z, (3, n), under torques (n,) of drives less voluntary ones, N·m."""
     theta, v, z = state
     arm, robot = config.arm, config.robot
-    rate, friction = v.copy(), np.zeros_like(v)
-    for i, law in enumerate(config.friction):
-        if law.sigma_0 > 0.0:
-            bell = np.exp(-((v[i] / law.stribeck_velocity) ** 2))
-            level = law.coulomb + (law.static - law.coulomb) * bell
-            rate[i] = v[i] - law.sigma_0 * abs(v[i]) * z[i] / level
-        friction[i] = law.sigma_0 * z[i] + law.sigma_1 * rate[i] + law.sigma_2 * v[i]
+    law = config.friction.of_joints(v.size)
+    bell = np.exp(-((v / law["stribeck_velocity"]) ** 2))
+    level = law["coulomb"] + (law["static"] - law["coulomb"]) * bell
+    rate = v - law["sigma_0"] * abs(v) * z / np.where(level > 0.0, level, 1.0)
+    friction = law["sigma_0"] * z + law["sigma_1"] * rate + law["sigma_2"] * v
     acceleration = np.linalg.solve(
-        robot.mass_matrix(theta) + arm.inertia,
+        robot.mass_matrix(theta) + arm.M,
         torque
         - coriolis_torque(robot, theta, v)
         - friction
-        - arm.damping @ v
-        - arm.stiffness @ (theta - arm.posture),
+        - arm.B @ v
+        - arm.K @ (theta - arm.theta_0),
     )
     return np.stack([v, acceleration, rate])
 
@@ -122,9 +112,6 @@ def load(
     arm, (theta, velocity, _) = config.arm, state
     acceleration = slopes(config, state, command - voluntary)[1]
     total: Array = (
-        arm.inertia @ acceleration
-        + arm.damping @ velocity
-        + arm.stiffness @ (theta - arm.posture)
-        + voluntary
+        arm.M @ acceleration + arm.B @ velocity + arm.K @ (theta - arm.theta_0) + voluntary
     )
     return total

@@ -1,12 +1,17 @@
 """Streams whose messages are handed in, where no middleware keeps them."""
 
 from collections.abc import Callable, Iterable, Sequence
+from typing import Any, TypeVar
+
+from pydantic import BaseModel
 
 from armimp_common.cdr import decode_trial_status
 from armimp_common.topics import PERTURBATION, TRIAL
 from armimp_estimation.alignment.synchronizer import FETCHED, StreamSynchronizer
 from armimp_estimation.recorder import TrialRecorder
 from support.synthetic_bags import Message
+
+ModelT = TypeVar("ModelT", bound=BaseModel)
 
 
 def fed_synchronizer(
@@ -49,3 +54,8 @@ def record(
             recorder.add(synchronizer.take())
             on_recorded()
     recorder.add(synchronizer.take(incomplete=True))
+
+
+def changed(record: ModelT, **values: Any) -> ModelT:
+    """The same record with other values."""
+    return type(record)(**{**dict(record), **values})

@@ -253,8 +253,8 @@ class SimulatedExperiment:
     @property
     def truth(self) -> MBK:
         """The arm that was simulated."""
-        arm = self.parameters.simulator.human_arm()
-        return MBK(M=arm.inertia, B=arm.damping, K=arm.stiffness)
+        arm = self.parameters.simulator.arm
+        return MBK(M=arm.M, B=arm.B, K=arm.K)
 
     @property
     def options(self) -> IdentifyConfig:

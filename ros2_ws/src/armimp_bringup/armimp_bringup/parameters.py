@@ -85,9 +85,9 @@ def _controller(config: ExperimentConfig, simulator: SimulatorParameters) -> Con
     overrides = {**_time_of(config), **_known_of(simulator), **config.imbic_controller}
     preset = ControllerParameters.preset(
         joints=simulator.joints,
-        posture=plant.arm.posture,
-        robot_inertia=plant.robot.mass_matrix(plant.arm.posture),
-        arm_inertia=plant.arm.inertia,
+        posture=plant.arm.theta_0,
+        robot_inertia=plant.robot.mass_matrix(plant.arm.theta_0),
+        arm_inertia=plant.arm.M,
         perturbation=config.perturbation,
         perturbation_kind=config.perturbation_kind,
         duration=config.duration,
@@ -172,7 +172,7 @@ def bag_metadata(
     config: ExperimentConfig, simulator: SimulatorParameters, controller: ControllerParameters
 ) -> dict[str, str]:
     """What is stored in every bag: configuration, truth, versions."""
-    arm = simulator.human_arm()
+    arm = simulator.arm
     described = {
         "experiment": config.model_dump(mode="json"),
         SIM_NODE: flatten(simulator),
@@ -180,11 +180,7 @@ def bag_metadata(
         "versions": versions(),
         "git_revision": git_revision(),
     }
-    truth = {
-        "M": arm.inertia.tolist(),
-        "B": arm.damping.tolist(),
-        "K": arm.stiffness.tolist(),
-    }
+    truth = {"M": arm.M.tolist(), "B": arm.B.tolist(), "K": arm.K.tolist()}
     return {
         "schema": "1",
         "config": json.dumps(described),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.result import Result, load_result
 from armimp_estimation.summary import read_summary
 from support.results import make_result
+from support.streams import changed
 
 
 @pytest.fixture
@@ -153,7 +153,7 @@ def test_column_is_told_with_two_digits_of_each_standard_error() -> None:
 
 
 def test_without_the_columns_of_other_joints_no_standard_error_is_stated() -> None:
-    lines = describe_column(replace(SNAPSHOT, preliminary=True))
+    lines = describe_column(changed(SNAPSHOT, preliminary=True))
     assert lines == [
         "M12 0.0837   M22 0.0598 kg·m²",
         "B12 0.236   B22 0.41 N·m·s/rad",
@@ -170,8 +170,8 @@ def test_first_line_has_place_speed_and_time_left() -> None:
 def test_80_columns_hold_bar_joint_and_time_left(joints: int) -> None:
     output = io.StringIO()
     with Display(Console(file=output, force_terminal=True, width=80, height=24)) as display:
-        late = replace(SNAPSHOT, samples=9_000_000, planned=9_000_000, rate=99.0, trials=joints)
-        display.show(replace(late, trial=joints - 1, joint=joints))
+        late = changed(SNAPSHOT, samples=9_000_000, planned=9_000_000, rate=99.0, trials=joints)
+        display.show(changed(late, trial=joints - 1, joint=joints))
         display.phase("drawing")
     (line,) = {
         one.strip() for one in Text.from_ansi(output.getvalue()).plain.splitlines() if "left" in one
@@ -188,7 +188,7 @@ def test_a_terminal_shows_coherence_and_column_and_follows_an_earlier_end() -> N
     with Display(console) as display:
         display.show(SNAPSHOT)
         display.phase("")
-        display.show(replace(SNAPSHOT, samples=20_000, planned=20_000))
+        display.show(changed(SNAPSHOT, samples=20_000, planned=20_000))
         display.complete("estimating")
     text = output.getvalue()
     for part in ("trial 1/2", "coherence θ 0.988", "M12 0.08370 ± 0.00021", "K22 6.9 ± 1.5"):
@@ -201,5 +201,5 @@ def test_elsewhere_only_the_beginning_of_each_trial_is_told() -> None:
     output = io.StringIO()
     with Display(Console(file=output, width=120)) as display:
         for samples in (0, 10, 20_000):
-            display.show(replace(SNAPSHOT, samples=samples))
+            display.show(changed(SNAPSHOT, samples=samples))
     assert output.getvalue().count("trial 1/2") == 1

@@ -23,12 +23,12 @@ import linecache
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal, TypeAlias, TypeVar, get_args, get_origin
+from typing import Annotated, Any, Final, Literal, TypeAlias, TypeVar, get_args, get_origin
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
 from armimp_common.errors import ConfigurationError
@@ -36,6 +36,11 @@ from armimp_common.errors import ConfigurationError
 Scalar: TypeAlias = bool | int | float | str
 Value: TypeAlias = Scalar | list[bool] | list[int] | list[float] | list[str]
 ItemType: TypeAlias = type[bool] | type[int] | type[float] | type[str]
+Vector: TypeAlias = tuple[float, ...]
+"""One value for each joint, for all of them, or a matrix row by row, as a field says."""
+PositiveVector: TypeAlias = tuple[Annotated[float, Field(gt=0.0)], ...]
+NonNegativeVector: TypeAlias = tuple[Annotated[float, Field(ge=0.0)], ...]
+Signs: TypeAlias = tuple[Literal[1, -1], ...]
 ModelT = TypeVar("ModelT", bound=BaseModel)
 
 _DEEPEST: Final = 50
@@ -355,6 +360,8 @@ def _leaf(key: str, field: FieldInfo, model: type[BaseModel], description: str) 
 
 def _item_type(annotation: Any, where: str) -> tuple[ItemType, bool]:
     arguments = get_args(annotation)
+    if get_origin(annotation) is Annotated:
+        return _item_type(arguments[0], where)
     if get_origin(annotation) is tuple and arguments:
         kinds = {_item_type(item, where) for item in arguments if item is not Ellipsis}
         if len(kinds) == 1 and not next(iter(kinds))[1]:

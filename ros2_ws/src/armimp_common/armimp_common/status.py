@@ -1,6 +1,6 @@
 """What nodes report of themselves: records as key-values of ``diagnostic_msgs/DiagnosticStatus``.
 
-One codec for all of them: each record is a frozen dataclass, each field one key, written so that it
+One codec for all of them: each record is a frozen model, each field one key, written so that it
 reads back without loss. The message of the status has the same in words, for people alone.
 """
 
@@ -8,20 +8,27 @@ from __future__ import annotations
 
 import math
 import re
-import types
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import MISSING, Field, dataclass, field, fields
+from collections.abc import Iterable, Mapping, Sequence
 from enum import Enum, IntEnum
-from functools import cache
-from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeAlias, cast, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, ClassVar, Final, TypeAlias
 
-from armimp_common.errors import ConfigurationError, MalformedMessageError
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    ValidationError,
+    model_validator,
+)
+from typing_extensions import Self
+
+from armimp_common.errors import MalformedMessageError
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, NS_PER_S, SIM_NODE
 
 if TYPE_CHECKING:
     from builtin_interfaces.msg import Time
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-    from typing_extensions import Self
 
 LIMITER_STATUS: Final = f"{CONTROLLER_NODE}: safety limiter"
 """``name`` of the controller's status on ``/diagnostics``."""
@@ -36,11 +43,9 @@ Value: TypeAlias = bool | int | float | str | Sequence[float]
 """What `format_value` turns into text."""
 
 _INTEGER: Final = re.compile(r"-?[0-9]{1,40}")
-_INTERVALS: Final = re.compile(r"([0-9]{1,19}-[0-9]{1,19}( [0-9]{1,19}-[0-9]{1,19}){0,99})?")
+_INTERVALS: Final = r"^([0-9]{1,19}-[0-9]{1,19}( [0-9]{1,19}-[0-9]{1,19}){0,99})?$"
 _MOST: Final = 2**53
 """Numbers of progress beyond which nobody is believed."""
-_FROM_ONE: Final = {"from_one": True}
-"""Marks a field that counts from 0, and from 1 on the wire, where a person may read it."""
 
 
 def format_value(value: Value | None) -> str:
@@ -61,50 +66,57 @@ def format_value(value: Value | None) -> str:
     return " ".join(repr(float(item)) for item in value)
 
 
-def _integer(text: str) -> int:
-    if not _INTEGER.fullmatch(text):
-        raise ValueError
-    return int(text)
+def _integer(value: object) -> object:
+    if isinstance(value, str) and not _INTEGER.fullmatch(value):
+        raise ValueError("is not an integer")
+    return value
 
 
-_PARSERS: Final[dict[Any, tuple[Callable[[str], Any], str]]] = {
-    str: (str, "text"),
-    bool: ({"true": True, "false": False}.__getitem__, "true or false"),
-    int: (_integer, "an integer"),
-    float: (float, "a number"),
-    tuple[float, ...]: (lambda text: tuple(map(float, text.split())), "numbers"),
-}
+def _truth(value: object) -> object:
+    if isinstance(value, str) and value not in ("true", "false"):
+        raise ValueError("is neither true nor false")
+    return value
 
 
-@cache
-def _types(record: Any) -> dict[str, Any]:
-    return get_type_hints(record)
+def _none_if_empty(value: object) -> object:
+    return None if value == "" else value
 
 
-def _fields(record: Any) -> tuple[Field[Any], ...]:
-    return fields(record)
+def _split(value: object) -> object:
+    return value.split() if isinstance(value, str) else value
 
 
-def _parsed(kind: Any, text: str) -> Any:
-    if isinstance(kind, types.UnionType):  # something or None
-        return _parsed(get_args(kind)[0], text) if text else None
-    parser = _PARSERS[kind][0] if kind in _PARSERS else kind  # an enumeration
-    return parser(text)
+_Integer: TypeAlias = Annotated[int, BeforeValidator(_integer)]
+_Count: TypeAlias = Annotated[_Integer, Field(ge=0)]
+_Number: TypeAlias = Annotated[_Integer, Field(ge=1)]
+_Believed: TypeAlias = Annotated[_Count, Field(lt=_MOST)]
+_Truth: TypeAlias = Annotated[bool, BeforeValidator(_truth)]
+_Joint: TypeAlias = Annotated[
+    int,
+    Field(ge=0),
+    # On the wire, where a person may read it, it counts from 1.
+    BeforeValidator(lambda value: int(value) - 1 if isinstance(value, str) else value),
+    BeforeValidator(_integer),
+    PlainSerializer(lambda joint: joint + 1),
+]
+_Duration: TypeAlias = Annotated[float, BeforeValidator(lambda s: math.nan if s is None else s)]
+"""NaN where nothing was measured; JSON has null for it."""
+_Numbers: TypeAlias = Annotated[tuple[float, ...], BeforeValidator(_split)]
+_MaybeCount: TypeAlias = Annotated[_Integer | None, BeforeValidator(_none_if_empty)]
+_MaybeNumber: TypeAlias = Annotated[float | None, BeforeValidator(_none_if_empty)]
 
 
-class Record:
-    """Base of frozen dataclasses that travel as key-values."""
+class Record(BaseModel):
+    """Base of what travels as key-values."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
     STATUS_NAME: ClassVar[str]
     """``name`` of the status that carries the record: ``node: what``."""
 
     def to_values(self) -> dict[str, str]:
         """Return the key-values of the record."""
-        values = {one.name: getattr(self, one.name) for one in _fields(type(self))}
-        values.update(
-            {one.name: values[one.name] + 1 for one in _fields(type(self)) if one.metadata}
-        )
-        return {name: format_value(value) for name, value in values.items()}
+        return {name: format_value(value) for name, value in self.model_dump().items()}
 
     @classmethod
     def from_values(cls, values: Mapping[str, str]) -> Self:
@@ -115,26 +127,16 @@ class Record:
         MalformedMessageError
             If a value is missing, cannot be parsed, or contradicts another.
         """
-        what = cls.STATUS_NAME.partition(": ")[2]
-        kinds = _types(record := cast(Any, cls))
-        found: dict[str, Any] = {}
-        for one in _fields(record):
-            if one.name not in values:
-                if one.default is MISSING:
-                    raise MalformedMessageError(f"{what}: {one.name} is missing")
-                continue
-            text, kind = values[one.name], kinds[one.name]
-            try:
-                found[one.name] = _parsed(kind, text) - 1 if one.metadata else _parsed(kind, text)
-            except (ValueError, KeyError):
-                expected = _PARSERS.get(kind, (None, "known"))[1]
-                raise MalformedMessageError(
-                    f"{what}: {one.name} is not {expected}: {text!r:.80}"
-                ) from None
+        known = {name: values[name] for name in cls.model_fields if name in values}
         try:
-            return cls(**found)
-        except ConfigurationError as error:
-            raise MalformedMessageError(f"{what}: {error}") from None
+            return cls.model_validate(known)
+        except ValidationError as error:
+            what, first = cls.STATUS_NAME.partition(": ")[2], error.errors()[0]
+            name = ".".join(map(str, first["loc"]))
+            if first["type"] == "missing":
+                raise MalformedMessageError(f"{what}: {name} is missing") from None
+            reason = f"{first['msg'].removeprefix('Value error, ')}: {first['input']!r:.80}"
+            raise MalformedMessageError(f"{what}: {name or 'values'}: {reason}") from None
 
 
 class Phase(str, Enum):
@@ -182,65 +184,57 @@ class Cause(str, Enum):
     OTHER = "other"
 
 
-@dataclass(frozen=True, kw_only=True)
 class TrialStatus(Record):
-    """One published state of the trial sequence.
-
-    Raises
-    ------
-    ConfigurationError
-        If the numbers contradict one another.
-    """
+    """One published state of the trial sequence."""
 
     STATUS_NAME: ClassVar[str] = f"{CONTROLLER_NODE}: trial"
 
     phase: Phase
     """What the controller is doing."""
-    trial: int
-    trials: int
-    """Number of the present trial, from 1, and how many there are."""
-    joint: int = field(metadata=_FROM_ONE)
-    """Perturbed joint, from 0 (written from 1 on the wire)."""
+    trial: _Number
+    """Number of the present trial, from 1."""
+    trials: _Number
+    """How many there are."""
+    joint: _Joint
+    """Perturbed joint in the order of the controller's ``joints``: from 1 in messages, from 0 in
+    Python."""
     joint_name: str
     """Its name."""
-    tick: int
-    """Controller ticks since activation."""
-    start_ns: int | None
-    """Stamp of the first perturbed sample of this trial (ns); None until it is known."""
-    ticks: int
-    """Planned number of perturbed samples of this trial."""
-    seed: int
-    """Seed of the experiment."""
-    valid: bool
+    tick: _Count
+    """Samples answered since the experiment began."""
+    start_ns: _MaybeCount
+    """Stamp of the first perturbed sample of this trial (ns); empty until it is known."""
+    ticks: _Count
+    """Perturbed samples of this trial: as planned, or less from when it is to end early."""
+    seed: _Count
+    """Seed of the perturbation."""
+    valid: _Truth
     """False as soon as something spoiled the present trial."""
     cause: Cause = Cause.NONE
+    """Why it is not valid, as a code; empty if it is."""
     reason: str = ""
-    """Why it is not valid: as a code, and in words."""
-    lost: int = 0
+    """The same in words."""
+    lost: _Count = 0
     """Samples that did not reach the controller between others of this trial."""
-    clipped: int = 0
+    clipped: _Count = 0
     """Joint commands that the safety limiter clipped so far during the perturbation of
     this trial."""
-    clipped_intervals: str = ""
+    clipped_intervals: str = Field(default="", pattern=_INTERVALS)
     """When: ``first-last first-last ...`` in ticks from the first perturbed sample, which is 0; at
     most 100 intervals, which hold all clipped ticks (and others, where there would be more)."""
-    tare: tuple[float, ...] = ()
-    tare_error: tuple[float, ...] = ()
-    """What each torque transducer read at rest before this trial, and its standard error (N·m);
-    empty as long as that is not known."""
+    tare: _Numbers = ()
+    """What the torque transducer of each joint read at rest before this trial (N·m); empty until
+    that is known, and without a tare."""
+    tare_error: _Numbers = ()
+    """Standard errors of these (N·m), likewise."""
 
-    def __post_init__(self) -> None:
-        if not 1 <= self.trial <= self.trials:
-            raise ConfigurationError(f"trial {self.trial} is not within 1..{self.trials}")
-        for name in ("joint", "tick", "ticks", "seed", "lost", "clipped"):
-            if getattr(self, name) < 0:
-                raise ConfigurationError(f"{name} is negative: {getattr(self, name)}")
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        if self.trial > self.trials:
+            raise ValueError(f"trial {self.trial} is not within 1..{self.trials}")
         if self.phase is Phase.PERTURB and self.start_ns is None:
-            raise ConfigurationError("start_ns is missing in phase perturb")
-        if not _INTERVALS.fullmatch(self.clipped_intervals):
-            raise ConfigurationError(
-                f"clipped_intervals is not a list of intervals: {self.clipped_intervals!r:.80}"
-            )
+            raise ValueError("start_ns is missing in phase perturb")
+        return self
 
     @property
     def sentence(self) -> str:
@@ -254,38 +248,33 @@ class TrialStatus(Record):
         return text
 
 
-@dataclass(frozen=True, kw_only=True)
 class StoppingDecision(Record):
-    """Whether a trial has lasted long enough, by the stopping rule of the estimator.
-
-    Raises
-    ------
-    ConfigurationError
-        If a number is negative, or the next decision is due before this one.
-    """
+    """Whether a trial has lasted long enough, by the stopping rule of the estimator."""
 
     STATUS_NAME: ClassVar[str] = f"{ESTIMATOR_NODE}: stopping"
 
-    trial: int
+    trial: _Number
     """Number of the trial, from 1."""
-    samples: int
-    """Perturbed samples that the decision is based on; 0 announces the first decision."""
-    enough: bool
-    """Whether all relative standard errors are below the bound."""
-    due: int | None
-    """Number of samples at which the next decision is made; None if there will be none."""
+    samples: _Count
+    """Perturbed samples that were judged, the first ones of the trial; 0 announces the first
+    decision."""
+    enough: _Truth
+    """Whether all relative standard errors of the column are below the bound."""
+    due: _MaybeCount
+    """Number of samples at which the next decision is made; empty if there will be none."""
     bound: float
-    """Largest relative standard error that is enough."""
+    """Largest relative standard error that is enough, ``target_error``."""
     largest: float = math.nan
-    """Largest one there is; NaN if it is not known."""
+    """Largest standard error (one, not 95 %) of M, B and K of the column, relative to the absolute
+    value of its parameter; NaN if it is not known."""
     element: str = ""
     """Where it is, such as ``K21``; empty if it is not known."""
 
-    def __post_init__(self) -> None:
-        if self.trial < 1 or self.samples < 0:
-            raise ConfigurationError(f"trial {self.trial} cannot end after {self.samples} samples")
+    @model_validator(mode="after")
+    def _is_due_later(self) -> Self:
         if self.due is not None and self.due <= self.samples:
-            raise ConfigurationError(f"due at {self.due} samples, after {self.samples}")
+            raise ValueError(f"due at {self.due} samples, after {self.samples}")
+        return self
 
     @property
     def sentence(self) -> str:
@@ -300,40 +289,35 @@ class StoppingDecision(Record):
         return f"trial {self.trial}: largest standard error {found} {verb} below {bound}"
 
 
-@dataclass(frozen=True, kw_only=True)
 class TimingFigures(Record):
-    """Timing of a rig in real time, from the first sample on.
-
-    Raises
-    ------
-    ConfigurationError
-        If a count is negative or larger than the number of samples.
-    """
+    """Timing of a rig in real time, from the first sample on."""
 
     STATUS_NAME: ClassVar[str] = f"{SIM_NODE}: timing"
 
-    ticks: int
-    """Samples sent."""
-    late: int
-    """Those sent more than :data:`armimp_common.realtime.LATE_NS` after their deadline."""
-    missed: int
+    ticks: _Count
+    """Samples sent, of all trials and of what lies between them."""
+    late: _Count
+    """Samples sent more than 0.25 ms after their deadline."""
+    missed: _Count
     """Periods for which the command did not come in time, so that the last one was held."""
-    period_p50: float = math.nan
-    period_p99: float = math.nan
-    period_max: float = math.nan
-    """Median, 99 % quantile and maximum of the time from one sample to the next, s."""
-    latency_p50: float = math.nan
-    latency_p99: float = math.nan
-    latency_max: float = math.nan
-    """The same of the time from a sample to the command that answers it, both at the rig, s."""
+    period_p50: _Duration = math.nan
+    """Time from one sample to the next (s): median. Quantiles are rounded up by at most 2 %."""
+    period_p99: _Duration = math.nan
+    """99 % quantile of it (s)."""
+    period_max: _Duration = math.nan
+    """Longest (s)."""
+    latency_p50: _Duration = math.nan
+    """Time from a sample to the command that answers it, both at the rig (s): median."""
+    latency_p99: _Duration = math.nan
+    """99 % quantile of it (s)."""
+    latency_max: _Duration = math.nan
+    """Longest (s)."""
 
-    def __post_init__(self) -> None:
-        for name in ("ticks", "late", "missed"):
-            if not 0 <= getattr(self, name) <= self.ticks:
-                raise ConfigurationError(
-                    f"{name} must lie between 0 and the number of samples, {self.ticks}, "
-                    f"got {getattr(self, name)}"
-                )
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        if max(self.late, self.missed) > self.ticks:
+            raise ValueError(f"late {self.late} or missed {self.missed} of {self.ticks} samples")
+        return self
 
     @property
     def sentence(self) -> str:
@@ -341,57 +325,53 @@ class TimingFigures(Record):
         return "timing since activation"
 
 
-@dataclass(frozen=True, kw_only=True)
 class Progress(Record):
-    """Where an experiment stands, for display.
-
-    Raises
-    ------
-    ConfigurationError
-        If a number is impossible, or the columns differ in length.
-    """
+    """Where an experiment stands, for display."""
 
     STATUS_NAME: ClassVar[str] = f"{ESTIMATOR_NODE}: progress"
 
-    trial: int
-    trials: int
-    """Number of the present trial, from 1, and how many there are."""
-    joint: int
+    trial: _Believed = Field(ge=1)
+    """Number of the present trial, from 1."""
+    trials: _Believed = Field(ge=1)
+    """How many there are; fewer than its number where a replay leaves trials out."""
+    joint: _Believed
     """Perturbed joint k, from 1."""
     phase: Phase
     """What the controller is doing."""
-    samples: int
-    planned: int
-    """Perturbed samples recorded so far, and those that there will be."""
-    rate: float
+    samples: _Believed
+    """Perturbed samples recorded so far, complete ones."""
+    planned: _Believed
+    """Perturbed samples that there will be."""
+    rate: float = Field(ge=0.0, lt=_MOST)
     """Samples per second of wall time."""
-    coherence_motion: float | None = None
-    coherence_torque: float | None = None
-    """Band means of γ²(τ_Δ, θ_k) and γ²(τ_Δ, τ_k) so far; None as long as there are none."""
-    M: tuple[float, ...] = ()
-    M_se: tuple[float, ...] = ()
-    B: tuple[float, ...] = ()
-    B_se: tuple[float, ...] = ()
-    K: tuple[float, ...] = ()
-    K_se: tuple[float, ...] = ()
-    """Column k of the matrices so far (n,) and its standard errors, SI units; empty as long as
-    there is none."""
-    largest_error: float | None = None
-    """Largest one of these standard errors, relative."""
-    preliminary: bool = False
-    """Whether motion of locked joints is in the values, as those had no trial yet."""
+    coherence_motion: _MaybeNumber = None
+    """Band mean of γ²(τ_Δ, θ_k) so far, from two segments on."""
+    coherence_torque: _MaybeNumber = None
+    """Band mean of γ²(τ_Δ, τ_k) so far, likewise."""
+    M: _Numbers = ()
+    """Column k of the inertia as ``lpm_full`` finds it from this trial so far and those before
+    (kg·m²); anew at most once a second, empty while samples are too few or if one is missing."""
+    M_se: _Numbers = ()
+    """Standard errors of M."""
+    B: _Numbers = ()
+    """The same of the viscosity (N·m·s/rad)."""
+    B_se: _Numbers = ()
+    """Standard errors of B."""
+    K: _Numbers = ()
+    """The same of the stiffness (N·m/rad)."""
+    K_se: _Numbers = ()
+    """Standard errors of K."""
+    largest_error: _MaybeNumber = None
+    """Largest of these standard errors relative to the absolute value of its parameter."""
+    preliminary: _Truth = False
+    """Whether another joint had no trial yet: the values then contain what locked joints move, of
+    which the standard errors know nothing."""
 
-    def __post_init__(self) -> None:
-        counts = (self.trial, self.trials, self.joint, self.samples, self.planned)
-        # A trial may be above their count: trials of a session may be left out of its replay.
-        if not (
-            min(self.trial, self.trials) >= 1
-            and 0 <= min(counts) <= max(counts) < _MOST
-            and 0.0 <= self.rate < _MOST
-        ):
-            raise ConfigurationError(f"numbers that cannot be: {counts}, {self.rate:g} Hz")
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
         if len({len(part) for pair in self.column for part in pair}) > 1:
-            raise ConfigurationError("M, B and K are not equally many numbers")
+            raise ValueError("M, B and K are not equally many numbers")
+        return self
 
     @property
     def column(self) -> tuple[tuple[tuple[float, ...], tuple[float, ...]], ...]:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from operator import attrgetter
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from armimp_common.errors import ConfigurationError
 from armimp_common.realtime import SchedulingParameters
-from armimp_common.schema import Schema, matrix
+from armimp_common.schema import PositiveVector, Schema, Vector, each, matrix, vector
 from armimp_control import presets
+from armimp_control.laws import TargetParameters
 from armimp_control.laws.imbic import ImbicConfig, Observer
 from armimp_control.laws.law import LawConfig
 from armimp_control.laws.pd import PdConfig
@@ -19,35 +20,6 @@ from armimp_control.perturbation import JointPrior, PerturbationKind, Perturbati
 from armimp_control.safety_limiter import SafetyParameters
 from armimp_control.sequence import PERIOD, SequenceParameters, TareParameters
 from armimp_control.stability import RigDynamics, check_stability
-
-Vector = tuple[float, ...]
-
-
-class TargetParameters(Schema):
-    """Target impedance Y_rd, diagonal (eq. 8); assumptions."""
-
-    posture: Vector
-    """Target posture θ_rd of each joint (rad)."""
-    inertia: Vector
-    """Target inertia of each joint, diagonal of M_rd (kg·m²)."""
-    damping: Vector
-    """Target damping B_rd of each joint while it is perturbed (N·m·s/rad)."""
-    stiffness: Vector
-    """Target stiffness K_rd of each joint while it is perturbed (N·m/rad)."""
-    lock_frequency: float = Field(default=100.0, ge=0.0, le=1e4)
-    """Natural frequency of the target of joints locked by the law imbic (rad/s); 0: the target that
-    they have while they are perturbed."""
-    lock_damping_ratio: float = Field(default=1.0, gt=0.0)
-    """Damping ratio of the target of joints locked by the law imbic (–)."""
-    lock_approach: float = Field(default=0.05, ge=0.0)
-    """Time constant with which the target of a joint that gets locked goes from where the joint is
-    to the target posture (s); 0: it is there at once."""
-    lock_dither: float = Field(default=0.0, ge=0.0, lt=0.01)
-    """Amplitude of each of two sines that locked joints make against the bias of their encoders
-    (rad)."""
-    lock_dither_frequency: float = Field(default=35.0, gt=0.0, lt=380.0)
-    """Frequency of the first of two sines that locked joints make, above the band of the
-    perturbation (Hz)."""
 
 
 class LawParameters(Schema):
@@ -63,10 +35,10 @@ class LawParameters(Schema):
     encoder_resolution: float = Field(default=presets.FINEST, ge=1e-6, le=0.1)
     """Rounding of the encoders that the observer expects (rad); a smaller one makes it faster, and
     less patient with late commands."""
-    perturbed_walk: Vector = (0.4,)
+    perturbed_walk: PositiveVector = (0.4,)
     """Rms change within a control period of the unknown torque, mostly friction, that the observer
     expects of a joint while it is perturbed (N·m); one value for all joints or one for each."""
-    locked_walk: Vector = (0.02,)
+    locked_walk: PositiveVector = (0.02,)
     """The same of a joint while it is locked (N·m); one value for all joints or one for each."""
     gamma: float = Field(default=100.0, gt=0.0)
     """Gain Γ of the ideal-velocity feedback of imbic (rad/s)."""
@@ -83,10 +55,10 @@ class KnownParameters(RigDynamics):
     """Inertia of the robot in the posture, M_r(θ_0), n×n row by row (kg·m²)."""
     arm_inertia: Vector
     """Expected inertia of the arm, M_h, n×n row by row (kg·m²)."""
-    arm_frequency: Vector = (8.0,)
+    arm_frequency: PositiveVector = (8.0,)
     """Expected natural frequency of the arm, sqrt(K_kk/M_kk), for optimal perturbations and limits
     of the angle (rad/s); one value for all joints or one for each."""
-    arm_damping_ratio: Vector = (0.3,)
+    arm_damping_ratio: PositiveVector = (0.3,)
     """Expected damping ratio of the arm, B_kk/(2·sqrt(K_kk·M_kk)) (–); one value for all joints or
     one for each."""
 
@@ -178,20 +150,10 @@ class ControllerParameters(Schema):
 
     def imbic_config(self) -> ImbicConfig:
         """The law of the study, whichever was chosen."""
-        target = self.target
         return ImbicConfig(
-            target_posture=np.array(target.posture),
-            target_inertia=np.array(target.inertia),
-            target_damping=np.array(target.damping),
-            target_stiffness=np.array(target.stiffness),
-            lock_frequency=target.lock_frequency,
-            lock_damping_ratio=target.lock_damping_ratio,
-            lock_approach=target.lock_approach,
-            lock_dither=target.lock_dither,
-            lock_dither_frequency=target.lock_dither_frequency,
-            model_inertia=self._matrix("law.model_inertia", self.law.model_inertia),
+            target=self.target,
+            model_inertia=self._matrix("law.model_inertia"),
             gamma=self.law.gamma,
-            period=PERIOD,
             observer=self._observer() if self.law.internal_model == "observer" else None,
         )
 
@@ -200,16 +162,15 @@ class ControllerParameters(Schema):
         return Observer(
             resolution=law.encoder_resolution,
             delay=self.known.command_delay,
-            perturbed=self._for_each("law.perturbed_walk", law.perturbed_walk),
-            locked=self._for_each("law.locked_walk", law.locked_walk),
+            perturbed=self._each("law.perturbed_walk"),
+            locked=self._each("law.locked_walk"),
         )
 
     def priors(self) -> tuple[JointPrior, ...]:
         """What is expected of each joint while it is perturbed."""
-        known, target = self.known, self.target
-        inertia = np.diag(self._matrix("known.arm_inertia", known.arm_inertia))
-        omega = self._for_each("known.arm_frequency", known.arm_frequency)
-        zeta = self._for_each("known.arm_damping_ratio", known.arm_damping_ratio)
+        target = self.target
+        inertia = np.diag(self._matrix("known.arm_inertia"))
+        omega, zeta = self._each("known.arm_frequency"), self._each("known.arm_damping_ratio")
         arm = np.stack([inertia, 2.0 * zeta * omega * inertia, omega**2 * inertia], axis=1)
         targets = zip(target.inertia, target.damping, target.stiffness, strict=True)
         return tuple(
@@ -217,24 +178,13 @@ class ControllerParameters(Schema):
             for one, of_target in zip(arm.tolist(), targets, strict=True)
         )
 
-    def _for_each(self, name: str, values: Vector) -> NDArray[np.float64]:
-        n = len(self.joints)
-        if len(values) not in {1, n} or not min(values) > 0.0:
-            raise ConfigurationError(
-                f"parameter '{name}' needs 1 or {n} positive values: {list(values)}"
-            )
-        return np.broadcast_to(values, n).astype(np.float64)
-
     def pd_config(self) -> PdConfig:
         """The negative control, whichever was chosen; its gains follow from diag(M_r(θ_0))."""
         return PdConfig(
-            target_posture=np.array(self.target.posture),
-            target_damping=np.array(self.target.damping),
-            target_stiffness=np.array(self.target.stiffness),
-            inertia=np.diag(self._matrix("known.robot_inertia", self.known.robot_inertia)).copy(),
+            target=self.target,
+            inertia=np.diag(self._matrix("known.robot_inertia")).copy(),
             frequency=self.law.pd_frequency,
             damping_ratio=self.law.pd_damping_ratio,
-            period=PERIOD,
         )
 
     @property
@@ -250,31 +200,28 @@ class ControllerParameters(Schema):
         ConfigurationError
             If not; the message carries the offending value.
         """
+        for name in ("posture", "inertia", "damping", "stiffness"):
+            self._vector(f"target.{name}")
         law = self.law_config()
-        for name, values in (
-            ("target.posture", self.target.posture),
-            ("perturbation.peak", self.perturbation.peak),
-        ):
-            if len(values) != len(self.joints):
-                raise ConfigurationError(
-                    f"parameter '{name}' has {len(values)} values for {len(self.joints)} joints"
-                )
-        if len(self.perturbation.angle_limit) not in {1, len(self.joints)}:
-            raise ConfigurationError(
-                f"parameter 'perturbation.angle_limit' needs 1 or {len(self.joints)} values: "
-                f"{list(self.perturbation.angle_limit)}"
-            )
+        self._vector("perturbation.peak")
+        self._each("perturbation.angle_limit")
         self.priors()
         self.safety.rules(law.target_posture, PERIOD)
         return check_stability(
             law,
-            robot_inertia=self._matrix("known.robot_inertia", self.known.robot_inertia),
-            arm_inertia=self._matrix("known.arm_inertia", self.known.arm_inertia),
+            robot_inertia=self._matrix("known.robot_inertia"),
+            arm_inertia=self._matrix("known.arm_inertia"),
             dynamics=self.known,
         )
 
-    def _matrix(self, name: str, values: Vector) -> NDArray[np.float64]:
-        return matrix(name, values, len(self.joints))
+    def _vector(self, name: str) -> NDArray[np.float64]:
+        return vector(name, attrgetter(name)(self), len(self.joints))
+
+    def _each(self, name: str) -> NDArray[np.float64]:
+        return each(name, attrgetter(name)(self), len(self.joints))
+
+    def _matrix(self, name: str) -> NDArray[np.float64]:
+        return matrix(name, attrgetter(name)(self), len(self.joints))
 
 
 def _flat(values: NDArray[np.float64]) -> Vector:

@@ -8,12 +8,12 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from armimp_common.arrays import ComplexArray
 from armimp_common.compiled import compiled_entry
 from armimp_common.errors import ConfigurationError
-from armimp_common.schema import Schema
+from armimp_common.schema import NonNegativeVector, PositiveVector, Schema
 from armimp_common.topics import NS_PER_S, PERIOD_NS
 
 Array = NDArray[np.float64]
@@ -74,11 +74,11 @@ class PerturbationParameters(Schema):
     harmonics with random phases and a low crest factor, of equal amplitudes up to the cut-off
     frequency; or optimal, the same with the amplitudes that tell most of M, B and K of the expected
     arm."""
-    peak: tuple[float, ...]
+    peak: PositiveVector
     """Largest perturbation torque of each joint while it is perturbed (N·m); a multisine has the
     rms that noise with this peak has, and half the peak; an optimal one has this peak if the angle
     allows it."""
-    angle_limit: tuple[float, ...] = (0.0,)
+    angle_limit: NonNegativeVector = (0.0,)
     """Largest rms angle that the perturbation may move each joint by, as far as the expected arm
     tells (rad); what would move it more is made smaller; one value for all joints or one for each;
     0: no limit, or, of optimal, the angle of a multisine with this peak."""
@@ -92,20 +92,6 @@ class PerturbationParameters(Schema):
     period: float = Field(default=8.192, ge=_SHORTEST_PERIOD, le=100.0)
     """Longest period of the multisine (s); it is made shorter until a whole number of them, four or
     more, fills the trial."""
-
-    @field_validator("peak")
-    @classmethod
-    def _positive(cls, peak: tuple[float, ...]) -> tuple[float, ...]:
-        if not all(value > 0.0 for value in peak):
-            raise ValueError("must be positive")
-        return peak
-
-    @field_validator("angle_limit")
-    @classmethod
-    def _not_negative(cls, limit: tuple[float, ...]) -> tuple[float, ...]:
-        if not limit or not all(value >= 0.0 for value in limit):
-            raise ValueError("must be one value or one for each joint, not negative")
-        return limit
 
 
 def perturbation(

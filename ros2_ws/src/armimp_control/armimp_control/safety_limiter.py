@@ -41,7 +41,7 @@ from pydantic import Field
 
 from armimp_common.compiled import compiled_entry, inlined
 from armimp_common.errors import ConfigurationError
-from armimp_common.schema import Schema
+from armimp_common.schema import PositiveVector, Schema, each
 from armimp_common.status import Cause
 
 WINDOW = 5
@@ -112,12 +112,12 @@ class Limit(str, Enum):
 class SafetyParameters(Schema):
     """Limits of commands, what is done beyond them, and the patience of the watchdog."""
 
-    position_limit: tuple[float, ...] = (0.5,)
+    position_limit: PositiveVector = (0.5,)
     """Largest distance of a joint from the target posture (rad); one value for all joints or one
     for each."""
     position_action: Action = Action.STOP
     """What is done beyond the position limit: clip or stop."""
-    velocity_limit: tuple[float, ...] = (4.0,)
+    velocity_limit: PositiveVector = (4.0,)
     """Largest speed of a joint over 5 ticks (rad/s); one value for all joints or one for each."""
     velocity_action: Action = Action.STOP
     """What is done beyond the velocity limit: clip or stop."""
@@ -157,23 +157,14 @@ class SafetyParameters(Schema):
         Raises
         ------
         ConfigurationError
-            If a limit is not positive, the number of values does not fit the number of joints, or a
-            stop could not bring the torque to zero in time without a step beyond the rate limit.
+            If the number of values does not fit the number of joints, or a stop could not bring the
+            torque to zero in time without a step beyond the rate limit.
         """
         n, ticks = posture.size, self.ramp_ticks(period)
         rows = np.empty((RULE_ROWS, n))
         for i, limit in enumerate(Limit):
-            values = np.atleast_1d(getattr(self, f"{limit.value}_limit"))
-            if values.size not in {1, n}:
-                raise ConfigurationError(
-                    f"safety: {limit.value}_limit has {values.size} values, needs 1 or {n}: "
-                    f"{values.tolist()}"
-                )
-            if not np.all(values > 0.0):
-                raise ConfigurationError(
-                    f"safety: {limit.value}_limit must be positive, got {values.tolist()}"
-                )
-            rows[i] = values
+            name = f"{limit.value}_limit"
+            rows[i] = each(f"safety.{name}", np.atleast_1d(getattr(self, name)).tolist(), n)
             rows[STOPS + i] = getattr(self, f"{limit.value}_action") is Action.STOP
         rows[RATE] *= period
         rows[CENTRE] = posture

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from armimp_control.laws import TargetParameters
 from armimp_control.laws.imbic import ImbicConfig
 from armimp_control.laws.law import Controller
 from support.safety import torque_only, within_torque
@@ -18,20 +19,19 @@ PERIOD, GAMMA = 1e-3, 70.0
 
 def _config(n: int = 2, dither: float = 0.0) -> ImbicConfig:
     random = np.random.default_rng(n)
-    return ImbicConfig(
-        target_posture=random.uniform(-1.0, 1.0, n),
-        target_inertia=random.uniform(0.1, 0.3, n),
-        target_damping=random.uniform(1.0, 3.0, n),
-        target_stiffness=random.uniform(5.0, 15.0, n),
-        model_inertia=0.1 * np.eye(n) + random.uniform(-0.03, 0.03, (n, n)),
+    target = TargetParameters(
+        posture=tuple(random.uniform(-1.0, 1.0, n)),
+        inertia=tuple(random.uniform(0.1, 0.3, n)),
+        damping=tuple(random.uniform(1.0, 3.0, n)),
+        stiffness=tuple(random.uniform(5.0, 15.0, n)),
         lock_frequency=90.0,
         lock_damping_ratio=0.8,
-        gamma=GAMMA,
-        period=PERIOD,
         lock_approach=0.02,
         lock_dither=dither,
         lock_dither_frequency=30.0,
     )
+    model_inertia = 0.1 * np.eye(n) + random.uniform(-0.03, 0.03, (n, n))
+    return ImbicConfig(target=target, model_inertia=model_inertia, gamma=GAMMA, period=PERIOD)
 
 
 @dataclass
@@ -61,12 +61,12 @@ class Transcription:
         delayed_acceleration = (now - 2.0 * last + before) / PERIOD**2
         u = np.zeros(n)
         for i in range(n):
-            inertia = c.target_inertia[i]
+            inertia = c.target.inertia[i]
             if i == perturbed:
-                damping, stiffness, felt = c.target_damping[i], c.target_stiffness[i], tau_h[i]
+                damping, stiffness, felt = c.target.damping[i], c.target.stiffness[i], tau_h[i]
             else:
                 damping, stiffness, felt = 2 * 0.8 * 90.0 * inertia, 90.0**2 * inertia, 0.0
-            deflection = theta[i] - (c.target_posture[i] if i == perturbed else self.goal(i))
+            deflection = theta[i] - (c.target.posture[i] if i == perturbed else self.goal(i))
             u[i] = (tau_delta[i] - felt - damping * velocity[i] - stiffness * deflection) / inertia
         self.accelerations.append(u)
         ideal_velocity = PERIOD * np.sum(self.accelerations, axis=0)
@@ -79,12 +79,12 @@ class Transcription:
         c, ticks = self.config, len(self.perturbed) - 1
         yielding = [tick for tick, k in enumerate(self.perturbed) if k == joint]
         since = yielding[-1] + 1 if yielding else 0
-        rest = float(c.target_posture[joint])
+        rest = float(c.target.posture[joint])
         distance = float(self.positions[since + 2][joint]) - rest
         approach = distance * np.exp(-PERIOD * (ticks - since) / 0.02)
         # Amplitude of the target for a joint that follows as a low-pass of 90 rad/s, ζ = 0.8.
         s = 2j * np.pi * 30.0 * np.sqrt(1.55)
-        amplitude = c.lock_dither * abs(s**2 + 2 * 0.8 * 90.0 * s + 90.0**2) / 90.0**2
+        amplitude = c.target.lock_dither * abs(s**2 + 2 * 0.8 * 90.0 * s + 90.0**2) / 90.0**2
         angle = 2.0 * np.pi * 30.0 * PERIOD * ticks
         return float(rest + approach + amplitude * (np.sin(angle) + np.sin(1.55 * angle)))
 

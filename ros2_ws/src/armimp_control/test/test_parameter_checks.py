@@ -47,7 +47,7 @@ NAN, INF = float("nan"), float("inf")
         ("law.gamma", [0.0]),
         ("law.kind", ["lqr"]),
         ("known.robot_inertia", [(1.0, 2.0, 2.0, 1.0), (1.0,)]),
-        ("known.command_delay", [-1]),
+        ("known.command_delay", [-1, 21]),
         ("known.actuator_lag", [1e-12, 0.2]),
         ("known.torque_cutoff", [1e-6, INF]),
         ("known.torque_order", [0, 5]),
@@ -73,7 +73,8 @@ def test_dither_is_a_share_of_a_count_unless_the_encoders_are_no_good(
     law: presets.LawName, share: float
 ) -> None:
     dither = [
-        preset_law(np.eye(2), np.zeros(2), law, count).lock_dither for count in (1e-3, 0.01, 0.5)
+        preset_law(np.eye(2), np.zeros(2), law, count).target.lock_dither
+        for count in (1e-3, 0.01, 0.5)
     ]
     assert dither == pytest.approx([share * 1e-3, share * 0.01, share * 0.01])
 
@@ -101,15 +102,15 @@ def test_number_of_joints_without_a_preset_is_refused(joints: int) -> None:
 def test_law_for_two_joints_is_that_of_the_design() -> None:
     config = preset_law(ROBOT, POSTURE)
     assert np.array_equal(config.target_posture, POSTURE)
-    assert config.target_inertia.tolist() == [0.2, 0.1]
-    assert config.target_damping.tolist() == [2.0, 1.0]
-    assert config.target_stiffness.tolist() == [10.0, 10.0]
+    target = config.target
+    assert (target.inertia, target.damping) == ((0.2, 0.1), (2.0, 1.0))
+    assert target.stiffness == (10.0, 10.0)
     assert np.array_equal(config.model_inertia, ROBOT)
-    assert (config.lock_frequency, config.lock_damping_ratio, config.gamma) == (120.0, 1.0, 100.0)
+    assert (target.lock_frequency, target.lock_damping_ratio, config.gamma) == (120.0, 1.0, 100.0)
     reference = preset_law(ROBOT, POSTURE, "tde")
     assert reference.observer is None
     assert reference.model_inertia == pytest.approx(0.6 * ROBOT)
-    assert (reference.lock_frequency, reference.gamma) == (100.0, 100.0)
+    assert (reference.target.lock_frequency, reference.gamma) == (100.0, 100.0)
 
 
 @pytest.mark.parametrize("n", [1, 3, 7])
@@ -117,9 +118,10 @@ def test_law_for_other_numbers_of_joints_follows_the_robot(n: int) -> None:
     root = np.random.default_rng(n).normal(size=(n, n))
     robot = root @ root.T + np.eye(n)
     config = preset_law(robot, np.zeros(n))
-    assert config.target_inertia == pytest.approx(0.56 * np.diag(robot))
-    assert config.target_damping / config.target_inertia == pytest.approx(np.full(n, 10.0))
-    assert config.target_stiffness / config.target_inertia == pytest.approx(np.full(n, 100.0))
+    target = config.target
+    assert target.inertia == pytest.approx(0.56 * np.diag(robot))
+    assert np.divide(target.damping, target.inertia) == pytest.approx(np.full(n, 10.0))
+    assert np.divide(target.stiffness, target.inertia) == pytest.approx(np.full(n, 100.0))
     assert np.array_equal(config.model_inertia, robot)
 
 

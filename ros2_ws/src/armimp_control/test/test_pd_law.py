@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from armimp_common.schema import build, flatten
+from armimp_control.laws import TargetParameters
 from armimp_control.laws.imbic import ImbicConfig
 from armimp_control.laws.law import Controller
 from armimp_control.laws.pd import PdConfig
@@ -20,14 +21,14 @@ PERIOD = 1e-3
 
 def _config(n: int = 2, *, frequency: float = 25.0) -> PdConfig:
     random = np.random.default_rng(n)
-    return PdConfig(
-        target_posture=random.uniform(-1.0, 1.0, n),
-        target_damping=random.uniform(1.0, 3.0, n),
-        target_stiffness=random.uniform(5.0, 15.0, n),
-        inertia=random.uniform(0.1, 0.4, n),
-        frequency=frequency,
-        damping_ratio=0.8,
+    target = TargetParameters(
+        posture=tuple(random.uniform(-1.0, 1.0, n)),
+        inertia=(1.0,) * n,
+        damping=tuple(random.uniform(1.0, 3.0, n)),
+        stiffness=tuple(random.uniform(5.0, 15.0, n)),
     )
+    inertia = random.uniform(0.1, 0.4, n)
+    return PdConfig(target=target, inertia=inertia, frequency=frequency, damping_ratio=0.8)
 
 
 def _parameters(**changes: Any) -> ControllerParameters:
@@ -57,9 +58,9 @@ def test_locked_joints_are_held_by_stiffness_and_damping_and_the_perturbed_one_b
             stiffness = 25.0**2 * config.inertia[i]
             damping = 2.0 * 0.8 * 25.0 * config.inertia[i]
             if i == perturbed:
-                stiffness, damping = config.target_stiffness[i], config.target_damping[i]
+                stiffness, damping = config.target.stiffness[i], config.target.damping[i]
             velocity = (theta[i] - last[i]) / PERIOD
-            expected[i] = stiffness * (config.target_posture[i] - theta[i]) - damping * velocity
+            expected[i] = stiffness * (config.target.posture[i] - theta[i]) - damping * velocity
         expected = within_torque(expected + tau_delta, limit)
         assert controller.command == pytest.approx(expected, rel=1e-9, abs=1e-9)
         assert clipped == (n if np.max(np.abs(expected)) == limit else 0)
@@ -78,7 +79,6 @@ def test_law_of_the_study_is_the_default_and_one_parameter_chooses_the_other() -
     assert isinstance(law, PdConfig)
     assert law.inertia == pytest.approx([0.354, 0.180])
     assert (law.frequency, law.damping_ratio, law.period) == (25.0, 1.0, 1e-3)
-    for name in ("target_posture", "target_damping", "target_stiffness"):
-        assert np.array_equal(getattr(law, name), getattr(_parameters().imbic_config(), name))
+    assert law.target == _parameters().imbic_config().target
     tuned = _parameters(**{"law.pd_frequency": 40.0, "law.pd_damping_ratio": 0.7}).pd_config()
     assert (tuned.frequency, tuned.damping_ratio) == (40.0, 0.7)

@@ -26,13 +26,12 @@ POSTURE = np.array([1.0945, 1.3484])
 def _config(*, model: float = 1.0, target: float = 1.0) -> ImbicConfig:
     """Time-delay estimation with factors on M̄ and on the whole target impedance."""
     config = preset_law(ROBOT, POSTURE, "tde")
-    return replace(
-        config,
-        model_inertia=model * config.model_inertia,
-        target_inertia=target * config.target_inertia,
-        target_damping=target * config.target_damping,
-        target_stiffness=target * config.target_stiffness,
-    )
+    larger = {
+        name: tuple(target * value for value in getattr(config.target, name))
+        for name in ("inertia", "damping", "stiffness")
+    }
+    impedance = config.target.model_copy(update=larger)
+    return replace(config, model_inertia=model * config.model_inertia, target=impedance)
 
 
 def _late(
@@ -66,7 +65,9 @@ def _late(
     return sizes
 
 
-WITH_OBSERVER = replace(preset_law(ROBOT, POSTURE), gamma=200.0, lock_frequency=200.0)
+DEFAULT = preset_law(ROBOT, POSTURE)
+STIFF = DEFAULT.target.model_copy(update={"lock_frequency": 200.0})
+WITH_OBSERVER = replace(DEFAULT, gamma=200.0, target=STIFF)
 
 
 @pytest.mark.parametrize(

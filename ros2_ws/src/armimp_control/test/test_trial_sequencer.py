@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -22,6 +21,7 @@ from armimp_control.safety_limiter import Limit, SafetyParameters
 from armimp_control.sequence import SequenceParameters, TareParameters, timetable
 from armimp_control.trial_sequencer import SamplePairs
 from support.controller import POSTURE, SequencerBench, controller_parameters
+from support.streams import changed
 
 SETTLE, PERTURB, REST = 50, 200, 60
 TRIAL = SETTLE + PERTURB + REST
@@ -296,11 +296,11 @@ def test_a_decision_that_comes_late_leaves_time_to_hear_of_the_end(bench: Sequen
 @pytest.mark.parametrize(
     ("ticks", "decision"),
     [
-        (JUDGED, replace(ENOUGH, trial=2)),
+        (JUDGED, changed(ENOUGH, trial=2)),
         (JUDGED - 1, ENOUGH),
-        (PLANNED - NOTICE_TICKS, replace(ENOUGH, samples=PLANNED - NOTICE_TICKS)),
+        (PLANNED - NOTICE_TICKS, changed(ENOUGH, samples=PLANNED - NOTICE_TICKS)),
         (PLANNED + 10, ENOUGH),
-        (-10, replace(ENOUGH, samples=0)),
+        (-10, changed(ENOUGH, samples=0)),
     ],
     ids=["another trial", "samples that were not there", "at the end", "at rest", "settling"],
 )

@@ -5,50 +5,32 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from armimp_common.protection import ProtectionLimits
-from armimp_common.schema import Schema
-
-
-def _all_positive(values: tuple[float, ...]) -> tuple[float, ...]:
-    if not all(value > 0.0 for value in values):
-        raise ValueError("must be positive")
-    return values
-
-
-def _one_or_minus_one(values: tuple[int, ...]) -> tuple[int, ...]:
-    if not all(abs(value) == 1 for value in values):
-        raise ValueError("must be 1 or -1")
-    return values
+from armimp_common.schema import PositiveVector, Schema, Signs, Vector
 
 
 class SensorParameters(Schema):
     """Calibration of one kind of sensor; each value is one for all joints or one for each."""
 
-    resolution: tuple[float, ...]
+    resolution: PositiveVector
     """Resolution of the sensor (rad or N·m)."""
     zero: tuple[int, ...]
     """Count of the sensor at zero."""
-    sign: tuple[int, ...] = (1,)
+    sign: Signs = (1,)
     """-1 where the sensor counts the other way than the joint, else 1."""
-    gear: tuple[float, ...] = (1.0,)
+    gear: PositiveVector = (1.0,)
     """What the sensor sees for 1 rad or 1 N·m of the joint."""
-
-    _positive = field_validator("resolution", "gear")(_all_positive)
-    _direction = field_validator("sign")(_one_or_minus_one)
 
 
 class DriveParameters(Schema):
     """The drives; each value is one for all joints or one for each."""
 
-    sign: tuple[int, ...] = (1,)
+    sign: Signs = (1,)
     """-1 where the drive turns the other way than the joint, else 1."""
-    gear: tuple[float, ...] = (1.0,)
+    gear: PositiveVector = (1.0,)
     """Turns of the drive for one of the joint."""
-
-    _positive = field_validator("gear")(_all_positive)
-    _direction = field_validator("sign")(_one_or_minus_one)
 
 
 class MockParameters(Schema):
@@ -60,9 +42,9 @@ class MockParameters(Schema):
     """Periods by which commands act late."""
     dropout: float = Field(default=0.0, ge=0.0, lt=1.0)
     """Share of frames that are lost."""
-    offset: tuple[float, ...] = (0.0,)
+    offset: Vector = (0.0,)
     """Offset of the transducers (N·m), one for all joints or each."""
-    drift: tuple[float, ...] = (0.0,)
+    drift: Vector = (0.0,)
     """Drift of the transducers (N·m/s), one for all joints or each."""
     delay: float = Field(default=0.0, ge=0.0, le=0.1)
     """Delay of the readings of torque (s)."""

@@ -69,10 +69,10 @@ def test_joints_that_the_device_does_not_have_are_refused(joints: tuple[str, ...
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({"encoder.resolution": [-0.02]}, "'encoder.resolution' = .*: must be positive"),
-        ({"encoder.gear": [0.0]}, "'encoder.gear' = .*: must be positive"),
+        ({"encoder.resolution": [-0.02]}, r"'encoder.resolution\[0\]' = -0.02: input should be gr"),
+        ({"encoder.gear": [0.0]}, r"'encoder.gear\[0\]' = 0.0: input should be greater"),
         ({"encoder.gear": [math.inf]}, "'encoder.gear.*' = inf"),
-        ({"drive.sign": [1, 2]}, "'drive.sign' = .*: must be 1 or -1"),
+        ({"drive.sign": [1, 2]}, r"'drive.sign\[1\]' = 2: input should be 1 or -1"),
         ({"device_names": ["m1"]}, "1 device_names for 2 joints"),
     ],
 )

@@ -83,18 +83,17 @@ class TrialScores(JsonModel):
     """What one trial tells of the robot: how it locks joints, and yields to the perturbation."""
 
     k: int
-    """Perturbed joint, 1-based."""
+    """Perturbed joint, from 1."""
     lock_ratio: Vector
     """Motion of each joint within the band that the perturbation causes, relative to that of joint
     k, 1 there."""
     bias_bound: Vector
-    """Share of each torque that motion of locked joints explains, see
-    :func:`armimp_estimation.scores.bias_bound`."""
+    """Share of each torque that motion of locked joints explains."""
     realisation: Number = math.nan
-    """Deviation of the robot from the target impedance of joint k, relative, if that is known; see
-    :func:`armimp_estimation.scores.realisation`."""
+    """Deviation of the robot from the target impedance of joint k, relative; null where the law or
+    its target is not known."""
     realisation_ci: Vector = Field(default_factory=lambda: [math.nan, math.nan])
-    """Its 95 % interval."""
+    """Lower and upper end of its 95 % interval."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -17,9 +17,7 @@ from pydantic import (
     PlainSerializer,
     PlainValidator,
     ValidationError,
-    model_validator,
 )
-from typing_extensions import Self
 
 from armimp_common.errors import ArmimpError, ConfigurationError, DataError
 from armimp_common.realtime import LATE_NS, TimingLimits
@@ -29,7 +27,7 @@ from armimp_estimation.arm_models import AUTO, require_model
 from armimp_estimation.estimators.lpm import LpmConfig
 from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.fit import Calibration
-from armimp_estimation.json_model import JsonModel, Number, first_complaint
+from armimp_estimation.json_model import first_complaint
 from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import Problem, ProblemCode, problem
 from armimp_estimation.spectra import WelchConfig
@@ -56,33 +54,15 @@ RECORD_KEY = "timing"
 """Metadata of a bag: timing up to the end of its trial, as JSON."""
 
 
-class Timing(JsonModel):
+class Timing(TimingFigures, TimingLimits):
     """What was measured in real time, and what was allowed; durations in s."""
 
-    ticks: int
-    late: int
-    missed: int
-    period_p50: Number
-    period_p99: Number
-    period_max: Number
-    latency_p50: Number
-    latency_p99: Number
-    latency_max: Number
-    max_late_share: float
-    max_missed_share: float
-    max_latency: float
-
-    @model_validator(mode="after")
-    def _check_counts(self) -> Self:
-        for name in ("late", "missed"):
-            if not 0 <= getattr(self, name) <= self.ticks:
-                raise ValueError(f"{name} must lie between 0 and {self.ticks} samples")
-        return self
+    model_config = ConfigDict(allow_inf_nan=True)
 
     @classmethod
     def of(cls, figures: TimingFigures, limits: TimingLimits) -> Timing:
         """Put together figures from the first sample of the run on, and the limits of the run."""
-        return cls(**asdict(figures), **limits.model_dump())
+        return cls(**dict(figures), **dict(limits))
 
     @property
     def problems(self) -> list[Problem]:
@@ -104,7 +84,7 @@ class Timing(JsonModel):
 
     def begins(self, other: Timing) -> bool:
         """Whether the other timing may be that of the same run at a later moment."""
-        limits = ("max_late_share", "max_missed_share", "max_latency")
+        limits = TimingLimits.model_fields
         return (
             all(getattr(self, name) == getattr(other, name) for name in limits)
             and self.ticks < other.ticks

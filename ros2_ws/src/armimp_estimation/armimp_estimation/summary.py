@@ -44,22 +44,28 @@ class ModelParameterSummary(JsonModel):
     """One parameter: numbers row by row, as many as a matrix, the joints, or one; SI units."""
 
     values: Vector
+    """What was fitted."""
     errors: Vector
     """Standard errors; null for what was not fitted."""
     unit: str
+    """SI unit of both."""
 
 
 class ModelSummary(JsonModel):
     """A model of the arm beside M, B and K, see `armimp_estimation.arm_models`."""
 
     equation: str
+    """Z(s) in its parameters."""
     parameters: dict[str, ModelParameterSummary]
+    """By name, see below."""
     lack_of_fit: Matrix
+    """Misfit of the model over what noise explains."""
     held_out: Number
     """Mean lack of fit of bins that had no part in the fit."""
     criterion: Number
     """Bayesian information criterion."""
     fits: bool
+    """Whether noise explains the rest."""
 
     @classmethod
     def of(cls, fit: ModelFit) -> ModelSummary:
@@ -85,8 +91,10 @@ class TrialSummary(TrialScores, StreamStatistics):
     """One trial: its scores, and the account of its samples."""
 
     bag: str | None = None
+    """The bag: relative to the directory of the results after a run, else as it was given on the
+    command line."""
     ticks: int
-    """Samples of the trial."""
+    """Samples of the trial: perturbation messages received."""
     rtf: Number = math.nan
     """Times real time at which the trial ran; null if it was not run live."""
     saved: Number = 0.0
@@ -97,21 +105,38 @@ class EstimatorSummary(JsonModel):
     """Result of one estimator; matrices are lists of rows, SI units, VAF in %."""
 
     M: Matrix
+    """Inertia, kg·m²."""
     B: Matrix
+    """Viscosity, N·m·s/rad."""
     K: Matrix
+    """Stiffness, N·m/rad."""
     M_se: Matrix
+    """Standard errors of M."""
     B_se: Matrix
+    """Standard errors of B."""
     K_se: Matrix
+    """Standard errors of K."""
     M_ci: Intervals
+    """95 % confidence interval of each element of M, ``[lower, upper]``: 1.96 standard errors on
+    either side."""
     B_ci: Intervals
+    """The same of B."""
     K_ci: Intervals
+    """The same of K."""
     covariance: Matrix
+    """Covariance of the elements of M row by row, then of B, then of K, 3n² × 3n², SI units."""
     lack_of_fit: Matrix
+    """Misfit of M s² + B s + K over what noise explains."""
     vaf: Matrix | None
+    """VAF, %; null where the truth is not known."""
     r2: Matrix
+    """R² of the fit."""
     coherence_derived: Matrix
+    """Band means of the derived coherence."""
     coherence_torque: Matrix
+    """Band means of γ²(τ_Δ, τ_i) in trial k."""
     coherence_motion: Vector
+    """Band means of γ²(τ_Δ, θ_k)."""
     lack_limit: Number = math.nan
     """Lack of fit beyond which M, B and K are not valid."""
     decides: bool = True
@@ -151,10 +176,14 @@ class WallSummary(JsonModel):
     """Wall time of a run from the command line, s; see `armimp_bringup.presentation`."""
 
     before: Number
+    """From the start of the process to the first sample of the first trial: imports, discovery,
+    lifecycle."""
     trials: Number
+    """From there to the last perturbed sample of the last trial, with what lies between trials."""
     after: Number
+    """From there until report and figures were written: the last rest, estimates, lifecycle."""
     result: Number = math.nan
-    """From the last sample until M, B and K are on the screen, a part of what is after it."""
+    """The part of this until M, B and K were on the terminal; null with ``--json``."""
 
 
 class OriginSummary(JsonModel):
@@ -177,23 +206,32 @@ class Summary(JsonModel):
     """Content of ``summary.json``."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema")
+    """Version of this file, 1."""
     config: dict[str, JsonValue]
+    """The configuration, as in the bags."""
     joints: int = Field(ge=1)
+    """Number of joints n."""
     joint_names: list[str]
+    """Their names, in the order of all matrices."""
     seed: int | None
+    """Seed of the perturbation, if it is known."""
     problems: list[Problem]
-    """What is wrong, and what was found and put right."""
+    """What is wrong, and what was found and put right, see below."""
     trials: list[TrialSummary]
+    """The trials, see below."""
     estimators: dict[str, EstimatorSummary]
+    """Results by name of the estimator, see below."""
     truth: Truth
+    """``{"M": …, "B": …, "K": …}`` of the arm, if it was simulated."""
     timing: Timing | None = None
-    """Of a run in real time."""
+    """Timing of a run in real time, see below."""
     wall: WallSummary | None = None
-    """Of a run from the command line."""
+    """Wall time of a run from the command line, see below."""
     torque_reading: TorqueReading | None = None
-    """What is known of the torque readings, and so was corrected."""
+    """What is known of the torque readings and so was corrected, see below; null if nothing could
+    be estimated."""
     origin: OriginSummary | None = None
-    """Of a result from the command line."""
+    """Command line and date of a result from the command line, see below."""
 
     @classmethod
     def of(
@@ -222,7 +260,7 @@ class Summary(JsonModel):
     @computed_field  # type: ignore[prop-decorator]
     @property
     def verdict(self) -> Verdict:
-        """The two verdicts; problems of estimators that decide nothing do not count."""
+        """Whether Z(f), ``impedance``, and whether M, B and K, ``parameters``, can be trusted."""
         return Verdict.of(self.problems, *self._deciding)
 
     @computed_field  # type: ignore[prop-decorator]

@@ -1,7 +1,6 @@
 """Trials out of streams: windows, records, the account of every sample, and what is refused."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -40,6 +39,7 @@ from armimp_estimation.alignment.trial_windows import (
 )
 from armimp_estimation.problems import Problem, ProblemCode, Severity
 from armimp_estimation.record import TrialRecord
+from support.streams import changed
 from support.synthetic_bags import SyntheticRecording, synthetic_recording
 
 NAMES = ("shoulder", "elbow")
@@ -130,7 +130,7 @@ def test_statuses_give_one_window_per_perturbation() -> None:
     )
     assert windows_from_statuses(statuses) == expected
     # A latched topic repeats statuses, and others tell of progress.
-    progress = replace(statuses[1], tick=statuses[1].tick + 20)
+    progress = changed(statuses[1], tick=statuses[1].tick + 20)
     again = [statuses[5], *statuses[:2], progress, *statuses[2:], statuses[5], statuses[5]]
     assert set(windows_from_statuses(again)) == set(expected)
     # A window is open until something follows.
@@ -140,7 +140,11 @@ def test_statuses_give_one_window_per_perturbation() -> None:
 
 def test_a_trial_that_ends_early_has_the_samples_that_were_announced_last() -> None:
     settle, perturb, rest = statuses_of(RECORDING)[:3]
-    early = [settle, perturb, replace(perturb, ticks=30), replace(rest, ticks=25)]
+    sooner, soonest = (
+        changed(perturb, ticks=30),
+        changed(rest, ticks=25),
+    )
+    early = [settle, perturb, sooner, soonest]
     (window,) = windows_from_statuses(early)
     assert (window.ticks, window.saved) == (25, TICKS - 25)
     trial = assemble(RECORDING.by_topic(), early)
@@ -153,7 +157,7 @@ def test_a_trial_that_ends_early_has_the_samples_that_were_announced_last() -> N
 @pytest.mark.parametrize(("ticks", "start"), [(MOST_TICKS + 1, START), (10, 10**30)])
 def test_impossible_announcements_are_refused(ticks: int, start: int) -> None:
     statuses = [
-        replace(status, ticks=ticks, start_ns=status.start_ns and start)
+        changed(status, ticks=ticks, start_ns=status.start_ns and start)
         for status in statuses_of(RECORDING)
     ]
     with pytest.raises(DataError, match="trial 1 cannot"):
@@ -353,7 +357,7 @@ def test_perturbation_of_zero_is_refused() -> None:
 
 
 def test_unknown_perturbed_joint_is_refused() -> None:
-    statuses = [replace(status, joint_name="wrist") for status in statuses_of(RECORDING)]
+    statuses = [changed(status, joint_name="wrist") for status in statuses_of(RECORDING)]
     trial = assemble(RECORDING.by_topic(), statuses)
     assert trial.problems[0].values == {"name": "wrist", "known": "shoulder, elbow"}
     assert trial.segments == ()
@@ -464,7 +468,7 @@ def test_what_follows_clipped_commands_is_left_out_without_being_asked(
     intervals: str, count: int, parts: list[int], excluded: int
 ) -> None:
     *others, last = statuses_of(RECORDING)
-    statuses = [*others, replace(last, clipped=count, clipped_intervals=intervals)]
+    statuses = [*others, changed(last, clipped=count, clipped_intervals=intervals)]
     trial = assemble(RECORDING.by_topic(), statuses)
     # Each acts until the next sample.
     assert [part.samples for part in trial.intact()] == parts
@@ -477,7 +481,7 @@ def test_what_follows_clipped_commands_is_left_out_without_being_asked(
 
 def test_clipped_at_an_unknown_time_is_a_problem() -> None:
     *others, last = statuses_of(RECORDING)
-    trial = assemble(RECORDING.by_topic(), [*others, replace(last, clipped=3)])
+    trial = assemble(RECORDING.by_topic(), [*others, changed(last, clipped=3)])
     assert only(trial, ProblemCode.CLIPPED_UNKNOWN).values == {"count": 3}
     assert trial.intact()
 
@@ -508,7 +512,7 @@ def test_cut_recording_gives_all_complete_periods(cut: int) -> None:
 
 def test_aborted_trial_keeps_what_came_before() -> None:
     *others, last = statuses_of(RECORDING)
-    aborted = replace(last, phase=Phase.ABORTED, valid=False, reason="no sensor sample")
+    aborted = changed(last, phase=Phase.ABORTED, valid=False, reason="no sensor sample")
     topics = RECORDING.by_topic()
     for tick in range(25, TICKS):
         topics[PERTURBATION][FIRST + tick] = effort(START + tick * PERIOD_NS, (0.0, 0.0))
@@ -533,8 +537,7 @@ def test_trial_that_the_controller_finds_not_valid_is_refused(
     cause: Cause, code: ProblemCode, healed: bool
 ) -> None:
     statuses = statuses_of(RECORDING)
-    told = replace(statuses[1], valid=False, cause=cause, reason="so it is")
-    statuses.insert(2, told)
+    statuses.insert(2, changed(statuses[1], valid=False, cause=cause, reason="so it is"))
     trial = assemble(RECORDING.by_topic(), statuses)
     assert only(trial, code).values == {"reason": "so it is"}
     assert_refused(trial, code, healed=healed)

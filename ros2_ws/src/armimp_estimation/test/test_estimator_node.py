@@ -3,7 +3,6 @@
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -32,6 +31,7 @@ from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.summary import Summary, read_summary
 from support.graph import PATIENCE, a_moment, eventually, overrides
+from support.streams import changed
 from support.synthetic_bags import Message, synthetic_recording
 
 SUCCESS = TransitionCallbackReturn.SUCCESS
@@ -41,7 +41,11 @@ MADE_UP = synthetic_recording(perturbed=(0, 1), ticks=TICKS, settle=SETTLE, rest
 """Two trials, much too short to be estimated."""
 ONE_TRIAL = 4 * (SETTLE + TICKS + REST) + 3
 DONE = next(
-    (TRIAL, 0, encode_trial_status(replace(decode_trial_status(raw), phase=Phase.DONE)))
+    (
+        TRIAL,
+        0,
+        encode_trial_status(changed(decode_trial_status(raw), phase=Phase.DONE)),
+    )
     for topic, _, raw in reversed(MADE_UP)
     if topic == TRIAL
 )
@@ -147,7 +151,7 @@ class Desk:
     def announce(self, phase: Phase) -> None:
         raw = next(raw for topic, _, raw in MADE_UP if topic == TRIAL)
         start_ns = None if phase is Phase.SETTLE else 0
-        status = replace(decode_trial_status(raw), phase=phase, start_ns=start_ns)
+        status = changed(decode_trial_status(raw), phase=phase, start_ns=start_ns)
         self.script.publishers[TRIAL].publish(encode_trial_status(status))
 
     @property

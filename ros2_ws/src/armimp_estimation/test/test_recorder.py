@@ -40,7 +40,7 @@ from armimp_estimation.record import TrialRecord
 from armimp_estimation.recorder import TrialRecorder, largest_error, record_so_far
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from support.bag_files import iterate_messages
-from support.streams import fed_synchronizer, record
+from support.streams import changed, fed_synchronizer, record
 from support.synthetic_bags import Message, recorded_arm, synthetic_recording
 from support.synthetic_trials import TWO_JOINT_ARM as ARM
 from support.synthetic_trials import SyntheticConfig, part_of, synthetic_trial
@@ -255,7 +255,11 @@ def test_a_trial_that_ends_early_has_no_sample_of_the_rest(announced: bool, toge
         topic, time_ns, raw = message
         if topic != TRIAL or (status := decode_trial_status(raw)).phase is Phase.REST:
             return [message]
-        planned = (topic, time_ns, encode_trial_status(replace(status, ticks=2 * TICKS)))
+        planned = (
+            topic,
+            time_ns,
+            encode_trial_status(changed(status, ticks=2 * TICKS)),
+        )
         return [planned, *([message] if announced and status.phase is Phase.PERTURB else [])]
 
     desk = Desk(None, together=together)
@@ -331,7 +335,7 @@ def so_far(
         for topic, raws in messages.items():
             streams.add(topic, raws[streams.count(topic) : stop])
     perturb = decode_trial_status(MADE_UP.by_topic()[TRIAL][1])
-    return record_so_far(streams, replace(perturb, joint=0, start_ns=0), samples)
+    return record_so_far(streams, changed(perturb, joint=0, start_ns=0), samples)
 
 
 def arm_messages() -> dict[str, list[bytes]]:

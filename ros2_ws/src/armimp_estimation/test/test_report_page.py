@@ -32,6 +32,7 @@ from armimp_estimation.result import Result, load_result
 from armimp_estimation.summary import Summary, read_summary, write_summary
 from support.pages import Page
 from support.results import METADATA, make_result
+from support.streams import changed
 from support.synthetic_bags import Message, recorded_arm, synthetic_recording
 
 HOSTILE = "\"'><script>alert(1)</script><img src=x onerror=alert(1)><a href='javascript:alert(1)'>"
@@ -100,9 +101,7 @@ def test_without_truth_there_is_no_word_of_simulation_and_the_relative_error_is_
     directory: Path, tmp_path: Path
 ) -> None:
     summary = read_summary(directory / "summary.json")
-    estimators = {
-        name: one.model_copy(update={"vaf": None}) for name, one in summary.estimators.items()
-    }
+    estimators = {name: changed(one, vaf=None) for name, one in summary.estimators.items()}
     target = altered(directory, tmp_path / "rig", truth=None, config={}, estimators=estimators)
     words = Page(report_page(load_result(target))).words
     assert "relative s.e." in words
@@ -225,7 +224,7 @@ def test_of_a_trial_that_ended_early_both_lengths_are_told(tmp_path: Path) -> No
     for topic, time_ns, raw in recorded_arm().messages:
         told = raw
         if topic == topics.TRIAL and (status := decode_trial_status(raw)).phase is Phase.PERTURB:
-            told = encode_trial_status(replace(status, ticks=25_000))
+            told = encode_trial_status(changed(status, ticks=25_000))
         messages.append((topic, time_ns, told))
     result = load_result(make_result(tmp_path / "out", messages=messages))
 
@@ -238,7 +237,7 @@ def test_of_a_trial_that_ended_early_both_lengths_are_told(tmp_path: Path) -> No
 def hostile_summary(summary: Summary) -> Summary:
     """The same with the payload wherever there is a string."""
     (first, *_) = summary.estimators.values()
-    trials = [trial.model_copy(update={"bag": HOSTILE}) for trial in summary.trials]
+    trials = [changed(trial, bag=HOSTILE) for trial in summary.trials]
     return summary.model_copy(
         update={
             "valid": False,

@@ -34,7 +34,7 @@ from armimp_estimation.summary import (
 )
 from armimp_estimation.trial import TrialData, segments_for
 from armimp_estimation.verdict import Verdict
-from support.streams import record
+from support.streams import changed, record
 from support.synthetic_bags import Message, recorded_arm
 from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, part_of, synthetic_trial
 
@@ -293,11 +293,11 @@ GOOD = TimingFigures(
     latency_p99=4e-4,
     latency_max=1.5e-3,
 )
-BAD = replace(GOOD, missed=100)
+BAD = changed(GOOD, missed=100)
 
 
 def timing(figures: TimingFigures = GOOD, **changes: Any) -> Timing:
-    return Timing.of(replace(figures, **changes), TimingLimits())
+    return Timing.of(changed(figures, **changes), TimingLimits())
 
 
 def stored(*timings: Timing) -> list[dict[str, str]]:

@@ -43,7 +43,7 @@ class Ros2ControlBridge(ProtectedDriver):
     @reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Read the parameters, and make the topics of both sides."""
-        parameters = self._settings = load(self, BridgeParameters).checked()
+        parameters = self._settings = load(self, BridgeParameters)
         names = parameters.joints
         self._readings = Readings(parameters)
         protection = Protection(len(names), parameters.limits)
@@ -95,7 +95,7 @@ class Ros2ControlBridge(ProtectedDriver):
             return
         if not steps:
             return
-        for name, value in zip(self._settings.names, torques, strict=True):
+        for name, value in zip(self._settings.names_there(), torques, strict=True):
             if math.isnan(value):
                 # What a broadcaster says where there is no such interface, too.
                 protection.latch(f"{STATES}: the effort of {name!r} is not a number")

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from armimp_common.cdr import JointStateDecoder
 from armimp_common.errors import MalformedMessageError
+from armimp_common.schema import each
 from armimp_common.topics import PERIOD_NS, clock_step
 from armimp_ros2_control.parameters import BridgeParameters
 
@@ -23,18 +24,20 @@ class Readings:
     Parameters
     ----------
     parameters : BridgeParameters
-        With nothing left empty.
+
+    Raises
+    ------
+    ConfigurationError
+        If there are neither 1 nor n signs of one kind.
     """
 
     def __init__(self, parameters: BridgeParameters) -> None:
-        names = parameters.names
+        names, n = parameters.names_there(), len(parameters.joints)
         self._angles = JointStateDecoder(names, "position", others=True)
         self._torques = JointStateDecoder(names, "effort", others=True)
-        self._directions = tuple(float(sign) for sign in parameters.directions)
-        self._signs = tuple(
-            float(a * b)
-            for a, b in zip(parameters.directions, parameters.torque_signs, strict=True)
-        )
+        directions = each("directions", parameters.directions, n)
+        signs = directions * each("torque_signs", parameters.torque_signs, n)
+        self._directions, self._signs = tuple(map(float, directions)), tuple(map(float, signs))
 
     def decode(self, data: bytes) -> tuple[int, tuple[float, ...], tuple[float, ...]]:
         """Return stamp (ns), angles (n,) in rad, and torques (n,) in N·m; NaN stays NaN.

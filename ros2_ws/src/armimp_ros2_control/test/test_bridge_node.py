@@ -2,10 +2,8 @@
 
 import math
 import time
-from collections.abc import Iterator
 
 import pytest
-from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import qos_profile_system_default
 from sensor_msgs.msg import JointState
@@ -13,14 +11,13 @@ from std_msgs.msg import Float64MultiArray
 
 from armimp_common import topics
 from armimp_common.executor import Spinner
-from armimp_common.lifecycle import LifecycleManager
 from armimp_common.pubsub import wait_until_matched
 from armimp_common.status import to_time
 from armimp_common.topics import PERIOD_NS
 from armimp_ros2_control.node import EFFORTS, STATES, Ros2ControlBridge
 from armimp_ros2_control.parameters import BridgeParameters
-from support.controller import ScriptedController
-from support.graph import CLOCK_STEPS, PATIENCE, a_moment, eventually, overrides, set_clock
+from support.controller import SUCCESS, ScriptedController
+from support.graph import CLOCK_STEPS, PATIENCE, Launch, a_moment, eventually, set_clock
 
 ZERO, PUSH = (0.0, 0.0), (5.0, -2.0)
 
@@ -31,8 +28,6 @@ class World(ScriptedController):
     Each sample that comes out of the bridge is answered by a command and followed by the next joint
     state, so nothing depends on how quick the machine is.
     """
-
-    manager: LifecycleManager
 
     def __init__(self, node: Node, spinner: Spinner) -> None:
         super().__init__(node, spinner)
@@ -94,28 +89,27 @@ class PatientBridge(Ros2ControlBridge):
 
 
 @pytest.fixture
-def bridge(context: Context) -> Iterator[PatientBridge]:
-    bridge = PatientBridge(context=context, parameter_overrides=overrides(BridgeParameters(), {}))
-    yield bridge
-    bridge.destroy_node()
-
-
-@pytest.fixture
-def waiting(node: Node, bridge: Ros2ControlBridge) -> Iterator[World]:
+def bridge(launch: Launch) -> PatientBridge:
     """A bridge that is not active yet."""
-    with Spinner([node, bridge]) as spinner:
-        world = World(node, spinner)
-        world.manager = LifecycleManager(
-            node, [topics.SIM_NODE], spin_until=spinner.spin_until, timeout=PATIENCE
-        )
-        world.manager.wait_for_nodes()
-        world.manager.change(topics.SIM_NODE, "configure")
-        yield world
+    bridge: PatientBridge = launch(PatientBridge, BridgeParameters())
+    assert bridge.trigger_configure() is SUCCESS
+    return bridge
 
 
 @pytest.fixture
-def world(waiting: World, node: Node, bridge: Ros2ControlBridge) -> World:
-    waiting.manager.change(topics.SIM_NODE, "activate")
+def waiting(node: Node, spinner: Spinner, bridge: PatientBridge) -> World:
+    """Both sides of it."""
+    world = World(node, spinner)
+    heard = [world.efforts, *world.subscriptions]
+    assert not wait_until_matched(
+        node, publishers=[world.commands], subscriptions=heard, timeout_s=PATIENCE
+    )
+    return world
+
+
+@pytest.fixture
+def world(waiting: World, node: Node, bridge: PatientBridge) -> World:
+    assert bridge.trigger_activate() is SUCCESS
     eventually(waiting.spinner, lambda: waiting.told == [ZERO], "no torque to begin with")
     assert not wait_until_matched(node, publishers=[waiting.states], timeout_s=PATIENCE)
     assert not wait_until_matched(bridge, subscriptions=[bridge._states], timeout_s=PATIENCE)
@@ -123,7 +117,7 @@ def world(waiting: World, node: Node, bridge: Ros2ControlBridge) -> World:
 
 
 def test_joint_states_that_came_before_the_activation_are_not_passed_on_in_a_burst(
-    waiting: World, monkeypatch: pytest.MonkeyPatch
+    waiting: World, bridge: PatientBridge, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def wait(*args: object, **options: object) -> None:
         # While this goes on, nothing is executed.
@@ -132,7 +126,7 @@ def test_joint_states_that_came_before_the_activation_are_not_passed_on_in_a_bur
         time.sleep(0.1)
 
     monkeypatch.setattr("armimp_common.driver_base.wait_for_partners", wait)
-    waiting.manager.change(topics.SIM_NODE, "activate")
+    assert bridge.trigger_activate() is SUCCESS
     a_moment(waiting.spinner)
     assert waiting.positions == []
 

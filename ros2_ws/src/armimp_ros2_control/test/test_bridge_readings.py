@@ -5,6 +5,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
 from armimp_common.errors import ConfigurationError, MalformedMessageError
+from armimp_common.schema import build
 from armimp_common.status import to_time
 from armimp_common.topics import PERIOD_NS
 from armimp_ros2_control.parameters import BridgeParameters
@@ -24,7 +25,7 @@ def message(**changes: object) -> bytes:
 
 def readings(**changes: object) -> Readings:
     given = {"names": ("exo_shoulder", "exo_elbow"), **changes}
-    return Readings(BridgeParameters.model_validate(given).checked())
+    return Readings(BridgeParameters.model_validate(given))
 
 
 def test_our_joints_are_picked_by_name_whatever_else_there_is_in_whatever_order() -> None:
@@ -54,14 +55,14 @@ def test_what_is_missing_is_named(changes: dict[str, object], words: str) -> Non
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"names": ("a", "b", "c")}, "'names' has 3 values for 2 joints"),
-        ({"directions": (1,)}, "'directions' has 1 values for 2 joints"),
-        ({"torque_signs": (1, 2)}, r"'torque_signs' is not made of 1 and -1: \(1, 2\)"),
+        ({"names": ["a", "b", "c"]}, "3 names for 2 joints"),
+        ({"directions": [1, 1, 1]}, "'directions' has 3 values for 2 joints"),
+        ({"torque_signs": [1, 2]}, r"'torque_signs\[1\]' = 2: input should be 1 or -1"),
     ],
 )
 def test_parameters_that_do_not_fit_are_refused(changes: dict[str, object], words: str) -> None:
     with pytest.raises(ConfigurationError, match=words):
-        BridgeParameters.model_validate(changes).checked()
+        Readings(build(BridgeParameters, changes))
 
 
 def steps(stamps_ms: list[float]) -> tuple[list[int], Stamps]:

@@ -6,8 +6,9 @@ from typing import Literal
 
 from pydantic import Field
 
+from armimp_common.errors import ConfigurationError
 from armimp_common.realtime import SchedulingParameters
-from armimp_common.schema import Schema, matrix, vector
+from armimp_common.schema import Schema
 from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_sim import presets
 from armimp_sim.model.arm import CuffParameters, HumanArm, MuscleParameters, ReflexParameters
@@ -20,56 +21,11 @@ from armimp_sim.voluntary import VoluntaryParameters
 WATCHDOG_TICKS = 5
 """Periods after which the simulated rig takes the torque away by default."""
 
-Vector = tuple[float, ...]
-
-
-class ArmParameters(Schema):
-    """The human arm; matrices row by row."""
-
-    posture: Vector
-    """Posture θ_0 of the arm, in which it has no elastic torque (rad)."""
-    inertia: Vector
-    """Inertia M_h of the arm, n×n row by row (kg·m²)."""
-    damping: Vector
-    """Damping B_h of the arm, n×n row by row (N·m·s/rad)."""
-    stiffness: Vector
-    """Stiffness K_h of the arm, n×n row by row (N·m/rad)."""
-
-
-class RobotParameters(Schema):
-    """The exoskeleton, a planar chain (assumption)."""
-
-    lengths: Vector
-    """Length of each link of the robot (m)."""
-    moments: Vector
-    """Moment of inertia of each link of the robot about its own joint (kg·m²)."""
-    masses: Vector
-    """Mass of each link of the robot (kg)."""
-    centres: Vector
-    """Distance from the joint to the centre of mass of each link of the robot (m)."""
-
-
-class FrictionParameters(Schema):
-    """LuGre friction of every joint (assumption)."""
-
-    coulomb: Vector
-    """Coulomb friction Fc of each joint (N·m)."""
-    static: Vector
-    """Static friction Fs of each joint (N·m)."""
-    sigma_0: Vector
-    """Bristle stiffness σ0 of the friction of each joint (N·m/rad)."""
-    sigma_1: Vector
-    """Bristle damping σ1 of the friction of each joint (N·m·s/rad)."""
-    sigma_2: Vector
-    """Viscous friction σ2 of each joint (N·m·s/rad)."""
-    stribeck_velocity: Vector
-    """Stribeck velocity vs of each joint (rad/s)."""
-
 
 class SimulatorParameters(Schema):
     """All parameters of the node ``arm_sim``."""
 
-    joints: tuple[str, ...]
+    joints: tuple[str, ...] = Field(min_length=1, max_length=7)
     """Names of the joints, from the shoulder outwards."""
     seed: int = Field(default=1, ge=0)
     """Seed of voluntary torque, tremor, and noise of the sensors."""
@@ -81,9 +37,9 @@ class SimulatorParameters(Schema):
     take the torque away in mode realtime."""
     substeps: int = Field(default=100, ge=1)
     """RK4 steps in one control period of 1 ms."""
-    arm: ArmParameters
-    robot: RobotParameters
-    friction: FrictionParameters
+    arm: HumanArm
+    robot: PlanarChain
+    friction: LuGre
     sensors: SensorParameters
     actuators: ActuatorParameters = ActuatorParameters()
     voluntary: VoluntaryParameters = VoluntaryParameters()
@@ -106,7 +62,6 @@ class SimulatorParameters(Schema):
         With ``rig="realistic"`` it has what a good real one has beside
         (:func:`armimp_sim.presets.realistic`).
         """
-        laws = presets.friction(friction, joints)
         sensors = presets.sensors(resolution)
         real = presets.realistic(joints) if rig == "realistic" else {}
         if real:
@@ -115,26 +70,11 @@ class SimulatorParameters(Schema):
         return cls(
             joints=presets.JOINT_NAMES[joints],
             seed=seed,
-            arm=ArmParameters(**_flat(presets.human_arm(joints))),
-            robot=RobotParameters(**_flat(presets.robot(joints))),
-            friction=FrictionParameters(
-                **{
-                    name: tuple(getattr(law, name) for law in laws)
-                    for name in FrictionParameters.model_fields
-                }
-            ),
+            arm=presets.human_arm(joints),
+            robot=presets.robot(joints),
+            friction=presets.friction(friction, joints),
             sensors=sensors,
             **real,
-        )
-
-    def human_arm(self) -> HumanArm:
-        """The arm with its matrices in shape."""
-        n = len(self.joints)
-        shapes = {
-            name: vector if name == "posture" else matrix for name in ArmParameters.model_fields
-        }
-        return HumanArm(
-            **{name: of(f"arm.{name}", getattr(self.arm, name), n) for name, of in shapes.items()}
         )
 
     def plant_config(self) -> PlantConfig:
@@ -145,20 +85,14 @@ class SimulatorParameters(Schema):
         ConfigurationError
             If a shape or a value is wrong; the message names the parameter.
         """
-        robot, values = (
-            {
-                name: vector(f"{group}.{name}", numbers, len(self.joints))
-                for name, numbers in getattr(self, group)
-            }
-            for group in ("robot", "friction")
-        )
+        if self.arm.joints != len(self.joints):
+            raise ConfigurationError(
+                f"'arm.posture' has {self.arm.joints} values, needs {len(self.joints)}"
+            )
         return PlantConfig(
-            arm=self.human_arm(),
-            robot=PlanarChain(**robot),
-            friction=tuple(
-                LuGre(**{name: float(value[i]) for name, value in values.items()})
-                for i in range(len(self.joints))
-            ),
+            arm=self.arm,
+            robot=self.robot,
+            friction=self.friction,
             sensors=self.sensors,
             actuators=self.actuators,
             reflex=self.reflex,
@@ -167,8 +101,3 @@ class SimulatorParameters(Schema):
             period=PERIOD_NS / NS_PER_S,
             substeps=self.substeps,
         )
-
-
-def _flat(model: HumanArm | PlanarChain) -> dict[str, Vector]:
-    """Arrays of a model by name, row by row."""
-    return {name: tuple(values.ravel().tolist()) for name, values in vars(model).items()}

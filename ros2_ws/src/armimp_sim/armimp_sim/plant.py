@@ -46,18 +46,15 @@ class PlantConfig(RigConfig):
 
     robot: PlanarChain
     """With as many joints as the arm."""
-    friction: tuple[LuGre, ...]
-    """One law per joint."""
+    friction: LuGre = field(default_factory=LuGre)
+    """Of the joints of the robot."""
     cuff: CuffParameters = field(default_factory=CuffParameters)
     """Between robot and arm."""
 
     def __post_init__(self) -> None:
         n = self.arm.joints
-        if self.robot.joints != n or len(self.friction) != n:
-            raise ConfigurationError(
-                f"plant: arm has {n} joints, robot {self.robot.joints}, "
-                f"friction {len(self.friction)}"
-            )
+        if self.robot.joints != n:
+            raise ConfigurationError(f"plant: arm has {n} joints, robot {self.robot.joints}")
         for where, group in {
             "sensors: position.": self.sensors.position,
             "sensors: torque.": self.sensors.torque,
@@ -94,7 +91,7 @@ class PlantConfig(RigConfig):
         """
         arm, chain = self.arm, self.robot.coefficients()
         if not self.soft:
-            return arm.inertia, arm.damping, arm.stiffness, chain
+            return arm.M, arm.B, arm.K, chain
         nothing = np.zeros_like(chain)
 
         def cuffed(value: float, of_arm: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -102,9 +99,9 @@ class PlantConfig(RigConfig):
             return np.block([[cuff, -cuff], [-cuff, cuff + of_arm]])
 
         return (
-            cuffed(0.0, arm.inertia),
-            cuffed(self.cuff.damping, arm.damping),
-            cuffed(self.cuff.stiffness, arm.stiffness),
+            cuffed(0.0, arm.M),
+            cuffed(self.cuff.damping, arm.B),
+            cuffed(self.cuff.stiffness, arm.K),
             np.block([[chain, nothing], [nothing, nothing]]),
         )
 
@@ -112,15 +109,15 @@ class PlantConfig(RigConfig):
         """Inertia of all coordinates in the posture, kg·m²: of a rigid arm M_r(θ_0) + M_h."""
         inertia: NDArray[np.float64] = self.coordinates()[0].copy()
         n = self.joints
-        inertia[:n, :n] += self.robot.mass_matrix(self.arm.posture)
+        inertia[:n, :n] += self.robot.mass_matrix(self.arm.theta_0)
         return inertia
 
     def _check_step(self, mass: NDArray[np.float64]) -> None:
         """Refuse a step which is unstable for the linear system with all joints stuck."""
         _, damping, stiffness, _ = (one.copy() for one in self.coordinates())
-        for i, law in enumerate(self.friction):
-            stiffness[i, i] += law.sigma_0
-            damping[i, i] += law.sigma_1 + law.sigma_2
+        law, robot = self.friction.of_joints(self.joints), np.arange(self.joints)
+        stiffness[robot, robot] += law["sigma_0"]
+        damping[robot, robot] += law["sigma_1"] + law["sigma_2"]
         inverse = np.linalg.inv(mass)
         system = np.block(
             [
@@ -298,17 +295,18 @@ def _pack(config: PlantConfig) -> NDArray[np.float64]:
     n = config.joints
     inertia, damping, stiffness, chain = config.coordinates()
     vectors = np.zeros((dynamics.VECTORS, len(chain)))
-    # An arm in a cuff has no friction of its own.
-    friction = (*config.friction, *[LuGre.none()] * (len(chain) - n))
-    posture = np.resize(config.arm.posture, len(chain))
+    posture = np.resize(config.arm.theta_0, len(chain))
     vectors[dynamics.THETA] = vectors[dynamics.POSTURE] = posture
+    # An arm in a cuff has no friction of its own.
+    law = config.friction.of_joints(n)
     # Without friction g(v) may be anything but zero, which it divides.
-    vectors[dynamics.COULOMB] = [law.coulomb if law.coulomb > 0.0 else 1.0 for law in friction]
-    vectors[dynamics.STRIBECK] = [law.static - law.coulomb for law in friction]
-    vectors[dynamics.INVERSE_STRIBECK_VELOCITY] = [1.0 / law.stribeck_velocity for law in friction]
-    vectors[dynamics.SIGMA_0] = [law.sigma_0 for law in friction]
-    vectors[dynamics.SIGMA_1] = [law.sigma_1 for law in friction]
-    vectors[dynamics.SIGMA_2] = [law.sigma_2 for law in friction]
+    vectors[dynamics.COULOMB] = 1.0
+    vectors[dynamics.COULOMB, :n] = np.where(law["coulomb"] > 0.0, law["coulomb"], 1.0)
+    vectors[dynamics.STRIBECK, :n] = law["static"] - law["coulomb"]
+    vectors[dynamics.INVERSE_STRIBECK_VELOCITY, :n] = 1.0 / law["stribeck_velocity"]
+    vectors[dynamics.SIGMA_0, :n] = law["sigma_0"]
+    vectors[dynamics.SIGMA_1, :n] = law["sigma_1"]
+    vectors[dynamics.SIGMA_2, :n] = law["sigma_2"]
     matrices = np.zeros((dynamics.MATRICES, *chain.shape))
     matrices[dynamics.INERTIA] = inertia
     matrices[dynamics.DAMPING] = damping

@@ -31,10 +31,10 @@ _TORQUE_RESOLUTION = (0.0, 0.005, 0.010, 0.020)  # N·m, Table II
 
 # Assumption (the paper only cites its source), for the two joints of the paper.
 _FRICTION = (
-    LuGre.none(),
-    LuGre(coulomb=0.4, static=0.5, sigma_0=400.0, sigma_1=0.8, sigma_2=0.04),
-    LuGre(coulomb=1.0, static=1.25, sigma_0=1000.0, sigma_1=2.0, sigma_2=0.10),
-    LuGre(coulomb=2.0, static=2.5, sigma_0=2000.0, sigma_1=4.0, sigma_2=0.20),
+    LuGre(),
+    LuGre(coulomb=(0.4,), static=(0.5,), sigma_0=(400.0,), sigma_1=(0.8,), sigma_2=(0.04,)),
+    LuGre(coulomb=(1.0,), static=(1.25,), sigma_0=(1000.0,), sigma_1=(2.0,), sigma_2=(0.10,)),
+    LuGre(coulomb=(2.0,), static=(2.5,), sigma_0=(2000.0,), sigma_1=(4.0,), sigma_2=(0.20,)),
 )
 
 Rig = Literal["paper", "realistic"]
@@ -63,22 +63,23 @@ def human_arm(joints: int) -> HumanArm:
         If there is no preset for that number of joints.
     """
     _check_joints("arm", joints)
-    if joints <= 2:
-        kept = slice(2 - joints, 2)
+    if joints == 1:
         return HumanArm(
-            posture=np.radians([62.708, 77.260])[kept],
-            inertia=np.array([[0.187, 0.084], [0.079, 0.060]])[kept, kept],
-            damping=np.array([[0.651, 0.239], [0.236, 0.407]])[kept, kept],
-            stiffness=np.array([[7.967, 3.187], [1.663, 6.901]])[kept, kept],
+            posture=_radians(77.260), inertia=(0.060,), damping=(0.407,), stiffness=(6.901,)
+        )
+    if joints == 2:
+        return HumanArm(
+            posture=_radians(62.708, 77.260),
+            inertia=(0.187, 0.084, 0.079, 0.060),
+            damping=(0.651, 0.239, 0.236, 0.407),
+            stiffness=(7.967, 3.187, 1.663, 6.901),
         )
     if joints == 3:
         return HumanArm(
-            posture=np.radians([62.708, 77.260, 15.0]),
-            inertia=np.array(
-                [[0.187, 0.084, 0.0095], [0.079, 0.060, 0.0080], [0.0090, 0.0075, 0.0050]]
-            ),
-            damping=np.array([[0.651, 0.239, 0.030], [0.236, 0.407, 0.040], [0.028, 0.036, 0.070]]),
-            stiffness=np.array([[7.967, 3.187, 0.40], [1.663, 6.901, 0.55], [0.30, 0.45, 1.60]]),
+            posture=_radians(62.708, 77.260, 15.0),
+            inertia=(0.187, 0.084, 0.0095, 0.079, 0.060, 0.0080, 0.0090, 0.0075, 0.0050),
+            damping=(0.651, 0.239, 0.030, 0.236, 0.407, 0.040, 0.028, 0.036, 0.070),
+            stiffness=(7.967, 3.187, 0.40, 1.663, 6.901, 0.55, 0.30, 0.45, 1.60),
         )
     return _even_arm(joints)
 
@@ -94,25 +95,23 @@ def robot(joints: int) -> PlanarChain:
         If there is no preset for that number of joints.
     """
     _check_joints("robot", joints)
-    if joints <= 2:
-        kept = slice(2 - joints, 2)
+    if joints == 1:
+        return PlanarChain(lengths=(0.35,), moments=(0.18,), masses=(0.75,), centres=(0.22,))
+    if joints == 2:
         return PlanarChain(
-            lengths=np.array([0.30, 0.35])[kept],
-            moments=np.array([0.085, 0.18])[kept],
-            masses=np.array([0.0, 0.75])[kept],
-            centres=np.array([0.0, 0.22])[kept],
+            lengths=(0.30, 0.35), moments=(0.085, 0.18), masses=(0.0, 0.75), centres=(0.0, 0.22)
         )
     if joints == 3:
         return PlanarChain(
-            lengths=np.array([0.30, 0.25, 0.10]),
-            moments=np.array([0.085, 0.16, 0.015]),
-            masses=np.array([0.0, 0.60, 0.20]),
-            centres=np.array([0.0, 0.15, 0.04]),
+            lengths=(0.30, 0.25, 0.10),
+            moments=(0.085, 0.16, 0.015),
+            masses=(0.0, 0.60, 0.20),
+            centres=(0.0, 0.15, 0.04),
         )
     return _even_robot(joints)
 
 
-def friction(level: int, joints: int) -> tuple[LuGre, ...]:
+def friction(level: int, joints: int) -> LuGre:
     """LuGre friction of every joint at a level from 0 (none) to 3. Assumption.
 
     Shoulder and elbow have the same. The friction of any other joint is in proportion to its size,
@@ -125,10 +124,8 @@ def friction(level: int, joints: int) -> tuple[LuGre, ...]:
     """
     law = _FRICTION[_checked("friction", level)]
     _check_joints("friction", joints)
-    return tuple(
-        law.scaled(1.0 if name in _PAPER_JOINTS else size)
-        for name, size in zip(JOINT_NAMES[joints], JOINT_SIZES[joints], strict=True)
-    )
+    named = zip(JOINT_NAMES[joints], JOINT_SIZES[joints], strict=True)
+    return law.scaled([1.0 if name in _PAPER_JOINTS else size for name, size in named])
 
 
 def sensors(level: int, sampling: Sampling = Sampling.BEFORE_UPDATE) -> SensorParameters:
@@ -165,6 +162,14 @@ def realistic(joints: int) -> dict[str, Any]:
     }
 
 
+def _radians(*degrees: float) -> tuple[float, ...]:
+    return _flat(np.radians(degrees))
+
+
+def _flat(values: NDArray[np.float64]) -> tuple[float, ...]:
+    return tuple(values.ravel().tolist())
+
+
 def _checked(name: str, level: int) -> int:
     if level not in LEVELS:
         raise ConfigurationError(f"{name} level must be one of {LEVELS}, got {level}")
@@ -187,10 +192,10 @@ def _even_arm(joints: int) -> HumanArm:
     distance = np.arange(joints) - np.arange(joints)[:, None]
     coupling = np.where(distance > 0, *_STIFFNESS_COUPLING)
     return HumanArm(
-        posture=posture,
-        inertia=_rods(joints).mass_matrix(posture),
-        damping=_DAMPING * mean_size * _DAMPING_COUPLING ** np.abs(distance),
-        stiffness=_STIFFNESS * mean_size * coupling ** np.abs(distance),
+        posture=_flat(posture),
+        inertia=_flat(_rods(joints).mass_matrix(posture)),
+        damping=_flat(_DAMPING * mean_size * _DAMPING_COUPLING ** np.abs(distance)),
+        stiffness=_flat(_STIFFNESS * mean_size * coupling ** np.abs(distance)),
     )
 
 
@@ -203,8 +208,8 @@ def _even_robot(joints: int) -> PlanarChain:
     drives = (_ROBOT_SHARE - links) * (inertia - np.append(inertia[1:], 0.0))
     return PlanarChain(
         lengths=rods.lengths,
-        moments=links * rods.moments + drives,
-        masses=links * rods.masses,
+        moments=_flat(links * np.array(rods.moments) + drives),
+        masses=tuple(links * mass for mass in rods.masses),
         centres=rods.centres,
     )
 
@@ -235,10 +240,10 @@ def _rods(joints: int) -> PlanarChain:
 
     def rods(mass: float) -> PlanarChain:
         return PlanarChain(
-            lengths=np.full(joints, length),
-            moments=np.full(joints, mass * length**2 / 3.0),
-            masses=np.full(joints, mass),
-            centres=np.full(joints, length / 2.0),
+            lengths=(length,) * joints,
+            moments=(mass * length**2 / 3.0,) * joints,
+            masses=(mass,) * joints,
+            centres=(length / 2.0,) * joints,
         )
 
     return rods(_INERTIA / float(rods(1.0).mass_matrix(_posture(joints))[0, 0]))

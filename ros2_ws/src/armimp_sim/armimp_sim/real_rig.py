@@ -164,10 +164,10 @@ def _fill(rows: Floats, config: RigConfig, step: float) -> None:
         _STRETCH_GAIN: reflex.stretch_gain,
         _SHORT_RANGE: muscle.short_range_stiffness,
         _REACH: muscle.short_range,
-        _CUBIC: muscle.cubic * np.diag(config.arm.stiffness),
+        _CUBIC: muscle.cubic * np.diag(config.arm.K),
     }.items():
         rows[:, column] = values
-    rows[:, _GROWTH:] = muscle.stiffening * config.arm.stiffness
+    rows[:, _GROWTH:] = muscle.stiffening * config.arm.K
     position, torque = config.sensors.position, config.sensors.torque
     for kind, (delay, low_pass) in {
         ANGLE: (position.delay, _butterworth(position, step)),

@@ -107,12 +107,11 @@ def test_a_drive_that_lags_follows_the_command_exponentially() -> None:
     """On a rig that is inertia only, velocity is the integral of the torque of the drives."""
     drive, torque = ActuatorParameters(bandwidth=40.0), np.array([1.0, -0.5])
     lag = drive.lag
-    nothing = np.zeros((2, 2))
     arm = presets.human_arm(2)
     free = replace(
         config(parts={"actuators": drive}),
-        arm=HumanArm(posture=arm.posture, inertia=arm.inertia, damping=nothing, stiffness=nothing),
-        friction=(LuGre.none(), LuGre.none()),
+        arm=arm.model_copy(update={"damping": (0.0,) * 4, "stiffness": (0.0,) * 4}),
+        friction=LuGre(),
     )
     states, torques = run(free, np.tile(torque, (20, 1)))
     t = 1e-3 * np.arange(1, 21)[:, None]
@@ -121,7 +120,7 @@ def test_a_drive_that_lags_follows_the_command_exponentially() -> None:
     # The arm turns so little that the inertia stays what it was.
     assert states[:, 1] == pytest.approx(gained @ np.linalg.inv(mass).T, rel=1e-3)
     load = torque * (1.0 - np.exp(-t / lag))
-    expected = load @ np.linalg.inv(mass).T @ arm.inertia.T
+    expected = load @ np.linalg.inv(mass).T @ arm.M.T
     assert torques == pytest.approx(expected, rel=1e-2, abs=1e-4)
 
 
@@ -151,18 +150,17 @@ def test_lanes_with_different_imperfections_give_the_bits_that_they_give_alone()
 SINGLE = presets.human_arm(1)
 ONE = PlantConfig(
     arm=HumanArm(
-        posture=np.repeat(SINGLE.posture, 2),
-        inertia=SINGLE.inertia * np.eye(2),
-        damping=SINGLE.damping * np.eye(2),
-        stiffness=SINGLE.stiffness * np.eye(2),
+        posture=SINGLE.posture * 2,
+        inertia=(*SINGLE.inertia, 0.0, 0.0, *SINGLE.inertia),
+        damping=(*SINGLE.damping, 0.0, 0.0, *SINGLE.damping),
+        stiffness=(*SINGLE.stiffness, 0.0, 0.0, *SINGLE.stiffness),
     ),
     robot=PlanarChain(
-        lengths=np.zeros(2),
-        moments=np.append(presets.robot(1).moments, 1e-12),
-        masses=np.zeros(2),
-        centres=np.zeros(2),
+        lengths=(0.0, 0.0),
+        moments=(*presets.robot(1).moments, 1e-12),
+        masses=(0.0, 0.0),
+        centres=(0.0, 0.0),
     ),
-    friction=(LuGre.none(),) * 2,
     sensors=SensorParameters(),
     substeps=SUBSTEPS,
 )
@@ -177,9 +175,7 @@ def torques(plant: PlantConfig) -> tuple[Array, Array, Array, Array]:
     """
     states, load = run(plant, PUSHES)
     q, v = states[:, 0, 0] - plant.arm.posture[0], states[:, 1, 0]
-    M, B, K = (
-        float(one[0, 0]) for one in (plant.arm.inertia, plant.arm.damping, plant.arm.stiffness)
-    )
+    M, B, K = plant.arm.inertia[0], plant.arm.damping[0], plant.arm.stiffness[0]
     passive = B * v + K * q
     if plant.actuators.direct:
         acceleration = (PUSHES[:, 0] - load[:, 0]) / plant.robot.moments[0]
@@ -194,12 +190,11 @@ def test_behind_a_cuff_the_transducers_feel_arm_and_cuff_in_series() -> None:
     soft = PlantConfig(
         arm=SINGLE,
         robot=presets.robot(1),
-        friction=(LuGre.none(),),
         sensors=SensorParameters(),
         substeps=SUBSTEPS,
         cuff=CuffParameters(stiffness=k, damping=b),
     )
-    M, B, K = (float(one[0, 0]) for one in (SINGLE.inertia, SINGLE.damping, SINGLE.stiffness))
+    M, B, K = SINGLE.inertia[0], SINGLE.damping[0], SINGLE.stiffness[0]
     robot = soft.robot.moments[0]
     system = [
         [0.0, 1.0, 0.0, 0.0],
@@ -251,8 +246,8 @@ def played(q: Array, reach: float) -> Array:
             {"short_range_stiffness": (5.0,), "short_range": 0.01},
             lambda q, _: 5.0 * played(q, 0.01),
         ),
-        ({"cubic": -300.0}, lambda q, _: -300.0 * ONE.arm.stiffness[0, 0] * q**3),
-        ({"stiffening": 0.5}, lambda q, t: 0.5 * t * ONE.arm.stiffness[0, 0] * q),
+        ({"cubic": -300.0}, lambda q, _: -300.0 * ONE.arm.stiffness[0] * q**3),
+        ({"stiffening": 0.5}, lambda q, t: 0.5 * t * ONE.arm.stiffness[0] * q),
     ],
 )
 def test_muscles_depart_from_a_constant_stiffness(muscle: Any, expected: Any) -> None:

@@ -16,9 +16,9 @@ from armimp_sim.plant import PlantConfig
 def test_arm_is_that_of_table_one() -> None:
     arm = presets.human_arm(2)
     assert np.degrees(arm.posture) == pytest.approx([62.708, 77.260], rel=1e-14)
-    assert arm.inertia.tolist() == [[0.187, 0.084], [0.079, 0.060]]
-    assert arm.damping.tolist() == [[0.651, 0.239], [0.236, 0.407]]
-    assert arm.stiffness.tolist() == [[7.967, 3.187], [1.663, 6.901]]
+    assert arm.M.tolist() == [[0.187, 0.084], [0.079, 0.060]]
+    assert arm.B.tolist() == [[0.651, 0.239], [0.236, 0.407]]
+    assert arm.K.tolist() == [[7.967, 3.187], [1.663, 6.901]]
 
 
 @pytest.mark.parametrize(
@@ -49,9 +49,9 @@ def test_resolutions_are_those_of_table_two(
     ],
 )
 def test_friction_is_that_of_the_design(level: int, values: tuple[float, ...]) -> None:
-    for law in presets.friction(level, 2):
-        assert (law.coulomb, law.static, law.sigma_0, law.sigma_1, law.sigma_2) == values
-        assert law.stribeck_velocity == 0.01
+    law = presets.friction(level, 2).of_joints(2)
+    for joint in range(2):
+        assert tuple(one[joint] for one in law.values()) == (*values, 0.01)
 
 
 # --- Presets of one to seven joints: the rules that they follow, and that they make sound plants
@@ -65,7 +65,7 @@ def _inertia(joints: int, deflection: Array | None = None) -> tuple[Array, Array
     """M_r, at a deflection from the posture, and M_h."""
     arm = presets.human_arm(joints)
     away = np.zeros(joints) if deflection is None else deflection
-    return presets.robot(joints).mass_matrix(arm.posture + away), arm.inertia
+    return presets.robot(joints).mass_matrix(arm.theta_0 + away), arm.M
 
 
 def _total(joints: int, deflection: Array | None = None) -> Array:

@@ -24,8 +24,8 @@ NAN, INF = float("nan"), float("inf")
         ("robot.moments", [(0.1, 0.0), (0.1, INF)]),
         ("robot.masses", [(1.0, -0.5)]),
         ("robot.centres", [(0.1, NAN)]),
-        ("friction.sigma_0", [(1.0,), (-1.0, 1.0), (INF, 1.0)]),
-        ("friction.coulomb", [(-0.25, 1.0), (NAN, 1.0)]),
+        ("friction.sigma_0", [(1.0,) * 3, (-1.0, 1.0), (INF, 1.0)]),
+        ("friction.coulomb", [(-0.25, 1.0), (NAN, 1.0), (0.0, 1.0)]),
         ("friction.static", [(0.0, 0.0), (INF, 1.0)]),
         ("friction.sigma_1", [(NAN, 1.0)]),
         ("friction.sigma_2", [(-1e-9, 1.0)]),
@@ -51,6 +51,6 @@ NAN, INF = float("nan"), float("inf")
 def test_a_value_that_makes_no_sense_is_refused_and_named(name: str, values: list[Any]) -> None:
     for value in values:
         group, _, short = name.rpartition(".")
-        with pytest.raises(ConfigurationError, match=f"{short}|{group}:|step") as caught:
+        with pytest.raises(ConfigurationError, match=f"{short}|'{group}'|{group}:|step") as caught:
             SimulatedRig(build(SimulatorParameters, {**PRESET, name: value}))
         assert "\n" not in str(caught.value)

@@ -1,13 +1,17 @@
-"""What all laws share: the rows of the arrays that they work on, and checks of their vectors."""
+"""What all laws share: the target of the joints, and the rows of the arrays that they work on."""
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
 
-from armimp_common.errors import ConfigurationError
+from armimp_common.schema import PositiveVector, Schema, Vector
+from armimp_common.topics import NS_PER_S, PERIOD_NS
 
+_PERIOD = PERIOD_NS / NS_PER_S
 MOST_DELAY = 20
 """Control periods by which commands may be known to act late, at most."""
 
@@ -39,32 +43,64 @@ NO_JOINT = -1
 IMBIC, PD, IMBIC_OBSERVER = 0, 1, 2
 """What tells the laws apart in compiled code."""
 
+SECOND_TONE = 1.55
+"""Frequency of the second sine of the dither, over that of the first.
 
-def check_numbers(
-    config: Any, shapes: dict[str, tuple[int, ...]], positive: tuple[str, ...]
-) -> None:
-    """Check arrays and numbers of a configuration.
+Rounding mixes the two: slow motion of the joint is read beside each ``m f_1 - n f_2``. With 1.3 the
+strongest, ``f_2 - f_1``, is at the end of the band, and the errors of a heavy locked joint hide the
+response of a light one; ratios of small whole numbers make many of them meet.
+"""
 
-    Parameters
-    ----------
-    config : with these attributes
-    shapes : of those that must be finite arrays, by name
-    positive : names of those that must be positive and finite, in each element
 
-    Raises
-    ------
-    ConfigurationError
-        Naming the attribute, its joint, and the value.
-    """
-    for name, shape in shapes.items():
-        values = getattr(config, name)
-        if values.shape != shape or not np.all(np.isfinite(values)):
-            size = "×".join(map(str, shape))
-            raise ConfigurationError(
-                f"controller: {name} needs {size} finite values: {values.tolist()}"
-            )
-    for name in positive:
-        for i, value in enumerate(np.atleast_1d(getattr(config, name))):
-            if not 0.0 < value < np.inf:
-                where = f"{name} of joint {i + 1}" if name in shapes else name
-                raise ConfigurationError(f"controller: {where} must be positive, got {value}")
+class TargetParameters(Schema):
+    """Target impedance Y_rd, diagonal (eq. 8); assumptions."""
+
+    posture: Vector
+    """Target posture θ_rd of each joint (rad)."""
+    inertia: PositiveVector
+    """Target inertia of each joint, diagonal of M_rd (kg·m²)."""
+    damping: Vector
+    """Target damping B_rd of each joint while it is perturbed (N·m·s/rad)."""
+    stiffness: Vector
+    """Target stiffness K_rd of each joint while it is perturbed (N·m/rad)."""
+    lock_frequency: float = Field(default=100.0, ge=0.0, le=1e4)
+    """Natural frequency of the target of joints locked by the law imbic (rad/s); 0: the target that
+    they have while they are perturbed."""
+    lock_damping_ratio: float = Field(default=1.0, gt=0.0)
+    """Damping ratio of the target of joints locked by the law imbic (–)."""
+    lock_approach: float = Field(default=0.05, ge=0.0)
+    """Time constant with which the target of a joint that gets locked goes from where the joint is
+    to the target posture (s); 0: it is there at once."""
+    lock_dither: float = Field(default=0.0, ge=0.0, lt=0.01)
+    """Amplitude of each of two sines that locked joints make against the bias of their encoders
+    (rad)."""
+    lock_dither_frequency: float = Field(
+        default=35.0, gt=0.0, lt=0.5 * NS_PER_S / PERIOD_NS / SECOND_TONE
+    )
+    """Frequency of the first of two sines that locked joints make, above the band of the
+    perturbation (Hz)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TargetLaw:
+    """What every law has."""
+
+    target: TargetParameters
+    """Target impedance, of n joints."""
+    period: float = _PERIOD
+    """L, s."""
+
+    @property
+    def joints(self) -> int:
+        """Number of joints n."""
+        return len(self.target.posture)
+
+    @property
+    def target_posture(self) -> NDArray[np.float64]:
+        """(n,) θ_rd, rad."""
+        return np.array(self.target.posture)
+
+    def locked(self, perturbed: int | None) -> NDArray[np.bool_]:
+        """Which joints (n,) are locked, see :meth:`armimp_control.laws.imbic.ImbicConfig.role`."""
+        every = np.arange(self.joints)
+        return np.asarray(every != (every if perturbed is None else perturbed))

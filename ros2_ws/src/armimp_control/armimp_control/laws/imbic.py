@@ -46,7 +46,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.compiled import inlined
-from armimp_common.errors import ConfigurationError
 from armimp_control.laws import (
     ANGLE,
     ANGLE_GAIN,
@@ -65,9 +64,9 @@ from armimp_control.laws import (
     INVERSE,
     LATE,
     MODEL_ROWS,
-    MOST_DELAY,
     OFFSET,
     ROLE_ROWS,
+    SECOND_TONE,
     SENSED,
     SENSED_BEFORE,
     STIFFNESS,
@@ -77,16 +76,8 @@ from armimp_control.laws import (
     TICKS,
     VELOCITY,
     VELOCITY_GAIN,
-    check_numbers,
+    TargetLaw,
 )
-
-SECOND_TONE = 1.55
-"""Frequency of the second sine of the dither, over that of the first.
-
-Rounding mixes the two: slow motion of the joint is read beside each ``m f_1 - n f_2``. With 1.3 the
-strongest, ``f_2 - f_1``, is at the end of the band, and the errors of a heavy locked joint hide the
-response of a light one; ratios of small whole numbers make many of them meet.
-"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,11 +87,6 @@ class Observer:
     Rounding of the encoders counts as white noise of variance δ²/12. Torques that nobody knows,
     mostly friction, count as random walks. They act on all joints through M̄⁻¹, so that friction
     which is seen in the motion of the perturbed joint is known at the locked ones before they move.
-
-    Raises
-    ------
-    ConfigurationError
-        If the delay is none that the law can remember commands for.
     """
 
     resolution: float
@@ -111,12 +97,6 @@ class Observer:
     while it is locked, N·m."""
     delay: int = 0
     """D, periods by which commands act later than right after the sample that they answer."""
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.delay <= MOST_DELAY:
-            raise ConfigurationError(
-                f"controller: commands may act 0 to {MOST_DELAY} periods late, got {self.delay}"
-            )
 
     def gains(
         self, inverse: NDArray[np.float64], locked: NDArray[np.bool_], period: float
@@ -155,76 +135,23 @@ class Observer:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ImbicConfig:
-    """Target impedance and internal model.
+class ImbicConfig(TargetLaw):
+    """Target impedance and internal model."""
 
-    Raises
-    ------
-    ConfigurationError
-        If shapes disagree or a value is out of range.
-    """
-
-    target_posture: NDArray[np.float64]
-    """(n,) θ_rd, rad."""
-    target_inertia: NDArray[np.float64]
-    """(n,) diagonal of M_rd, kg·m²."""
-    target_damping: NDArray[np.float64]
-    """(n,) diagonal of B_rd of a joint while it is perturbed, N·m·s/rad."""
-    target_stiffness: NDArray[np.float64]
-    """(n,) diagonal of K_rd of a joint while it is perturbed, N·m/rad."""
     model_inertia: NDArray[np.float64]
     """(n, n) M̄, kg·m²."""
-    lock_frequency: float = 100.0
-    """Natural frequency ω of a locked joint's target, rad/s; with 0 it is the target that it has
-    while it is perturbed."""
-    lock_damping_ratio: float = 1.0
-    """Its ζ; so B_rd = 2ζω·M_rd and K_rd = ω²·M_rd."""
     gamma: float = 100.0
     """Γ, rad/s."""
-    period: float = 1e-3
-    """L, s."""
-    lock_approach: float = 0.05
-    """Time constant with which the target of a joint that gets locked goes to θ_rd, s; with 0 it is
-    there at once."""
-    lock_dither: float = 0.0
-    """Amplitude of each of two sines that a locked joint is to make, rad; 0 for none."""
-    lock_dither_frequency: float = 35.0
-    """Lower of their frequencies, Hz; the other is 1.55 times that."""
     observer: Observer | None = None
     """The internal model; None for time-delay estimation."""
     _models: dict[int | None, NDArray[np.float64]] = field(
         default_factory=dict, init=False, repr=False
     )
 
-    def __post_init__(self) -> None:
-        n = self.joints
-        vectors = ("target_posture", "target_inertia", "target_damping", "target_stiffness")
-        check_numbers(
-            self,
-            {**dict.fromkeys(vectors, (n,)), "model_inertia": (n, n)},
-            (
-                *("target_inertia", "lock_damping_ratio"),
-                *("gamma", "period"),
-            ),
-        )
-        for name in ("lock_dither", "lock_frequency", "lock_approach"):
-            if not 0.0 <= (value := getattr(self, name)) < np.inf:
-                raise ConfigurationError(f"controller: {name} must not be negative, got {value}")
-        if not 0.0 < SECOND_TONE * self.lock_dither_frequency < 0.5 / self.period:
-            raise ConfigurationError(
-                "controller: lock_dither_frequency must lie between 0 and "
-                f"{0.5 / self.period / SECOND_TONE:.4g} Hz, got {self.lock_dither_frequency}"
-            )
-
     @property
     def kind(self) -> int:
         """Which law it is in compiled code."""
         return IMBIC if self.observer is None else IMBIC_OBSERVER
-
-    @property
-    def joints(self) -> int:
-        """Number of joints n."""
-        return self.target_posture.size
 
     def model(self, perturbed: int | None) -> NDArray[np.float64]:
         """Internal model (MODEL_ROWS, n, n) in the same trial as :meth:`role`; don't change it.
@@ -236,14 +163,10 @@ class ImbicConfig:
             rows[INERTIA_MODEL] = self.model_inertia
             if self.observer is not None:
                 rows[INVERSE] = np.linalg.inv(self.model_inertia)
-                locked = self._locked(perturbed)
+                locked = self.locked(perturbed)
                 rows[ANGLE_GAIN:] = self.observer.gains(rows[INVERSE], locked, self.period)
             self._models[perturbed] = rows
         return self._models[perturbed]
-
-    def _locked(self, perturbed: int | None) -> NDArray[np.bool_]:
-        every = np.arange(self.joints)
-        return np.asarray(every != (every if perturbed is None else perturbed))
 
     def role(self, perturbed: int | None) -> NDArray[np.float64]:
         """Law parameters (ROLE_ROWS, n) while joint ``perturbed`` (0-based) yields, others lock.
@@ -253,23 +176,24 @@ class ImbicConfig:
         target and θ_rd, amplitude (rad) and angle per tick (rad) of the dither in the target, tare
         (N·m; 0), periods by which commands act late.
         """
-        locked = self._locked(perturbed)
-        rows = np.empty((ROLE_ROWS, self.joints))
+        locked = self.locked(perturbed)
+        target, rows = self.target, np.empty((ROLE_ROWS, self.joints))
         rows[SENSED] = ~locked
-        rows[INERTIA] = self.target_inertia
-        rows[DAMPING], rows[STIFFNESS] = self.target_damping, self.target_stiffness
-        if self.lock_frequency > 0.0:
-            inertia = self.target_inertia[locked]
-            rows[DAMPING, locked] = 2.0 * self.lock_damping_ratio * self.lock_frequency * inertia
-            rows[STIFFNESS, locked] = self.lock_frequency**2 * inertia
-        rows[APPROACH] = np.exp(-self.period / self.lock_approach) if self.lock_approach else 0.0
+        rows[INERTIA] = target.inertia
+        rows[DAMPING], rows[STIFFNESS] = target.damping, target.stiffness
+        if (frequency := target.lock_frequency) > 0.0:
+            inertia = rows[INERTIA, locked]
+            rows[DAMPING, locked] = 2.0 * target.lock_damping_ratio * frequency * inertia
+            rows[STIFFNESS, locked] = frequency**2 * inertia
+        approach = target.lock_approach
+        rows[APPROACH] = np.exp(-self.period / approach) if approach else 0.0
         # The target has to move further than the joint, which follows like a low-pass.
-        turning = 2.0 * np.pi * self.lock_dither_frequency
+        turning = 2.0 * np.pi * target.lock_dither_frequency
         moving = 1j * math.sqrt(SECOND_TONE) * turning
         stiffness = rows[STIFFNESS]
-        asked = (self.target_inertia * moving + rows[DAMPING]) * moving + stiffness
+        asked = (rows[INERTIA] * moving + rows[DAMPING]) * moving + stiffness
         attenuation = np.abs(asked) / np.where(stiffness > 0.0, stiffness, np.inf)
-        rows[DITHER] = np.where(locked, self.lock_dither * attenuation, 0.0)
+        rows[DITHER] = np.where(locked, target.lock_dither * attenuation, 0.0)
         rows[DITHER_ANGLE] = turning * self.period
         rows[TARE] = 0.0
         rows[LATE] = 0.0 if self.observer is None else self.observer.delay

@@ -34,54 +34,27 @@ from armimp_control.laws import (
     STIFFNESS,
     THETA_1,
     TICKS,
-    check_numbers,
+    TargetLaw,
 )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class PdConfig:
-    """Gains of plain PD locking.
+class PdConfig(TargetLaw):
+    """Gains of plain PD locking."""
 
-    Raises
-    ------
-    ConfigurationError
-        If shapes disagree or a value is out of range.
-    """
-
-    target_posture: NDArray[np.float64]
-    """(n,) θ_rd, rad."""
-    target_damping: NDArray[np.float64]
-    """(n,) B_rd of a joint while it is perturbed, N·m·s/rad."""
-    target_stiffness: NDArray[np.float64]
-    """(n,) K_rd of a joint while it is perturbed, N·m/rad."""
     inertia: NDArray[np.float64]
     """(n,) M that the gains of locked joints are made for, kg·m²."""
     frequency: float = 25.0
     """Natural frequency ω of a locked joint, rad/s."""
     damping_ratio: float = 1.0
     """Its ζ."""
-    period: float = 1e-3
-    """L, s."""
 
     kind: ClassVar[int] = PD
     gamma: ClassVar[float] = 0.0
 
-    def __post_init__(self) -> None:
-        vectors = ("target_posture", "target_damping", "target_stiffness", "inertia")
-        check_numbers(
-            self,
-            dict.fromkeys(vectors, (self.joints,)),
-            ("inertia", "frequency", "damping_ratio", "period"),
-        )
-
     def model(self, _perturbed: int | None) -> NDArray[np.float64]:
         """There is no internal model: (MODEL_ROWS, n, n) zeros."""
         return np.zeros((MODEL_ROWS, self.joints, self.joints))
-
-    @property
-    def joints(self) -> int:
-        """Number of joints n."""
-        return self.target_posture.size
 
     def role(self, perturbed: int | None) -> NDArray[np.float64]:
         """Law parameters (ROLE_ROWS, n) while joint ``perturbed`` (0-based) yields, others lock.
@@ -89,14 +62,12 @@ class PdConfig:
         With None all joints yield, with NO_JOINT all lock. Rows as of
         :meth:`armimp_control.laws.imbic.ImbicConfig.role`; no joint senses τ_h.
         """
-        every = np.arange(self.joints)
-        locked = every != (every if perturbed is None else perturbed)
+        locked, target = self.locked(perturbed), self.target
         rows = np.zeros((ROLE_ROWS, self.joints))
         rows[INERTIA] = self.inertia
-        rows[DAMPING] = np.where(
-            locked, 2.0 * self.damping_ratio * self.frequency * self.inertia, self.target_damping
-        )
-        rows[STIFFNESS] = np.where(locked, self.frequency**2 * self.inertia, self.target_stiffness)
+        gain = 2.0 * self.damping_ratio * self.frequency * self.inertia
+        rows[DAMPING] = np.where(locked, gain, target.damping)
+        rows[STIFFNESS] = np.where(locked, self.frequency**2 * self.inertia, target.stiffness)
         return rows
 
 

@@ -56,7 +56,8 @@ class StreamStatistics(JsonModel):
     """How many samples of a trial there should be, and how many there are."""
 
     streams: dict[str, StreamCount] = Field(default_factory=dict)
-    """By topic of the contract. Commands carry no stamp, so neither repetitions nor order show."""
+    """By topic of the contract, see below. Commands carry no stamp, so that neither repetitions nor
+    order show."""
     clipped: int = 0
     """Commands that the controller had to limit, by its own account."""
     excluded: int = 0

@@ -2,61 +2,64 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from armimp_common.errors import ConfigurationError
-from armimp_common.schema import Schema
-
-Vector = tuple[float, ...]
+from armimp_common.schema import Schema, Vector
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class HumanArm:
+class HumanArm(Schema):
     """τ_h = M_h θ̈ + B_h θ̇ + K_h (θ − θ_0), eq. 1–3 of the paper.
 
     The matrices are general: nothing here assumes or makes them symmetric.
-
-    Raises
-    ------
-    ConfigurationError
-        If shapes disagree, a value is not finite, or a diagonal inertia is not positive.
     """
 
-    posture: NDArray[np.float64]
-    """(n,) θ_0, rad."""
-    inertia: NDArray[np.float64]
-    """(n, n) M_h, kg·m²."""
-    damping: NDArray[np.float64]
-    """(n, n) B_h, N·m·s/rad."""
-    stiffness: NDArray[np.float64]
-    """(n, n) K_h, N·m/rad."""
+    posture: Vector
+    """Posture θ_0 of the arm, in which it has no elastic torque (rad)."""
+    inertia: Vector
+    """Inertia M_h of the arm, n×n row by row (kg·m²)."""
+    damping: Vector
+    """Damping B_h of the arm, n×n row by row (N·m·s/rad)."""
+    stiffness: Vector
+    """Stiffness K_h of the arm, n×n row by row (N·m/rad)."""
 
-    def __post_init__(self) -> None:
-        n = self.posture.size
-        if self.posture.shape != (n,) or not 1 <= n <= 7:
-            raise ConfigurationError(f"arm: posture needs 1 to 7 joints, got {self.posture.shape}")
+    @model_validator(mode="after")
+    def _has_a_shape(self) -> HumanArm:
         for name in ("inertia", "damping", "stiffness"):
-            matrix = getattr(self, name)
-            if matrix.shape != (n, n):
-                raise ConfigurationError(f"arm: {name} is {matrix.shape}, expected {(n, n)}")
-        for name in ("posture", "inertia", "damping", "stiffness"):
-            values = getattr(self, name)
-            if not np.all(np.isfinite(values)):
-                raise ConfigurationError(f"arm: {name} is not finite: {values.tolist()}")
-        for i, value in enumerate(np.diag(self.inertia)):
-            if not value > 0.0:
-                raise ConfigurationError(
-                    f"arm: inertia of joint {i + 1} must be positive, got {value}"
-                )
+            if len(values := getattr(self, name)) != (needed := self.joints**2):
+                raise ValueError(f"{name} has {len(values)} values, needs {needed}")
+        if not all(value > 0.0 for value in self.inertia[:: self.joints + 1]):
+            raise ValueError(f"inertia of every joint must be positive, got {self.inertia}")
+        return self
 
     @property
     def joints(self) -> int:
         """Number of joints n."""
-        return self.posture.size
+        return len(self.posture)
+
+    @property
+    def theta_0(self) -> NDArray[np.float64]:
+        """(n,) θ_0, rad."""
+        return np.array(self.posture)
+
+    @property
+    def M(self) -> NDArray[np.float64]:
+        """(n, n) M_h, kg·m²."""
+        return self._matrix(self.inertia)
+
+    @property
+    def B(self) -> NDArray[np.float64]:
+        """(n, n) B_h, N·m·s/rad."""
+        return self._matrix(self.damping)
+
+    @property
+    def K(self) -> NDArray[np.float64]:
+        """(n, n) K_h, N·m/rad."""
+        return self._matrix(self.stiffness)
+
+    def _matrix(self, values: Vector) -> NDArray[np.float64]:
+        return np.array(values).reshape(self.joints, self.joints)
 
 
 class ReflexParameters(Schema):

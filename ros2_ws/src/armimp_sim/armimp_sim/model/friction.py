@@ -6,68 +6,64 @@ the friction is ``F = σ0 z + σ1 ż + σ2 v``. `armimp_sim.dynamics` integrates
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import model_validator
 
 from armimp_common.compiled import compiled
-from armimp_common.errors import ConfigurationError
+from armimp_common.schema import NonNegativeVector, PositiveVector, Schema, each
 from armimp_sim.simd import exp_minus
 
+_TORQUES = ("coulomb", "static", "sigma_0", "sigma_1", "sigma_2")
 
-@dataclass(frozen=True, kw_only=True)
-class LuGre:
-    """ż = v − σ0|v|z/g(v), g(v) = Fc + (Fs − Fc)·exp(−(v/vs)²), F = σ0 z + σ1 ż + σ2 v.
 
-    Raises
-    ------
-    ConfigurationError
-        If a value is negative or not finite, Fs < Fc, or bristles have no friction level to reach.
+class LuGre(Schema):
+    """LuGre friction of the joints (assumption); each value is one for all of them or one for each.
+
+    By default there is none.
     """
 
-    coulomb: float
-    static: float
-    """Fc, Fs, N·m."""
-    sigma_0: float
-    """Bristle stiffness, N·m/rad."""
-    sigma_1: float
-    """Bristle damping, N·m·s/rad."""
-    sigma_2: float
-    """Viscous friction, N·m·s/rad."""
-    stribeck_velocity: float = 0.01
-    """Velocity vs, rad/s."""
+    coulomb: NonNegativeVector = (0.0,)
+    """Coulomb friction Fc of each joint (N·m)."""
+    static: NonNegativeVector = (0.0,)
+    """Static friction Fs of each joint (N·m)."""
+    sigma_0: NonNegativeVector = (0.0,)
+    """Bristle stiffness σ0 of the friction of each joint (N·m/rad)."""
+    sigma_1: NonNegativeVector = (0.0,)
+    """Bristle damping σ1 of the friction of each joint (N·m·s/rad)."""
+    sigma_2: NonNegativeVector = (0.0,)
+    """Viscous friction σ2 of each joint (N·m·s/rad)."""
+    stribeck_velocity: PositiveVector = (0.01,)
+    """Stribeck velocity vs of each joint (rad/s)."""
 
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not 0.0 <= value < math.inf:
-                raise ConfigurationError(f"friction: {name} must not be negative, got {value}")
-        if self.static < self.coulomb:
-            raise ConfigurationError(
-                f"friction: static level {self.static} is below Coulomb level {self.coulomb}"
-            )
-        if not self.stribeck_velocity > 0.0:
-            raise ConfigurationError(
-                f"friction: stribeck_velocity must be positive, got {self.stribeck_velocity}"
-            )
-        if self.sigma_0 > 0.0 and not self.coulomb > 0.0:
-            raise ConfigurationError(
-                f"friction: sigma_0 = {self.sigma_0} needs a positive Coulomb level"
-            )
+    @model_validator(mode="after")
+    def _has_levels(self) -> LuGre:
+        if len({len(values) for _, values in self} - {1}) > 1:
+            raise ValueError("where there are several values, there must be equally many")
+        coulomb, static, sigma_0 = map(np.array, (self.coulomb, self.static, self.sigma_0))
+        if not np.all(static >= coulomb):
+            raise ValueError(f"static {self.static} must not be below coulomb {self.coulomb}")
+        if np.any((sigma_0 > 0.0) & (coulomb == 0.0)):
+            raise ValueError(f"sigma_0 {self.sigma_0} needs a positive coulomb, got {self.coulomb}")
+        return self
 
-    @classmethod
-    def none(cls) -> LuGre:
-        """No friction at all."""
-        return cls(coulomb=0.0, static=0.0, sigma_0=0.0, sigma_1=0.0, sigma_2=0.0)
+    def of_joints(self, n: int) -> dict[str, NDArray[np.float64]]:
+        """Values (n,) of `n` joints by name.
 
-    def scaled(self, factor: float) -> LuGre:
-        """The same friction law with all torques multiplied by ``factor``."""
-        return LuGre(
-            coulomb=self.coulomb * factor,
-            static=self.static * factor,
-            sigma_0=self.sigma_0 * factor,
-            sigma_1=self.sigma_1 * factor,
-            sigma_2=self.sigma_2 * factor,
-            stribeck_velocity=self.stribeck_velocity,
-        )
+        Raises
+        ------
+        ConfigurationError
+            If there are neither 1 nor n of one.
+        """
+        return {name: each(f"friction.{name}", values, n) for name, values in self}
+
+    def scaled(self, factors: Sequence[float]) -> LuGre:
+        """Friction of (n,) joints that is this one with all torques multiplied by their factors."""
+        values = self.of_joints(len(factors))
+        values |= {name: values[name] * factors for name in _TORQUES}
+        return LuGre.model_validate({name: one.tolist() for name, one in values.items()})
 
 
 @compiled

@@ -3,78 +3,64 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
-from armimp_common.errors import ConfigurationError
-from armimp_common.schema import Schema
+from armimp_common.schema import NonNegativeVector, PositiveVector, Schema
 
 _SLOWEST = 2.0  # Hz; no drive has less
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PlanarChain:
-    """Rigid links in series, turning about parallel vertical axes (so no gravity).
+class PlanarChain(Schema):
+    """The exoskeleton (assumption): rigid links in series.
 
-    Raises
-    ------
-    ConfigurationError
-        If shapes disagree, a value is negative or not finite, or a link is lighter to turn about
-        its joint than a point mass in its centre would be, so that M_r might be indefinite.
+    They turn about parallel vertical axes, so there is no gravity. What the first link weighs, and
+    where its centre is, has no effect beyond its moment.
     """
 
-    lengths: NDArray[np.float64]
-    """(n,) joint to next joint, m."""
-    moments: NDArray[np.float64]
-    """(n,) moment of inertia of each link about its own joint, I + m·lg², kg·m²."""
-    masses: NDArray[np.float64]
-    """(n,) kg (that of the first link has no effect beyond ``moments``)."""
-    centres: NDArray[np.float64]
-    """(n,) joint to centre of mass lg, m (likewise)."""
+    lengths: NonNegativeVector
+    """Length of each link of the robot (m)."""
+    moments: PositiveVector
+    """Moment of inertia of each link of the robot about its own joint (kg·m²)."""
+    masses: NonNegativeVector
+    """Mass of each link of the robot (kg)."""
+    centres: NonNegativeVector
+    """Distance from the joint to the centre of mass of each link of the robot (m)."""
 
-    def __post_init__(self) -> None:
-        n = self.lengths.size
-        for name in ("lengths", "moments", "masses", "centres"):
-            values = getattr(self, name)
-            if values.shape != (n,):
-                raise ConfigurationError(f"robot: {name} is {values.shape}, expected {(n,)}")
-            if not np.all(values >= 0.0) or not np.all(np.isfinite(values)):
-                raise ConfigurationError(
-                    f"robot: {name} must not be negative, got {values.tolist()}"
+    @model_validator(mode="after")
+    def _are_bodies(self) -> PlanarChain:
+        if len(set(map(len, dict(self).values()))) > 1:
+            raise ValueError("there must be as many values of one kind as of the others")
+        links = zip(self.moments[1:], self.masses[1:], self.centres[1:], strict=True)
+        for i, (moment, mass, centre) in enumerate(links, 2):
+            # Else M_r might be indefinite.
+            if not moment >= (smallest := mass * centre**2):
+                raise ValueError(
+                    f"the moment of inertia of link {i} about its joint must be at least "
+                    f"m·lg² = {smallest:.3g} kg·m², got {moment}"
                 )
-        for i, value in enumerate(self.moments):
-            if not value > 0.0:
-                raise ConfigurationError(
-                    f"robot: moment of inertia of link {i + 1} must be positive, got {value}"
-                )
-            smallest = self.masses[i] * self.centres[i] ** 2 if i > 0 else 0.0
-            if not value >= smallest:
-                raise ConfigurationError(
-                    f"robot: moment of inertia of link {i + 1} about its joint must be at least "
-                    f"m·lg² = {smallest:.3g} kg·m², got {value}"
-                )
+        return self
 
     @property
     def joints(self) -> int:
         """Number of joints n."""
-        return self.lengths.size
+        return len(self.lengths)
 
     def coefficients(self) -> NDArray[np.float64]:
         """A (n, n), kg·m²: kinetic energy is ½ Σ_ab A_ab cos(φ_a − φ_b) φ̇_a φ̇_b.
 
         The angles φ of the links are absolute: φ_a = θ_1 + … + θ_a.
         """
-        n = self.joints
-        carried = np.array([self.masses[a + 1 :].sum() for a in range(n)])
-        first_moment = self.masses * self.centres + carried * self.lengths
+        n, masses, lengths = self.joints, np.array(self.masses), np.array(self.lengths)
+        carried = np.array([masses[a + 1 :].sum() for a in range(n)])
+        first_moment = masses * self.centres + carried * lengths
         a = np.empty((n, n))
         for i in range(n):
-            a[i, i] = self.moments[i] + self.lengths[i] ** 2 * carried[i]
+            a[i, i] = self.moments[i] + lengths[i] ** 2 * carried[i]
             for j in range(i + 1, n):
-                a[i, j] = a[j, i] = self.lengths[i] * first_moment[j]
+                a[i, j] = a[j, i] = lengths[i] * first_moment[j]
         return a
 
     def mass_matrix(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -8,9 +8,7 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from armimp_common.compiled import compiled
-from armimp_common.schema import Schema
-
-Vector = tuple[float, ...]
+from armimp_common.schema import Schema, Vector
 
 ORDERS = 4
 """Highest order of the low-pass."""
