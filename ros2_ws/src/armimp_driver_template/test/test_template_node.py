@@ -4,18 +4,15 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 
 import pytest
-from rclpy.context import Context
 from rclpy.node import Node
 
-from armimp_common import topics
 from armimp_common.executor import Spinner
-from armimp_common.lifecycle import LifecycleManager
 from armimp_driver_template import node as template
 from armimp_driver_template.device import Frame
 from armimp_driver_template.node import ExoDriver
 from armimp_driver_template.parameters import DriverParameters
 from support.controller import ScriptedController
-from support.graph import PATIENCE, eventually
+from support.graph import Launch, eventually
 
 PUSH, ZERO = (5.0, 0.0), (0.0, 0.0)
 
@@ -76,19 +73,15 @@ class World(ScriptedController):
 
 
 @pytest.fixture
-def world(context: Context, node: Node, monkeypatch: pytest.MonkeyPatch) -> Iterator[World]:
+def world(
+    node: Node, spinner: Spinner, launch: Launch, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[World]:
     device = FailingDevice()
     monkeypatch.setattr(template, "make_device", lambda parameters: device)
-    driver = ExoDriver(context=context)
-    with Spinner([node, driver]) as spinner:
-        world = World(node, spinner, device)
-        manager = LifecycleManager(
-            node, [topics.SIM_NODE], spin_until=spinner.spin_until, timeout=PATIENCE
-        )
-        manager.wait_for_nodes()
-        manager.change(topics.SIM_NODE, "configure")
-        manager.change(topics.SIM_NODE, "activate")
-        yield world
+    driver = launch(ExoDriver, DriverParameters())
+    world = World(node, spinner, device)
+    world.bring_up(driver)
+    yield world
     driver.destroy_node()
     assert device.closed
 
