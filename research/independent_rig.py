@@ -45,8 +45,8 @@ class Mismatch:
     """How many of shoulder, elbow and wrist."""
     robot: float = 1.0
     """Inertia of the robot, times the value above."""
-    multisine: bool = False
-    """Whether the perturbation repeats itself every 10 s, with lines up to 20 Hz."""
+    waveform: str = "noise"
+    """Of the perturbation: see :func:`_perturbation`."""
     rate: float = 1000.0
     duration: float = 50.0
     level: float = 1.0
@@ -82,6 +82,10 @@ class Mismatch:
     """Stiffness between robot and arm, N·m/rad; 0: rigid."""
     reflex: float = 0.0
     reflex_delay: float = 0.04
+    reflex_spread: float = 0.0
+    """Share of each joint's reflex that acts on the others, as of muscles over two joints."""
+    reflex_length: float = 0.0
+    """Of the reflex by angle over that by speed, 1/s."""
     short_range: float = 0.0
     """Additional stiffness within 5 mrad of a yielding element, N·m/rad."""
     relaxing: float = 0.0
@@ -239,7 +243,7 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0913, PLR091
                 q, v = x[where + i], x[where + n + i]
                 # Reflex: torque after a delay, through two first-order lags of the muscle.
                 contraction[i, 0] += hold * (reflex * stretch[i, oldest] - contraction[i, 0])
-                stretch[i, oldest] = v
+                stretch[i, oldest] = v + nonlinear[9] * q
                 contraction[i, 1] += hold * (contraction[i, 0] - contraction[i, 1])
                 # A spring of limited range that yields and follows.
                 if q - yielding[i] > 0.005:
@@ -257,6 +261,10 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0913, PLR091
                     extra += nonlinear[7] * grip[i] / BRISTLE
                 extra += nonlinear[5] * abs(q) + nonlinear[6] * np.exp(-15.0 * k / ticks) * q
                 force[n + i] = disturbance[i, k] + contraction[i, 1] + extra
+            for i in range(n):
+                for j in range(n):
+                    if i != j:
+                        force[n + i] += nonlinear[8] * contraction[j, 1]
             if s == 0:
                 for i in range(n):
                     value = 0.0
@@ -349,6 +357,8 @@ def simulate_trial(mismatch: Mismatch, joint: int, seed: int) -> Recording:
                 0.5 * mismatch.one_sided * float(K[0, 0]),
                 mismatch.startled * float(K[0, 0]),
                 mismatch.rubbing,
+                mismatch.reflex_spread,
+                mismatch.reflex_length,
             ]
         ),
         1.0 - np.exp(-step / 0.02),
@@ -391,13 +401,29 @@ def simulate(mismatch: Mismatch, seed: int) -> list[Recording]:
 
 
 def _perturbation(mismatch: Mismatch, ticks: int, rng: np.random.Generator) -> FloatArray:
-    if not mismatch.multisine:
+    """Perturbation of any size, (ticks,).
+
+    "noise" up to the cut-off; "multisine", which repeats itself every 10 s, with all lines up to
+    20 Hz; a number of "sines", from 0.15 Hz up to the cut-off, that never repeat themselves;
+    a "chirp" from 0.1 Hz to the cut-off and back every 20 s; "binary" noise that changes sign at
+    chance times of 50 ms at least.
+    """
+    t = np.arange(ticks) / mismatch.rate
+    kind, _, number = mismatch.waveform.partition(" ")
+    if kind == "noise":
         low_pass = butter(4, mismatch.cutoff, fs=mismatch.rate, output="sos")
         noise: FloatArray = sosfilt(low_pass, rng.standard_normal(ticks))
         return noise
+    if kind == "chirp":
+        sweep = 0.1 * (mismatch.cutoff / 0.1) ** (0.5 - 0.5 * np.cos(2.0 * np.pi * t / 20.0))
+        return np.sin(2.0 * np.pi * np.cumsum(sweep) / mismatch.rate)
+    if kind == "binary":
+        held = rng.choice((-1.0, 1.0), round(20.0 * t[-1]) + 1)
+        return np.asarray(held[(20.0 * t).astype(int)])
     lines = 0.1 * np.arange(1, 201)
+    if kind == "sines":
+        lines = np.geomspace(0.15, mismatch.cutoff, int(number))
     phases = rng.uniform(0.0, 2.0 * np.pi, lines.size)
-    t = np.arange(ticks) / mismatch.rate
     return np.asarray(
         sum(np.cos(2 * np.pi * f * t + p) for f, p in zip(lines, phases, strict=True))
     )

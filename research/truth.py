@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import butter, sosfilt
+from scipy.signal import bilinear, butter, lfilter, sosfilt
 
 from armimp_bringup.study import parse_seeds
 from armimp_bringup.terminal import display
@@ -182,6 +182,18 @@ def _smoothed(cutoff: float) -> Change:
     return smooth
 
 
+def _swinging(resonance: float) -> Change:
+    """Readings of a sensor whose mount swings at a frequency in Hz, hardly damped."""
+    turning = 2.0 * np.pi * resonance
+    numerator, denominator = bilinear([turning**2], [1.0, 0.1 * turning, turning**2], fs=1000.0)
+
+    def swing(values: FloatArray) -> FloatArray:
+        rest = values[:, :1]
+        return np.asarray(rest + lfilter(numerator, denominator, values - rest))
+
+    return swing
+
+
 def _unsteady(share: float) -> Change:
     """Instants of the readings that jitter, by a share of a period."""
     return _sampled(lambda k: k + share * np.random.default_rng(9).standard_normal(k.size))
@@ -275,6 +287,10 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     for cutoff in (20.0, 30.0, 100.0):
         maximally_flat = {"voluntary": 0.3, "readings": changed(torque=_smoothed(cutoff))}
         add(MUST, "torque low-pass of order 2, voluntary", (f"{cutoff:g} Hz", maximally_flat))
+    for resonance in (40.0, 80.0, 200.0):
+        for name in ("torque", "position"):
+            swings = {"voluntary": 0.3, "readings": changed(**{name: _swinging(resonance)})}
+            add(MUST, f"{name} that swings, voluntary", (f"{resonance:g} Hz", swings))
     for late in (0.1, 0.3, 0.5, 0.8, 1.0, 1.5, 2.0):
         add(RIGHT, "command late", (f"{late:g} ms", {"command_delay": late * MILLI, "lock": 50.0}))
     add(NOISE, "no commands", ("", {"readings": _without_commands}))
@@ -346,6 +362,13 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         for delay in (0.03, 0.04, 0.06):
             label = f"{gain:g}, {delay * 1e3:g} ms"
             add(MUST, "reflex", (label, {"reflex": gain, "reflex_delay": delay}))
+    for hiding in (0.0, 0.3):
+        for share in (0.3, 0.8):
+            spread: dict[str, Any] = {"reflex": 0.2, "reflex_spread": share, "voluntary": hiding}
+            add(MUST, "reflex of both joints", (f"{share:g}, {hiding:g} N·m", spread))
+        for length in (5.0, 20.0):
+            long: dict[str, Any] = {"reflex": 0.1, "reflex_length": length, "voluntary": hiding}
+            add(MUST, "reflex by angle", (f"{length:g}, {hiding:g} N·m", long))
     for stiff in (1e5, 3e4, 1e4, 3e3, 1e3):
         add(MUST, "cuff", (f"{stiff / 1e3:g} kN·m/rad", {"cuff": stiff}))
     for stiff in (3e5, 1e5):
@@ -402,11 +425,16 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     add(
         NOISE,
         "multisine",
-        ("", {"multisine": True}),
-        ("2000", {"multisine": True, "rate": 2000.0}),
-        ("weak", {"multisine": True, "level": 0.2}),
-        ("friction 2 N·m", {"multisine": True, "friction": 2.0}),
+        ("", {"waveform": "multisine"}),
+        ("2000", {"waveform": "multisine", "rate": 2000.0}),
+        ("weak", {"waveform": "multisine", "level": 0.2}),
+        ("friction 2 N·m", {"waveform": "multisine", "friction": 2.0}),
     )
+    for waveform in ("sines 12", "sines 20", "sines 40", "chirp", "binary"):
+        # Much of the band has no perturbation, but leakage of it.
+        for size in (0.0, 0.1, 0.3, 1.0):
+            sparse: dict[str, Any] = {"waveform": waveform, "voluntary": size}
+            add(RIGHT, waveform, (f"{size:g} N·m", sparse | {"cutoff": 15.0}))
     for size, stiff in ((0.2, 500.0), (0.5, 2000.0), (1.0, 1e4)):
         add(
             NOISE,
@@ -432,7 +460,7 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         add(MUST, "torque larger in one direction", (f"{share:g}", uneven))
         compressed: dict[str, Any] = {"readings": changed(torque=_yielding(share))}
         add(MUST, "torque compressed", (f"{share:g}", compressed))
-        periodic = compressed | {"multisine": True}
+        periodic = compressed | {"waveform": "multisine"}
         add(MUST, "torque compressed, multisine", (f"{share:g}", periodic))
     for share in (0.02, 0.1):
         add(MUST, "gain that drifts", (f"{share:g}", {"readings": changed(torque=_waning(share))}))
@@ -450,7 +478,7 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         "voluntary": 0.3,
         "cogging": 0.05,
         "readings": changed(torque=_hum(0.1)),
-        "multisine": True,
+        "waveform": "multisine",
     }
     add(NOISE, "mixed", ("hum, voluntary, cogging", hummed))
     add(MUST, "mixed", ("reflex, cuff", {"reflex": 0.2, "cuff": 2e4}))
@@ -491,7 +519,7 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     add(
         RIGHT,
         "synchronous voluntary",
-        ("", {"multisine": True, "voluntary": 0.3, "synchronous": True}),
+        ("", {"waveform": "multisine", "voluntary": 0.3, "synchronous": True}),
     )
     for lean in (0.5, 2.0):
         add(NOISE, "posture drifts", (f"{lean:g} N·m", {"leaning": lean}))

@@ -19,6 +19,8 @@ QUICK = {
     ("torque gain of joint 2 0.9", 11),
     ("voluntary 0.3 N·m", 11),
     ("stiffness of either direction 0.1", 11),
+    # Between the lines of a few sines, ratios are those of what noise does in the loop.
+    ("sines 12 0.1 N·m", 1),
 }
 ONCE_WRONG = {
     # Noise hides the cuff in some elements; the intervals of all must hold it.

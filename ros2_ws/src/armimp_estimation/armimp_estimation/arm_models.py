@@ -26,6 +26,7 @@ from armimp_estimation.fit import (
     covariance_of_sums,
     fit_weights,
     lack_limit,
+    lack_of_fit,
     lack_ratio,
 )
 
@@ -396,9 +397,7 @@ class _Problem:
                 criterion, solution, free = value, trial, more
         fitted = self.impedance(solution)
         covariance = self.covariance(solution, free)
-        ratio = lack_ratio(self.estimate, fitted)
-        spare = 0.5 * np.sum(free) / len(ratio) ** 2
-        lack = np.sum(ratio, axis=2) / max(self.s.size - spare, 1.0)
+        lack = lack_of_fit(self.estimate, fitted)
         limit = lack_limit(self.estimate.bin_correlation)
         fits = bool((lack <= limit).all())
         return ModelFit(

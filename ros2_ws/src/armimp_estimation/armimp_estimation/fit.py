@@ -144,8 +144,7 @@ class MBKFit:
     Z : ndarray, shape (n, n, n_freq)
         Fitted impedance at the frequencies of the estimate, N·m/rad.
     lack : ndarray, shape (n, n)
-        Lack of fit: mean of ``|Z - fit|²/variance`` for each degree of freedom, 1 if noise explains
-        all of it.
+        Lack of fit, see :func:`lack_of_fit`.
     lack_limit : float
         What chance alone doesn't exceed: 2, or more for few frequencies.
     delay : CommonDelay or None
@@ -185,6 +184,7 @@ class MBKFit:
         return replace(self, M_se=M_se, B_se=B_se, K_se=K_se, covariance=covariance)
 
 
+FEWEST_FREQUENCIES = 3
 LACK_LIMIT = 2.0
 """Lack of fit beyond which an impedance isn't of the form of the fit; ideal runs stay below 1.5."""
 _LACK_CHANCE = 5.0
@@ -199,6 +199,8 @@ trial."""
 _REFLEX, _REFLEX_DELAY, _MUSCLE = 0.5, 0.04, 30.0
 """Assumption: velocity gain of a reflex that a joint may have, relative to its B; its delay, s, and
 the corner of its muscle, rad/s, as in Kearney, Stein & Parameswaran (1997)."""
+_STRETCH = 0.3
+"""Assumption: stretch gain of a reflex that a joint may have, relative to its K."""
 _RELAXED, _RELAXATIONS = 0.4, (0.05, 0.3)
 """Assumption: stiffness that a joint may have in addition to K and that relaxes, relative to K, and
 with which time constants, s."""
@@ -282,7 +284,7 @@ def fit_impedance(
     DataError
         If there are fewer than three frequencies, or a value or variance is not finite.
     """
-    if estimate.f.size < 3:
+    if estimate.f.size < FEWEST_FREQUENCIES:
         raise DataError(f"{estimate.f.size} frequencies are too few to fit M, B and K")
     if not (np.isfinite(estimate.Z).all() and np.isfinite(estimate.variance).all()):
         raise DataError(f"{estimate.name}: impedance or its variance is not finite")
@@ -312,15 +314,16 @@ def fit_impedance(
         bounded=0,
         delay_uncertainty=None,
     )
+    values, errors = problem.fit()
+    M, B, K = (value.reshape(n, n) for value in values)
+    mbk = MBK(M=M, B=B, K=K)
+    fitted = mbk.impedance(estimate.f)
+    lack = lack_of_fit(estimate, fitted)
     if problem.calibration:
         variance = estimate.variance + sum(
             np.abs(one.reshape(estimate.Z.shape)) ** 2 for one in problem.calibration
         )
         estimate = replace(estimate, variance=np.asarray(variance))
-    values, errors = problem.fit()
-    M, B, K = (value.reshape(n, n) for value in values)
-    mbk = MBK(M=M, B=B, K=K)
-    fitted = mbk.impedance(estimate.f)
     quality = [[r_squared(estimate.Z[i, j], fitted[i, j]) for j in range(n)] for i in range(n)]
     M_se, B_se, K_se = (error.reshape(n, n) for error in errors)
     fit = MBKFit(
@@ -330,7 +333,7 @@ def fit_impedance(
         K_se=K_se,
         r2=np.array(quality),
         Z=fitted,
-        lack=problem.lack(values).reshape(n, n),
+        lack=lack,
         lack_limit=lack_limit(estimate.bin_correlation),
         delay=delay,
         covariance=_parameter_covariance(estimate, problem),
@@ -444,7 +447,7 @@ def fit_column(  # noqa: PLR0913 (each is a fact of its own)
     DataError
         As :func:`fit_impedance`.
     """
-    if f.size < 3:
+    if f.size < FEWEST_FREQUENCIES:
         raise DataError(f"{f.size} frequencies are too few to fit M, B and K")
     if not (np.isfinite(impedance).all() and np.isfinite(variance).all()):
         raise DataError("impedance or its variance is not finite")
@@ -554,8 +557,9 @@ class _Elements:
         *Econometrica* 46, 1978).
         Between robot and arm a cuff of the compliance c at joint l takes ``c Z_il Z_lj`` off, and a
         high-pass of first order with the corner c, which torques passed and angles didn't, about
-        ``c Z_ij/s``. They are the same in all elements, so they count in those, too, where noise
-        hides them.
+        ``c Z_ij/s``. Resonances of transducers and encoders far above the band change Z by a share
+        that goes with s². They are the same in all elements, so they count in those, too, where
+        noise hides them.
         """
         squares = np.zeros((3, len(self.Z)))
         plain = self.values()
@@ -576,7 +580,7 @@ class _Elements:
         if self.whole and n <= _MOST_CUFFS:
             Z = np.stack([_of_mbk(one, self.omega) for one in plain.T]).reshape(n, n, -1)
             common = [-Z[:, joint, None] * Z[None, joint] for joint in range(n)]
-            for place, one in enumerate([*common, -1j * Z / self.omega]):
+            for place, one in enumerate([*common, -1j * Z / self.omega, relative**2 * Z]):
                 terms = one.reshape(self.Z.shape)
                 value, error, _ = self.common_coefficient(terms)
                 # No cuff has a negative compliance; angles may have passed the high-pass, too.
@@ -610,13 +614,14 @@ class _Elements:
         s, joints = 1j * self.omega, math.isqrt(len(self.Z))
         if not self.whole or joints > _MOST_CUFFS:
             return []
-        arc = s * np.exp(-s * _REFLEX_DELAY) / (1.0 + s / _MUSCLE) ** 2
+        arc = np.exp(-s * _REFLEX_DELAY) / (1.0 + s / _MUSCLE) ** 2
         springs = [s * time / (1.0 + s * time) for time in _RELAXATIONS if self.unbiased]
         return [
             (row, term)
             for row in range(0, len(self.Z), joints + 1)
             for term in (
-                _REFLEX * values[1, row] * arc,
+                _REFLEX * values[1, row] * s * arc,
+                _STRETCH * values[2, row] * arc,
                 *(_RELAXED * values[2, row] * one for one in springs),
             )
         ]
@@ -632,7 +637,7 @@ class _Elements:
         weights = self.weights(row)
         left = term - _of_mbk(_apply(self.coefficients(row), term), self.omega)
         total = float(np.sum(weights * np.abs(left) ** 2))
-        if not 0.0 < total < math.inf:
+        if not np.finfo(np.float64).tiny < total < math.inf:
             return 0.0, math.inf  # nothing was measured: the values are no numbers either
         functional = weights * left / total
         return _functional(functional, self.Z[row]), self.functional_error(row, functional)
@@ -741,27 +746,60 @@ class _Elements:
             for Z, variance, power in zip(self.Z, self.total, powers, strict=True)
         ]
 
-    def lack(self, values: FloatArray) -> FloatArray:
-        """Lack of fit of each element, (elements,); three real parameters are 1.5 complex ones."""
-        fitted = np.stack([_of_mbk(one, self.omega) for one in values.T])
-        ratio = _lack_ratio(self.Z, fitted, self.total, self.freedom)
-        return np.asarray(np.sum(ratio, axis=1) / max(self.f.size - 1.5, 1.0))
+    def roughly_fits(self, values: FloatArray) -> bool:
+        """Whether M, B and K explain each element, or a systematic error of any shape does."""
+        left = self.Z - np.stack([_of_mbk(one, self.omega) for one in values.T])
+        ratio = np.abs(left) ** 2 / _spared(self.Z, self.total, self.freedom)
+        lack = np.sum(ratio, axis=1) / max(self.f.size - 1.5, 1.0)
+        return bool((lack <= lack_limit(self.correlation)).all())
+
+
+def lack_of_fit(estimate: ImpedanceEstimate, fitted: ComplexArray) -> FloatArray:
+    """Mean of what noise doesn't explain of each element, for each degree of freedom, (n, n).
+
+    It is 1 if noise explains all. M, B and K, and systematic errors as far as their standard errors
+    allow, take what they can of ``Z - fit``: each has one shape over frequency, and explains
+    nothing else (generalised least squares).
+    """
+    f, n = estimate.f, estimate.joints
+    noise = estimate.without_systematics().variance
+    weights = 1.0 / np.sqrt(_spared(estimate.Z, noise, estimate.averages - 1.0))
+    relative = 1j * f / f[-1]
+    shapes = np.stack((relative**2, relative, np.ones_like(relative)))
+    found = np.zeros((n, n))
+    for at in np.ndindex(n, n):
+        systematic = np.reshape([one[at] for one in estimate.systematics], (-1, f.size))
+        design = _stacked(weights[at] * np.concatenate((shapes, systematic)))
+        # Of the first three nothing is known.
+        known = np.arange(len(design)) >= len(shapes)
+        design /= np.where(known, 1.0, np.linalg.norm(design, axis=1))[:, None]
+        rest = _stacked(weights[at] * (estimate.Z - fitted)[at])
+        normal = design @ design.T + np.diag(np.where(known, 1.0, _ROUNDING))
+        taken = np.linalg.solve(normal, design @ rest)
+        found[at] = rest @ rest - taken @ design @ rest
+    return found / max(f.size - 1.5, 1.0)
+
+
+def _stacked(values: ComplexArray) -> FloatArray:
+    """Real and imaginary parts one after the other, (..., 2 n_freq)."""
+    return np.concatenate((values.real, values.imag), axis=-1)
 
 
 def lack_ratio(estimate: ImpedanceEstimate, fitted: ComplexArray) -> FloatArray:
     """``|Z - fit|²/variance`` of each element and bin, (n, n, n_freq), 1 on average if it fits."""
-    return _lack_ratio(estimate.Z, fitted, estimate.variance, estimate.averages - 1.0)
+    spared = _spared(estimate.Z, estimate.variance, estimate.averages - 1.0)
+    return np.asarray(np.abs(estimate.Z - fitted) ** 2 / spared)
 
 
-def _lack_ratio(
-    Z: ComplexArray, fitted: ComplexArray, variance: FloatArray, freedom: float
-) -> FloatArray:
-    # Variances of m complex degrees of freedom make the mean of their inverses too large.
+def _spared(Z: ComplexArray, variance: FloatArray, freedom: float) -> FloatArray:
+    """Variance by which to judge what is left of a fit.
+
+    Variances of m complex degrees of freedom make the mean of their inverses too large, and without
+    any noise, what the estimator itself leaves would be lack of fit.
+    """
     spare = (freedom - 1.0) / freedom if 1.0 < freedom < math.inf else 1.0
-    # Without any noise, what the estimator itself leaves would be lack of fit.
     least = (_EXACT * np.abs(Z)) ** 2 + np.finfo(np.float64).tiny
-    ratio: FloatArray = spare * np.abs(Z - fitted) ** 2 / (variance + least)
-    return ratio
+    return np.asarray((variance + least) / spare)
 
 
 def _with_delay(
@@ -787,8 +825,7 @@ def _with_delay(
         turn = np.exp(2j * np.pi * problem.f * total)
         trial = replace(problem, Z=problem.Z * turn)
     fitted, plain = trial.values(), problem.values()
-    limit = lack_limit(problem.correlation)
-    fits = bool((trial.lack(fitted) <= limit).all())
+    fits = trial.roughly_fits(fitted)
     sure = max(uncertainty, _SUREST)
     refuted = fits and abs(total) > _REFUTED * math.hypot(sure, told_error)
     assumed = max(uncertainty, unknown) if refuted else uncertainty

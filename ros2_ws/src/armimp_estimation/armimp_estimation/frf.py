@@ -16,6 +16,11 @@ from armimp_estimation.trial import TrialData
 
 # Power of a perturbation, relative to its largest, below which windows leak it from elsewhere.
 _LEAKED = 1e-5
+# Power of a response over that of its noise from which on others are divided by it: the ratio of
+# two normal values is off by exp(-4) of what noise alone makes of it.
+_STANDS_OUT = 4.0
+# Hz on either side over which the power of a response is alike.
+_ALIKE = 0.6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,6 +73,34 @@ def noise_gain(trial: TrialData) -> FloatArray:
     if not (power > 0.0).all():
         raise DataError(f"{where}: no perturbation at {trial.f[~(power > 0.0)][0]:.4g} Hz")
     return 1.0 / ((averages - 1.0) * power)
+
+
+def stands_out(f: FloatArray, response: ComplexArray, variance: FloatArray) -> BoolArray:
+    """Where a response is so far above its noise that another may be divided by it, (n_freq,).
+
+    Noise in a loop makes a ratio of its own. Where the perturbation has hardly any power, as
+    between the lines of a few sines, the ratio of two responses is drawn to that of the noise, at
+    all such frequencies alike (weak instruments: Staiger & Stock, *Econometrica* 65, 1997).
+
+    Parameters
+    ----------
+    f : ndarray, shape (n_freq,)
+        Frequencies, Hz.
+    response : ndarray, shape (n_freq,)
+        Its power is that of the frequencies around, weighted by their inverse variances: to keep
+        what is large by chance would make it too large.
+    variance : ndarray, shape (n_freq,)
+        Of the response.
+    """
+    squares = np.abs(response) ** 2
+    if not squares.all():
+        return np.zeros(f.size, dtype=np.bool_)
+    precision = 1.0 / np.maximum(variance, np.finfo(np.float64).eps * squares)
+    terms = np.stack((precision * squares - 1.0, precision))
+    sums = np.cumsum(np.pad(terms, ((0, 0), (1, 0))), axis=1)
+    low, high = np.searchsorted(f, f - _ALIKE), np.searchsorted(f, f + _ALIKE, side="right")
+    power, total = sums[:, high] - sums[:, low]
+    return np.asarray(precision * power >= _STANDS_OUT * total)
 
 
 def unexplained_power(trial: TrialData, impedance: ComplexArray) -> FloatArray:

@@ -13,6 +13,7 @@ from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.estimators.lpm import LpmConfig, LpmFull, unresolved
 from armimp_estimation.estimators.welch import WelchFull, WelchSiso
 from armimp_estimation.fit import MBKFit, fit_mbk
+from armimp_estimation.frf import stands_out
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.signal_quality import lost_motion, rounding_lead
@@ -147,6 +148,20 @@ def test_neither_order_of_trials_nor_place_in_memory_changes_a_bit(estimator: Es
 
 def still(trial: TrialData) -> TrialRecord:
     return dataclasses.replace(trial.record, position=np.zeros_like(trial.record.position))
+
+
+def test_a_response_stands_out_where_its_power_is_beyond_that_of_its_noise() -> None:
+    rng = np.random.default_rng(3)
+    f = np.arange(1.0, 801.0) * 0.02
+    size = np.where(f < 5.0, 10.0, np.where(f < 10.0, 0.5, 0.0))
+    noise = np.sqrt(0.5) * (rng.standard_normal(f.size) + 1j * rng.standard_normal(f.size))
+    found = stands_out(f, size + noise, np.ones(f.size))
+    assert found[f < 5.0 - 0.6].all()
+    assert not found[f > 5.0 + 0.6].any()
+    # Every fifth is a line, and what is between them is leakage.
+    variance = np.where(np.arange(f.size) % 5, 1e4, 1e-4)
+    lines = stands_out(f, 0.1 + np.sqrt(variance) * noise, variance)
+    np.testing.assert_array_equal(lines, variance < 1.0)
 
 
 def test_when_the_perturbed_joint_does_not_move_expect_its_number_in_the_error() -> None:

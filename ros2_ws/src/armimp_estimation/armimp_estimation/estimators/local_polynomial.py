@@ -99,6 +99,7 @@ class LocalResponse:
             noise=np.ascontiguousarray(self.noise[:, :, kept]),
             weights=self.weights[kept],
             first=self.first[kept],
+            line_power=None if self.line_power is None else self.line_power[kept],
         )
 
     def combined_variance(self, coefficients: ComplexArray) -> FloatArray:

@@ -17,8 +17,8 @@ from armimp_estimation.estimators.local_polynomial import (
     local_response,
 )
 from armimp_estimation.estimators.welch import invert, multiply
-from armimp_estimation.fit import FitConfig, fit_column, fit_mbk
-from armimp_estimation.frf import order_trials
+from armimp_estimation.fit import FEWEST_FREQUENCIES, FitConfig, fit_column, fit_mbk
+from armimp_estimation.frf import order_trials, stands_out
 from armimp_estimation.hold_correction import HoldCorrection, command_steps, update_jump
 from armimp_estimation.mbk import MBK
 from armimp_estimation.periods import common_periods
@@ -400,7 +400,7 @@ class LpmFull:
         bins = bins_in_band(shortest, rate, *self.band).astype(np.float64)
         f = bins * float(rate / shortest)
         if most is not None:
-            f = f[:: max(f.size // most, 1)]
+            f = _strongest(records, f, most)
         columns = []
         for record in records:
             outputs = [record.position, record.torque]
@@ -417,7 +417,40 @@ class LpmFull:
                 mix,
             )
             columns.append(column)
-        return at_common_frequencies(columns)
+        return _moved(at_common_frequencies(columns), records)
+
+
+def _strongest(records: Sequence[TrialRecord], f: FloatArray, most: int) -> FloatArray:
+    """Of so many bands as are asked for, the frequency at which all perturbations are strongest."""
+    strength = np.full(f.size, np.inf)
+    for record in records:
+        amplitudes = np.abs(np.fft.rfft(record.perturbation[record.perturbed_joint]))
+        strength = np.minimum(strength, amplitudes[np.rint(f * record.duration).astype(np.intp)])
+    bands = np.array_split(np.arange(f.size), min(most, f.size))
+    return f[[band[np.argmax(strength[band])] for band in bands]]
+
+
+def _moved(columns: Sequence[LocalResponse], records: Sequence[TrialRecord]) -> list[LocalResponse]:
+    """Responses of trials where each perturbed joint's motion stands out from other motion.
+
+    Raises
+    ------
+    DataError
+        If that is nearly nowhere.
+    """
+    kept = np.ones(columns[0].f.size, dtype=np.bool_)
+    for column, record in zip(columns, records, strict=True):
+        k = record.perturbed_joint
+        variance = column.gain * column.noise[k, k].real
+        moved = stands_out(column.f, column.response[k], variance)
+        kept &= moved
+        if np.count_nonzero(kept) < FEWEST_FREQUENCIES:
+            raise DataError(
+                f"trial {record.trial}: joint {k + 1} does not move with its perturbation, beyond "
+                f"noise, but at {np.count_nonzero(moved)} of {kept.size} frequencies",
+                "joint_does_not_move",
+            )
+    return list(columns) if kept.all() else [column.at(kept) for column in columns]
 
 
 def _line_power(columns: Sequence[LocalResponse]) -> FloatArray | None:
