@@ -199,8 +199,9 @@ before the trial."""
 _REFLEX, _REFLEX_DELAY, _MUSCLE = 0.5, 0.04, 30.0
 """Assumption: velocity gain of a reflex that a joint may have, relative to its B; its delay, s, and
 the corner of its muscle, rad/s, as in Kearney, Stein & Parameswaran (1997)."""
-_STRETCH = 0.3
-"""Assumption: stretch gain of a reflex that a joint may have, relative to its K."""
+_STRETCH, _LEAD = 0.3, 20.0
+"""Assumption: stretch gain of a reflex that a joint may have, relative to its K, and that over its
+velocity gain, 1/s."""
 _RELAXED, _RELAXATIONS = 0.4, (0.05, 0.3)
 """Assumption: stiffness that a joint may have in addition to K and that relaxes, relative to K, and
 with which time constants, s."""
@@ -621,7 +622,7 @@ class _Elements:
             for row in range(0, len(self.Z), joints + 1)
             for term in (
                 _REFLEX * values[1, row] * s * arc,
-                _STRETCH * values[2, row] * arc,
+                _STRETCH * values[2, row] * (1.0 + s / _LEAD) * arc,
                 *(_RELAXED * values[2, row] * one for one in springs),
             )
         ]
