@@ -144,8 +144,8 @@ TERMS: Mapping[str, Term] = {
         code=ProblemCode.DEPENDS_ON_AMPLITUDE,
         slope=0.32,
         large=0.1,
-        likely=0.5,
-        sizes=(0.03, 0.1, 0.3, 1.0),
+        likely=0.7,
+        sizes=(0.1, 0.3, 1.0),
         broad=True,
     ),
     "posture": Term(
