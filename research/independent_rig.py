@@ -80,6 +80,8 @@ class Mismatch:
     """Natural frequency of locked joints, rad/s (at most a sixth of the rate)."""
     cuff: float = 0.0
     """Stiffness between robot and arm, N·m/rad; 0: rigid."""
+    loose: float = 0.0
+    """Angle by which the robot moves freely before the cuff takes the arm along, either way."""
     reflex: float = 0.0
     reflex_delay: float = 0.04
     reflex_spread: float = 0.0
@@ -204,6 +206,7 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0913, PLR091
     bend = np.zeros(n)
     rubs = np.zeros(n)
     grip = np.zeros(n)
+    slip = np.zeros(n)
     where = states - 2 * n if states > 2 * n else 0
     for k in range(ticks):
         for i in range(n):
@@ -265,6 +268,12 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0913, PLR091
                 for j in range(n):
                     if i != j:
                         force[n + i] += nonlinear[8] * contraction[j, 1]
+                # What a loose cuff doesn't transmit.
+                slip[i] = nonlinear[10] * min(
+                    max(x[i] - x[where + i], -nonlinear[11]), nonlinear[11]
+                )
+                force[i] += slip[i]
+                force[n + i] += slip[i]
             if s == 0:
                 for i in range(n):
                     value = 0.0
@@ -272,15 +281,15 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0913, PLR091
                         value += torque_of[i, j] * x[j]
                     for j in range(2 * n):
                         value += torque_of[i, states + j] * force[j]
-                    before[i, k] = value
+                    before[i, k] = value - slip[i]
             for i in range(n):
                 if bristle == 0.0:
                     rubs[i] = friction * np.tanh(x[n + i] / stick) + cogging * np.sin(
                         RATCHET * x[i]
                     )
-                force[i] = active[i] - rubs[i]
+                force[i] = active[i] - rubs[i] + slip[i]
             for i in range(n):
-                value = 0.0
+                value = -slip[i]
                 for j in range(states):
                     value += torque_of[i, j] * x[j]
                 for j in range(2 * n):
@@ -359,6 +368,8 @@ def simulate_trial(mismatch: Mismatch, joint: int, seed: int) -> Recording:
                 mismatch.rubbing,
                 mismatch.reflex_spread,
                 mismatch.reflex_length,
+                mismatch.cuff if mismatch.loose else 0.0,
+                mismatch.loose,
             ]
         ),
         1.0 - np.exp(-step / 0.02),

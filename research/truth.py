@@ -433,6 +433,10 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
             add(MUST, "reflex by angle", (f"{length:g}, {hiding:g} N·m", long))
     for stiff in (1e5, 3e4, 1e4, 3e3, 1e3):
         add(MUST, "cuff", (f"{stiff / 1e3:g} kN·m/rad", {"cuff": stiff}))
+    for hiding in (0.0, 0.3):
+        for gap in (1e-4, 1e-3, 5e-3):
+            loosely: dict[str, Any] = {"cuff": 1e4, "loose": gap, "voluntary": hiding}
+            add(MUST, "loose cuff", (f"{gap:g} rad, {hiding:g} N·m", loosely))
     for stiff in (3e5, 1e5):
         softly: dict[str, Any] = {"cuff": stiff, "voluntary": 0.3}
         add(MUST, "cuff, voluntary 0.3 N·m", (f"{stiff / 1e3:g} kN·m/rad", softly))

@@ -91,7 +91,8 @@ _RUBBING = 0.03
 _LEFT = 0.01
 _LEAST = 10.0
 _TOLD = 0.05
-"""Share of an instrument below which it tells nothing: what remains is chance, begin and end.
+"""Share of what the perturbation alone causes of a term below which that tells nothing: what
+remains is chance, begin and end.
 
 So it is where a periodic perturbation has all lines: between them is nothing, and at them any
 motion is linear. A bent arm leaves a lack of fit there; gains are in doubt as of any transducer.
@@ -492,13 +493,14 @@ def deviations(
         # alone causes, and tells more where the person moves or loads the joint.
         whole = one.bend(signals)
         turns = 0.5 * (whole - one.bend(signals - 2.0 * known))
-        turns = one.bend(loaded) + turns if of_gain or one.even else turns
-        bent = np.stack([band.of(signal) for signal in (turns, whole)])
+        alone = one.bend(loaded if of_gain or one.even else known)
+        turns = alone + turns if of_gain or one.even else turns
+        bent = np.stack([band.of(signal) for signal in (turns, whole, alone)])
         weights, remains = weighed[2 if of_gain else 1 if one.broad else 0]
-        cause, term = (band.signal(weights * part)[kept] for part in bent)
+        cause, term, alone = (band.signal(weights * part)[kept] for part in bent)
         instrument = linear.unlike(cause)
         slope, error, freedom = _slope(instrument, linear.removed(term), remains)
-        if np.linalg.norm(instrument) < _TOLD * np.linalg.norm(cause):
+        if np.linalg.norm(linear.unlike(alone)) < _TOLD * np.linalg.norm(alone):
             error = np.inf
         shift, gain, held, slack = np.zeros(3), 0.0, 0.0, 0.0
         if of_gain:
