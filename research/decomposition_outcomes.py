@@ -24,6 +24,7 @@ from research.decomposition_trials import (
 )
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,12 +82,21 @@ class Outcome:
 
     def errors_weighted_as(self, other: Outcome) -> FloatArray:
         """Errors of M, B and K with the variances, and so the weights, of another outcome."""
-        given = other.estimate
+        ours, given = self.estimate, other.estimate
+        # Estimates leave out where motion doesn't stand out, each of its own.
+        kept, theirs = np.isin(ours.f, given.f), np.isin(given.f, ours.f)
+        skew, power = ours.friction_skew, ours.line_power
         # Without what the noise is worked out from anew.
         alike = replace(
-            self.estimate,
-            variance=given.variance,
-            systematics=given.systematics,
+            ours,
+            f=ours.f[kept],
+            Z=ours.Z[..., kept],
+            variance=given.variance[..., theirs],
+            systematics=tuple(one[..., theirs] for one in given.systematics),
+            bin_correlation=ours.bin_correlation[:, kept],
+            friction_skew=None if skew is None else skew[..., kept],
+            line_power=None if power is None else power[:, kept],
+            covariance=None,
             disturbance=None,
             inverse=None,
         )
@@ -130,7 +140,9 @@ class Cell:
     def of(cls, outcomes: Sequence[Outcome], reference: Sequence[Outcome] | None) -> Cell:
         """From the outcomes of all seeds, and those without voluntary torque, in equal order."""
         errors = np.array([one.errors for one in outcomes])
-        octaves = np.array([_parts(one) for one in outcomes])
+        known = [np.isfinite(one.octaves[0, 0]) for one in (*outcomes, *(reference or ()))]
+        told = np.all(known, axis=0)
+        octaves = np.array([_parts(one, told) for one in outcomes])
         shift, reweighted, octaves_shift = None, None, None
         if reference is not None:
             alike = np.array(
@@ -138,7 +150,7 @@ class Cell:
             )
             shift = Mean.of(errors - alike)
             reweighted = Mean.of(alike - np.array([one.errors for one in reference]))
-            octaves_shift = Mean.of(octaves - np.array([_parts(one) for one in reference]))
+            octaves_shift = Mean.of(octaves - np.array([_parts(one, told) for one in reference]))
         first = outcomes[0]
         return cls(
             voluntary=first.voluntary,
@@ -175,9 +187,9 @@ class Cell:
         }
 
 
-def _parts(outcome: Outcome) -> FloatArray:
-    """Real and imaginary parts of the errors of Z, where there are any; (2, n, n, octaves)."""
-    octaves = outcome.octaves[..., np.isfinite(outcome.octaves[0, 0])]
+def _parts(outcome: Outcome, told: BoolArray) -> FloatArray:
+    """Real and imaginary parts of the errors of Z in octaves that are told; (2, n, n, octaves)."""
+    octaves = outcome.octaves[..., told]
     return np.stack((octaves.real, octaves.imag))
 
 

@@ -212,7 +212,7 @@ _ITERATIONS = 3
 _ORDERS = (2, 3, 4, 5)
 _SINGULAR = 1e-10
 _ROUNDING = 1e-9
-_EXACT = 1e-3
+_EXACT = 2e-3
 """Relative error that any estimate has without noise."""
 
 
