@@ -84,18 +84,12 @@ class Outcome:
         """Errors of M, B and K with the variances, and so the weights, of another outcome."""
         ours, given = self.estimate, other.estimate
         # Estimates leave out where motion doesn't stand out, each of its own.
-        kept, theirs = np.isin(ours.f, given.f), np.isin(given.f, ours.f)
-        skew, power = ours.friction_skew, ours.line_power
+        ours, given = ours.at(np.isin(ours.f, given.f)), given.at(np.isin(given.f, ours.f))
         # Without what the noise is worked out from anew.
         alike = replace(
             ours,
-            f=ours.f[kept],
-            Z=ours.Z[..., kept],
-            variance=given.variance[..., theirs],
-            systematics=tuple(one[..., theirs] for one in given.systematics),
-            bin_correlation=ours.bin_correlation[:, kept],
-            friction_skew=None if skew is None else skew[..., kept],
-            line_power=None if power is None else power[:, kept],
+            variance=given.variance,
+            systematics=given.systematics,
             covariance=None,
             disturbance=None,
             inverse=None,

@@ -1,10 +1,11 @@
 """What an estimator of the impedance matrix takes and gives."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Protocol
+from dataclasses import dataclass, fields, replace
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError
@@ -107,6 +108,19 @@ class ImpedanceEstimate:
     def joints(self) -> int:
         """Number of joints n."""
         return int(self.Z.shape[0])
+
+    def at(self, kept: NDArray[np.bool_]) -> "ImpedanceEstimate":
+        """Return the same at some of its frequencies, a mask of shape (n_freq,).
+
+        Those on either side of a gap count as neighbours.
+        """
+        cut: dict[str, Any] = {
+            field.name: value[..., kept]
+            for field in fields(self)
+            if isinstance(value := getattr(self, field.name), np.ndarray)
+        }
+        systematics = tuple(one[..., kept] for one in self.systematics)
+        return replace(self, systematics=systematics, **cut)
 
     def without_systematics(self) -> "ImpedanceEstimate":
         """Return the same with the variance of noise alone."""
