@@ -704,6 +704,7 @@ def verdict_on(
     """
     trials = assemble_trials(streams_of(recordings), ())
     metadata = dict.fromkeys(CALIBRATION_KEYS, "0") if calibrated else {}
+    metadata.pop("linearity_uncertainty", None)  # which no laboratory knows to be nothing
     metadata["angle_uncertainty"] = str(scale)
     names = NAMES[: len(recordings)]
     return conclude(trials, metadata=metadata, joint_names=names, estimators=("lpm_full",))

@@ -217,7 +217,7 @@ def simulate(**options: Any) -> Recording:
         trials=experiment.records,
         reading=experiment.options.lpm.reading,
         truth=experiment.truth,
-        calibration=Calibration(),
+        calibration=experiment.options.calibration,
     )
 
 

@@ -180,3 +180,24 @@ def test_a_bag_becomes_a_recording_of_its_trials(tmp_path: Path) -> None:
     assert [one.perturbed_joint for one in recording.trials] == [0, 1]
     assert [one.samples for one in recording.trials] == [2000, 2000]
     assert recording.truth is None
+
+
+def test_what_is_declared_of_how_linear_transducers_are_decides_the_errors_beside_a_person() -> (
+    None
+):
+    person = {"voluntary.rms": 0.3}
+    bent = armimp.simulate(
+        duration=2.0, arm_sim={**person, "sensors.torque.hysteresis": 0.05}
+    ).calibration
+    assert bent.linearity is None
+    recording = armimp.simulate(duration=20.0, seed=1, arm_sim=person)
+    assert recording.calibration.linearity == 0.0
+    declared, unknown, poor = (
+        armimp.identify(
+            replace(recording, calibration=replace(recording.calibration, linearity=one))
+        )
+        for one in (0.0, None, 0.1)
+    )
+    assert np.array_equal(declared.B, unknown.B)
+    assert (unknown.B_se > declared.B_se).all()
+    assert (poor.B_se > 2.0 * declared.B_se).all()

@@ -139,6 +139,9 @@ class Declared(BaseModel):
     angle_uncertainty: float | None = Field(default=None, ge=0.0, le=1.0)
     """Standard error of the scale of each encoder at the posture, relative; by default as recorded
     with the bags, else 0."""
+    linearity_uncertainty: float | None = Field(default=None, ge=0.0)
+    """Standard error of each torque by hysteresis and nonlinearity of its transducer, N·m; by
+    default as recorded with the bags, else what the records leave open."""
     model: Literal["auto", "mbk", "mbk_delay", "reflex", "cuff"] | None = None
     """Model of the arm to fit beside M, B and K: auto, mbk, mbk_delay, reflex or cuff; auto tries
     all where M, B and K don't fit."""

@@ -189,7 +189,7 @@ def bag_metadata(
         "truth": json.dumps(truth),
         "torque_timing": json.dumps(simulator.sensors.sampling.value),
         "torque_uncertainty": "0",
-        # Whoever plants a wrong gain does not declare that there is none.
+        # Whoever plants an error does not declare that there is none.
         **(dict.fromkeys(CALIBRATION_KEYS, "0") if simulator.sensors.torque.calibrated else {}),
         **({"arm_model": json.dumps("cuff")} if simulator.cuff.stiffness else {}),
     }

@@ -76,18 +76,22 @@ class Calibration:
         Standard error of the share of each other joint's torque that each shows.
     angle : float
         Standard error of the scale of each encoder where it is used, relative.
+    linearity : float or None
+        Standard error of each torque by hysteresis and all else that isn't linear of transducers,
+        N·m; None if nobody knows, so that the records have to tell.
     assumed : bool
         Whether nobody declared that of torques.
 
     Raises
     ------
     ConfigurationError
-        If one is negative or above 1.
+        If one is negative, or a relative one above 1.
     """
 
     gain: float = 0.0
     cross_talk: float = 0.0
     angle: float = 0.0
+    linearity: float | None = 0.0
     assumed: bool = False
 
     def __post_init__(self) -> None:
@@ -96,11 +100,15 @@ class Calibration:
                 raise ConfigurationError(
                     f"uncertainty of {name} must be 0 to 1, got {getattr(self, name)!r}"
                 )
+        if self.linearity is not None and not 0.0 <= self.linearity < math.inf:
+            raise ConfigurationError(
+                f"uncertainty of linearity must not be negative, got {self.linearity!r}"
+            )
 
     @classmethod
     def undeclared(cls) -> Calibration:
         """What a transducer of a laboratory is assumed to have: 1 % of either."""
-        return cls(gain=0.01, cross_talk=0.01, assumed=True)
+        return cls(gain=0.01, cross_talk=0.01, linearity=None, assumed=True)
 
     def effects(self, Z: ComplexArray) -> tuple[ComplexArray, ...]:
         """Standard errors ``g Z_ij``, for each other joint l ``c Z_lj``, by column ``a Z_ij``.
@@ -127,6 +135,13 @@ class CommonDelay(JsonModel):
     """Standard error of that, s."""
     refuted: bool = False
     """Whether that contradicts what was declared."""
+
+    @property
+    def held(self) -> float:
+        """Share of a delay that is left, as what was known beforehand holds the fitted one."""
+        if not self.error < self.told_error:
+            return 0.0
+        return 1.0 - (self.error / self.told_error) ** 2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -232,6 +232,7 @@ def identify(
             hold,
             reading.model_copy(update={"delay": reading.delay + delay}),
             resolved=np.all(unseen_share(records) < RESOLVED_SHARE, axis=0),
+            linearity=options.calibration.linearity,
         )
         problems += of_motion
         results = {

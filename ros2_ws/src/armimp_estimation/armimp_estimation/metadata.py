@@ -37,6 +37,7 @@ CALIBRATION_KEYS = {
     "gain_uncertainty": "gain",
     "cross_talk_uncertainty": "cross_talk",
     "angle_uncertainty": "angle",
+    "linearity_uncertainty": "linearity",
 }
 """Names in the metadata of what is declared of the sensors, by attribute of `Calibration`."""
 READING_KEYS = {
@@ -144,6 +145,7 @@ class Metadata(BaseModel):
     gain_uncertainty: _Known = None
     cross_talk_uncertainty: _Known = None
     angle_uncertainty: _Known = None
+    linearity_uncertainty: _Known = None
     """What is declared of the sensors, see :class:`Calibration`."""
     sampling_rate: _Known = None
     """Rate that was declared, where it is an uncustomary one, Hz."""

@@ -255,17 +255,25 @@ class Deviation:
     """Torque by which the transducer lags on either way, or that it shows as none, N·m."""
 
     @property
+    def of_transducer(self) -> bool:
+        """Whether it is the transducer that isn't linear, not the joint."""
+        return TERMS[self.name].doubted > 0.0 or self.name in _LOST
+
+    @property
     def significant(self) -> bool:
         """Whether chance hardly explains it."""
         return self._errors > SIGNIFICANT
 
-    def doubt(self, elsewhere: float = 0.0) -> float:
+    def doubt(self, elsewhere: float = 0.0, *, declared: bool = False) -> float:
         """Standard error that it is, relative to what was found: less if it may be chance.
 
-        Other joints of an arm tell how likely it is, `elsewhere`.
+        Other joints of an arm tell how likely it is, `elsewhere`. Where it is `declared` how linear
+        transducers are, what doesn't stand out of them is chance.
         """
         if self.significant:
             return 1.0
+        if declared and self.of_transducer:
+            return 0.0
         return float(np.sqrt(self._odds(elsewhere)[0])) / abs(self.share) if self.share else 0.0
 
     @property
@@ -553,17 +561,17 @@ def _lost(record: TrialRecord, joint: int, name: str, size: float) -> FloatArray
     return _LOST[name][1](torque, size)
 
 
-def _lacking(found: Sequence[Mapping[str, Deviation]]) -> dict[str, float]:
+def _lacking(found: Sequence[Mapping[str, Deviation]], linearity: float | None) -> dict[str, float]:
     """Standard errors of slack and dead zones, N·m, where they are felt.
 
     Transducers of one rig are alike, and small torques tell little of what is lost of them.
     """
-    sizes = dict.fromkeys(_LOST, 0.0)
+    sizes = {**dict.fromkeys(_LOST, 0.0), "slack": linearity or 0.0}
     for joint, one in enumerate(found):
         others = [other for k, other in enumerate(found) if k != joint and other]
         for name in sizes if one else ():
             told = sum(other[name].evidence for other in others)
-            doubt = one[name].doubt(max(told, 0.0))
+            doubt = one[name].doubt(max(told, 0.0), declared=linearity is not None)
             if doubt * abs(one[name].share) > _UNFELT:
                 sizes[name] = max(sizes[name], abs(doubt * one[name].slack))
     return {name: size for name, size in sizes.items() if size}
@@ -651,6 +659,7 @@ def judge_linearity(
     reading: TorqueReading | None = None,
     *,
     resolved: NDArray[np.bool_],
+    linearity: float | None = None,
 ) -> tuple[list[Problem], list[FloatArray], FloatArray]:
     """Find what isn't linear.
 
@@ -666,6 +675,8 @@ def judge_linearity(
         As :func:`unexplained_torque` takes them.
     resolved : ndarray of bool, shape (n,)
         Where the motion of locked joints isn't, its torque may look like what isn't linear.
+    linearity : float, optional
+        That of the :class:`armimp_estimation.fit.Calibration`, N·m.
 
     Returns
     -------
@@ -694,7 +705,9 @@ def judge_linearity(
             told = sum(other[name].evidence for other in elsewhere)
             # Joints of one arm are alike in whether their stiffness depends on the amplitude.
             # A transducer that isn't linear doesn't clear the others of it.
-            doubt = one.doubt(told if name == "curvature" else max(told, 0.0))
+            doubt = one.doubt(
+                told if name == "curvature" else max(told, 0.0), declared=linearity is not None
+            )
             gain[k] = np.hypot(gain[k], doubt * one.gain)
             for m in range(n) if doubt * one.held else ():
                 if m != k:
@@ -709,8 +722,7 @@ def judge_linearity(
             if not one.significant or (code, severity) in said:
                 continue
             said.add((code, severity))
-            of_transducer = TERMS[name].doubted or name in _LOST
-            concern = Concern.IMPEDANCE if of_transducer else Concern.PARAMETERS
+            concern = Concern.IMPEDANCE if one.of_transducer else Concern.PARAMETERS
             problems.append(
                 problem(
                     code,
@@ -722,10 +734,11 @@ def judge_linearity(
                     error=100.0 * one.error,
                 )
             )
-    for (name, size), k in product(_lacking(found).items(), range(n)):
+    for (name, size), k in product(_lacking(found, linearity).items(), range(n)):
         parts = [_lost(record.whole_periods, k, name, size) for record in records]
         lost = np.asarray(sum(of_torque(k, m, part) for m, part in enumerate(parts)))
-        if name == "slack" and fit.delay is not None and fit.delay.error > 0.0:
-            lost[1] = 0.0  # in phase it is a delay, which was fitted, and has errors of its own
+        if name == "slack" and fit.delay is not None:
+            # In phase it is a delay, which was fitted as far as the data tell.
+            lost[1] *= fit.delay.held
         doubts.append(lost)
     return problems, doubts, gain

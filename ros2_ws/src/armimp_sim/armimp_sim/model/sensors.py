@@ -68,14 +68,14 @@ class ReadingParameters(Schema):
 
     @property
     def calibrated(self) -> bool:
-        """Whether gain and cross-talk are what everybody takes them for."""
-        return set(self.gain) == {1.0} and not self.cross_talk
+        """Whether gain, cross-talk and hysteresis are what everybody takes them for."""
+        return set(self.gain) == {1.0} and not (self.cross_talk or self.hysteresis)
 
     @property
     def direct(self) -> bool:
         """Whether readings are the signal, but for rounding."""
         added = (*self.offset, *self.drift, self.noise, self.hum)
-        changed = (self.delay, self.cutoff, self.hysteresis, self.limit)
+        changed = (self.delay, self.cutoff, self.limit)
         return self.calibrated and not any((*added, *changed))
 
 
