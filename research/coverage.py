@@ -12,7 +12,7 @@ from research.cells import Levels, Plan, Run
 from research.coverage_figure import coverage_figure
 from research.coverage_statistics import NOMINAL, TARGET, Cell
 from research.coverage_tables import in_words, print_cells
-from research.decomposition_trials import estimate, matrices, scales, with_voluntary
+from research.decomposition_trials import matrices, scales, with_voluntary
 from research.options import InvestigationOptions
 from research.writing import present
 
@@ -35,9 +35,9 @@ def run_coverage(plan: CoveragePlan, workers: int | None = None) -> list[Cell]:
         for voluntary in plan.voluntary:
             for experiment in simulate(with_voluntary(base, voluntary, seeds)):
                 true = matrices(experiment.truth)
-                for name, run in estimate(experiment, plan.estimators, plan.welch).items():
-                    stated = np.stack((run.fit.M_se, run.fit.B_se, run.fit.K_se))
-                    errors = matrices(run.fit.mbk) - true
+                for name, one in experiment.identify(plan.estimators).estimators.items():
+                    stated = np.stack((one.fit.M_se, one.fit.B_se, one.fit.K_se))
+                    errors = matrices(one.fit.mbk) - true
                     found.append((voluntary, name, errors / scales(true), stated / scales(true)))
         return found
 

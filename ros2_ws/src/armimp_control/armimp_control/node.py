@@ -56,7 +56,7 @@ _DIAGNOSTICS_TICKS = 1000
 _STOPPED = "emergency stop"
 _UNCHECKED = 0.05
 """How old what is known of the other nodes may be when torque is commanded (s)."""
-_FAREWELL = Duration(seconds=0.5)
+_FAREWELL = Duration(seconds=0.2)
 """How long the last command and status may take to arrive before this process ends."""
 _NO_SAMPLE = "no sensor sample arrived any more"
 _NO_DECISION = "the estimator does not say whether the trial is over"
@@ -169,9 +169,6 @@ class ImbicControllerNode(ManagedNode):
         """Take torque away, should the node end while it is active."""
         if self._active and self.context.ok():
             self._rest("the controller was ended")
-            # What is lost on its way now is not sent again, once the publishers are gone.
-            for publisher in (self._commands.publisher, self._trial):
-                publisher.wait_for_all_acked(_FAREWELL)
         super().destroy_node()
 
     def _prepare(self) -> TrialSequencer:
@@ -196,6 +193,9 @@ class ImbicControllerNode(ManagedNode):
         self._scheduling.give_back()
         if sequencer is not None and not sequencer.at_rest:
             self._abort(sequencer, Cause.NODE_ENDED, reason)
+        # What is lost on its way now is not sent again, once the publishers are gone.
+        for publisher in (self._commands.publisher, self._trial):
+            publisher.wait_for_all_acked(_FAREWELL)
 
     def _abort(self, sequencer: TrialSequencer, cause: Cause, reason: str) -> None:
         sequencer.abort(cause, reason)

@@ -17,8 +17,9 @@ from armimp_estimation.trial import TrialData
 # Power of a perturbation, relative to its largest, below which windows leak it from elsewhere.
 _LEAKED = 1e-5
 # Power of a response over that of its noise from which on others are divided by it: the ratio of
-# two normal values is off by exp(-4) of what noise alone makes of it.
-_STANDS_OUT = 4.0
+# two normal values is off by exp(-2) of what noise alone makes of it. Where a person pushes and the
+# perturbation is weak, 4 would leave out bins that tell half of what is known of the stiffness.
+_STANDS_OUT = 2.0
 # Hz on either side over which the power of a response is alike.
 _ALIKE = 0.6
 
