@@ -117,6 +117,8 @@ class Term:
     Smaller ones are in the standard errors, and so is what friction of the robot leaves in the
     torques where their jumps with the commands are not known well.
     """
+    most: float = np.inf
+    """Share beyond which it is none of an arm: what a person does in time looks like it."""
     likely: float = 0.0
     sizes: tuple[float, ...] = (0.0,)
     """Assumptions: how likely it is there, and by what share if so."""
@@ -194,6 +196,7 @@ TERMS: Mapping[str, Term] = {
         bend=lambda signals: signals[0] * np.linspace(-0.5, 0.5, signals.shape[1]),
         code=ProblemCode.CHANGES_OVER_TIME,
         large=0.05,
+        most=3.0,
     ),
     "onset": Term(
         bend=lambda signals: signals[0] * np.exp(-np.linspace(0.0, ONSETS, signals.shape[1])),
@@ -717,7 +720,7 @@ def judge_linearity(
                 continue
             if not one.slack:
                 doubts[k][:, k, k] = np.hypot(doubts[k][:, k, k], doubt * one.shift)
-            large = resolved[k] and abs(one.share) > TERMS[name].large
+            large = resolved[k] and TERMS[name].large < abs(one.share) < TERMS[name].most
             code, severity = TERMS[name].code, Severity.ERROR if large else Severity.NOTE
             if not one.significant or (code, severity) in said:
                 continue
