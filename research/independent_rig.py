@@ -108,6 +108,8 @@ class Mismatch:
     mrad."""
     tremor: float = 0.0
     voluntary: float = 0.0
+    rhythm: float = 0.0
+    """Rms of slow torque of the person, of a tremor and of a rhythm of one a second, N·m."""
     synchronous: bool = False
     """Whether the voluntary torque repeats itself every 10 s, as a multisine does."""
     leaning: float = 0.0
@@ -457,7 +459,11 @@ def _readings(mismatch: Mismatch, before: FloatArray, fine: FloatArray, step: fl
 def _disturbance(mismatch: Mismatch, ticks: int, rng: np.random.Generator) -> FloatArray:
     n = mismatch.joints
     total = np.zeros((n, ticks))
-    for size, band in ((mismatch.voluntary, (0.05, 2.0)), (mismatch.tremor, (8.0, 12.0))):
+    for size, band in (
+        (mismatch.voluntary, (0.05, 2.0)),
+        (mismatch.tremor, (8.0, 12.0)),
+        (mismatch.rhythm, (0.9, 1.1)),
+    ):
         if size:
             sos = butter(2, band, btype="band", fs=mismatch.rate, output="sos")
             raw = sosfilt(sos, rng.standard_normal((n, ticks + 20000)), axis=1)[:, 20000:]

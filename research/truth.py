@@ -454,6 +454,9 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     for size in (0.1, 0.3, 1.0):
         add(NOISE, "tremor", (f"{size:g} N·m", {"tremor": size}))
         add(NOISE, "voluntary", (f"{size:g} N·m", {"voluntary": size}))
+        add(NOISE, "rhythm", (f"{size:g} N·m", {"rhythm": size}))
+        periodic = {"rhythm": size, "waveform": "multisine"}
+        add(NOISE, "rhythm beside a multisine", (f"{size:g} N·m", periodic))
     for lock in (15.0, 30.0):
         add(NOISE, "soft lock", (f"{lock:g} rad/s", {"lock": lock}))
     for name in ("stiffness", "damping", "inertia"):
