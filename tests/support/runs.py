@@ -44,9 +44,8 @@ class RecordedTrial:
     def values(self, topic: str, names: tuple[str, ...]) -> NDArray[np.float64]:
         """Numbers (n, N) of a data stream, rad or N·m."""
         if topic == COMMANDS:
-            return CommandDecoder(len(names)).decode_many(self.streams[topic])
-        decoder = JointStateDecoder(names, VALUE_FIELD[topic])
-        return decoder.decode_many(self.streams[topic])[1]
+            return CommandDecoder(len(names)).decode_many(self.streams[topic])[1]
+        return JointStateDecoder(names, VALUE_FIELD[topic]).decode_many(self.streams[topic])[1]
 
     def stamps(self, topic: str, names: tuple[str, ...]) -> NDArray[np.int64]:
         """Stamps (N,) of a data stream that has some, ns."""

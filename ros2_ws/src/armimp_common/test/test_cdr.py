@@ -307,7 +307,7 @@ def test_decode_many_of_commands_agrees_with_decode(length: int) -> None:
     ]
 
     for messages in (plain, mixed):
-        values = CommandDecoder(3).decode_many(messages)
+        _, values = CommandDecoder(3).decode_many(messages)
         assert values.shape == (3, length)
         assert values.dtype == np.float64
         assert values.flags.c_contiguous
