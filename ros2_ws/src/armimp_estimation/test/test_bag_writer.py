@@ -110,7 +110,7 @@ class TestRefusals:
         for path in (tmp_path / "file" / "bag", Path("/tmp/\0bag")):
             with pytest.raises(BagError) as error:
                 BagWriter(path, metadata={})
-            assert one_line(error).startswith(f"{path}: cannot be made: ")
+            assert one_line(error).startswith(f"{path}: cannot be written: ")
 
     def test_unknown_topics_and_writing_after_close_are_refused(self, tmp_path: Path) -> None:
         writer = BagWriter(tmp_path / "bag", metadata={})
