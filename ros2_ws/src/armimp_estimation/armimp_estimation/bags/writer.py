@@ -165,7 +165,31 @@ class BagWriter:
         """
         with self._one_line():
             channels = {self._channel(topic): raws for topic, raws in messages.items()}
-            self._add_block(log_times, channels)
+            head, entry, offset = MESSAGE_HEAD.pack, _ENTRY.pack, len(self._chunk)
+            records: list[bytes] = []
+            index: list[tuple[int, bytes]] = []
+            for number, time_ns in enumerate(log_times):
+                for channel, raws in channels.items():
+                    raw = raws[number]
+                    times = time_ns, time_ns
+                    records += head(MESSAGE, BEYOND_LENGTH + len(raw), channel, 0, *times), raw
+                    index.append((channel, entry(time_ns, offset)))
+                    offset += MESSAGE_HEAD.size + len(raw)
+            # Nothing has changed so far, if a time is impossible.
+            first_ns, last_ns = log_times[0], log_times[-1]
+            if not self._chunk:
+                self._start_ns, self._end_ns = first_ns, last_ns
+            self._start_ns, self._end_ns = min(self._start_ns, first_ns), max(self._end_ns, last_ns)
+            self._chunk += b"".join(records)
+            for channel, place in index:
+                self._index[channel] += place
+            self._pending += len(index)
+            # Another block like this must not lead beyond what may be lost.
+            if (
+                2 * last_ns - first_ns >= self._start_ns + FLUSH_INTERVAL_NS
+                or self._pending + len(index) > FLUSH_MESSAGES
+            ):
+                self._flush()
 
     def add_metadata(self, values: Mapping[str, str]) -> None:
         """Add to the metadata what is known only after recording.
@@ -261,35 +285,6 @@ class BagWriter:
         entry = MetadataIndex(offset=self._position, length=len(record), name=name)
         self._append(record)
         self._metadata.append(entry)
-
-    def _add_block(self, log_times: Sequence[int], channels: Mapping[int, Sequence[bytes]]) -> None:
-        """Append messages and flush as is due; for an impossible time nothing, and struct.error."""
-        head, entry, offset = MESSAGE_HEAD.pack, _ENTRY.pack, len(self._chunk)
-        records: list[bytes] = []
-        index: list[tuple[int, bytes]] = []
-        for number, time_ns in enumerate(log_times):
-            for channel, raws in channels.items():
-                raw = raws[number]
-                records += (
-                    head(MESSAGE, BEYOND_LENGTH + len(raw), channel, 0, *[time_ns] * 2),
-                    raw,
-                )
-                index.append((channel, entry(time_ns, offset)))
-                offset += MESSAGE_HEAD.size + len(raw)
-        first_ns, last_ns = log_times[0], log_times[-1]
-        if not self._chunk:
-            self._start_ns, self._end_ns = first_ns, last_ns
-        self._start_ns, self._end_ns = min(self._start_ns, first_ns), max(self._end_ns, last_ns)
-        self._chunk += b"".join(records)
-        for channel, place in index:
-            self._index[channel] += place
-        self._pending += len(index)
-        # Another block like this must not lead beyond what may be lost.
-        if (
-            2 * last_ns - first_ns >= self._start_ns + FLUSH_INTERVAL_NS
-            or self._pending + len(index) > FLUSH_MESSAGES
-        ):
-            self._flush()
 
     def _flush(self) -> None:
         if not self._pending:
