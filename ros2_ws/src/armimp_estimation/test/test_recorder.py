@@ -41,7 +41,7 @@ from armimp_estimation.recorder import TrialRecorder, largest_error, record_so_f
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from support.bag_files import iterate_messages
 from support.streams import changed, fed_synchronizer, record
-from support.synthetic_bags import Message, recorded_arm, synthetic_recording
+from support.synthetic_bags import Message, assert_same, recorded_arm, synthetic_recording
 from support.synthetic_trials import TWO_JOINT_ARM as ARM
 from support.synthetic_trials import SyntheticConfig, part_of, synthetic_trial
 
@@ -103,16 +103,7 @@ class Desk:
             assert (read.window, read.statistics) == (trial.window, trial.statistics)
             assert read.problems == trial.problems
             for one, other in zip(read.segments, trial.segments, strict=True):
-                assert_equal(one, other)
-
-
-def assert_equal(record: TrialRecord, expected: TrialRecord, samples: int | None = None) -> None:
-    for name in ("position", "torque", "perturbation"):
-        np.testing.assert_array_equal(
-            getattr(record, name), getattr(expected, name)[:, slice(samples)]
-        )
-    assert record.start_ns == expected.start_ns
-    assert record.perturbed_joint == expected.perturbed_joint
+                assert_same(one, other)
 
 
 @pytest.mark.parametrize("together", [1, 10, 50])
@@ -128,10 +119,10 @@ def test_each_trial_gets_a_bag_that_reads_as_what_was_handed_over(
     for number, (path, trial) in enumerate(zip(desk.bags, desk.finished, strict=True), 1):
         assert trial.bag == f"bags/{path.name}"
         assert 0.0 < trial.rtf < math.inf
-        assert_equal(trial.intact()[0], MADE_UP.records[number - 1])
+        assert_same(trial.intact()[0], MADE_UP.records[number - 1])
         content = read_bag(path)
         (read,) = content.trials
-        assert_equal(read.intact()[0], trial.intact()[0])
+        assert_same(read.intact()[0], trial.intact()[0])
         assert (read.window, read.statistics) == (trial.window, trial.statistics)
         assert content.metadata.items() >= METADATA.items()
         assert content.notes == ()
@@ -160,7 +151,7 @@ def test_however_late_a_stream_is_each_trial_has_exactly_its_samples_also_replay
     again.recorder.stop()
     for finished in (desk.finished, again.finished):
         for trial, expected in zip(finished, recording.records, strict=True):
-            assert_equal(trial.intact()[0], expected)
+            assert_same(trial.intact()[0], expected)
             assert trial.segments[0].command is not None
 
 
@@ -179,7 +170,7 @@ def test_a_perturbation_of_somebody_else_between_trials_is_found_and_costs_no_sa
     desk.recorder.stop()
     codes = [{problem.code for problem in trial.problems} for trial in desk.finished]
     assert codes == [set(), {ProblemCode.PERTURBATIONS_FOREIGN}]
-    assert_equal(desk.finished[1].segments[0], recording.records[1])
+    assert_same(desk.finished[1].segments[0], recording.records[1])
 
 
 @settings(max_examples=20, deadline=None)
@@ -243,7 +234,7 @@ def test_trials_may_come_in_any_order_of_their_times(
     desk.recorder.stop()
     assert [trial.trial for trial in desk.finished] == [2, 1]
     for trial, expected in zip(desk.finished, recording.records[::-1], strict=True):
-        assert_equal(trial.intact()[0], expected)
+        assert_same(trial.intact()[0], expected)
     desk.assert_bags_read_as_handed_over()
 
 
@@ -266,7 +257,7 @@ def test_a_trial_that_ends_early_has_no_sample_of_the_rest(announced: bool, toge
     desk.feed(told for message in MADE_UP.messages for told in longer(message))
     for trial, expected in zip(desk.finished, MADE_UP.records, strict=True):
         assert trial.window.saved == TICKS
-        assert_equal(trial.intact()[0], expected)
+        assert_same(trial.intact()[0], expected)
 
 
 @pytest.mark.parametrize("drift", [-1e-4, 1e-4])
@@ -298,7 +289,7 @@ def test_stamps_that_make_no_sense_hold_nothing_up_and_messages_without_are_refu
     desk.feed(messages)
     assert [line[:33] for line in refused] == ["joint_states: message has 2 bytes"]
     for trial, expected in zip(desk.finished, MADE_UP.records, strict=True):
-        assert_equal(trial.segments[0], expected)
+        assert_same(trial.segments[0], expected)
 
 
 def test_when_a_trial_ends_depends_on_its_first_samples_and_the_trials_before() -> None:
@@ -359,7 +350,7 @@ def test_first_samples_of_a_running_trial_are_the_same_however_they_arrived(
     found = so_far(ARM_MESSAGES, samples, stops)
     assert found is not None
     expected = with_commands(part_of(ARM_RECORDING.records[0], 0, samples))
-    assert_equal(found, replace(expected, start_ns=0))
+    assert_same(found, replace(expected, start_ns=0))
     np.testing.assert_array_equal(found.command, expected.command)
     assert so_far(ARM_MESSAGES, SAMPLES + 1) is None
 
