@@ -304,6 +304,11 @@ class TestRefusals:
         (path / "metadata.yaml").write_text(dump({"rosbag2_bagfile_information": listed}))
         assert refusal(path).endswith(": is missing, though listed in metadata.yaml")
 
+    def test_recording_of_something_else(self, tmp_path: Path) -> None:
+        chatter = [("/chatter", "std_msgs/msg/String", 1, b"\0\1\0\0\1\0\0\0\0")]
+        path = write_foreign(tmp_path / "bag", chatter)
+        assert refusal(path) == f"{path}: no messages of an experiment in it"
+
     def test_database_of_something_else(self, tmp_path: Path) -> None:
         path = tmp_path / "other.db3"
         with sqlite3.connect(path) as database:
