@@ -22,6 +22,7 @@ from armimp_estimation.bags.raw import (
     MESSAGE_COST,
     NODE_COST,
     RECORD_COST,
+    RawMessage,
     RawMessages,
     one_line,
 )
@@ -154,9 +155,7 @@ class _McapReading:
         """Walk through a chunk, or what stands outside of chunks, record by record."""
         unpack, head_size = MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size
         topic_of = self._channels.get
-        topics: list[int] = []
-        log_times: list[int] = []
-        payloads: list[bytes] = []
+        found: list[RawMessage] = []
         unwanted = 0
         position, end = 0, len(records)
         while position < end:
@@ -171,12 +170,10 @@ class _McapReading:
             if topic is None:
                 unwanted += 1
             else:
-                topics.append(topic)
-                log_times.append(log_time)
-                payloads.append(records[position + head_size : after])
+                found.append((topic, log_time, records[position + head_size : after]))
             position = after
         self._spend(MESSAGE_COST * unwanted)
-        self._into.extend(topics, log_times, payloads)
+        self._into.extend(found)
 
     def _other(self, records: bytes, position: int) -> int:
         opcode, length = _RECORD_HEAD.unpack_from(records, position)

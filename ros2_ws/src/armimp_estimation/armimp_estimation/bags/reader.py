@@ -64,7 +64,7 @@ class BagContent:
 
     def messages(self) -> Iterator[tuple[str, int, bytes]]:
         """Topic, time of reception (ns) and bytes of each message of the contract, in order."""
-        for index, log_time_ns, payload in self._raw:
+        for index, log_time_ns, payload in self._raw.messages:
             if index in self._contract_names:
                 yield self._contract_names[index], log_time_ns, payload
 
@@ -85,7 +85,7 @@ def read_bag(path: Path, *, namespace: str | None = None) -> BagContent:
         that names the file. A trial that is there but spoiled raises only where it is estimated.
     """
     raw = read_storage(path, contract_topic)
-    if not raw.payloads:
+    if not raw.messages:
         cut = f"; the file {raw.cut}" if raw.cut else ""
         raise BagError(f"{path}: no messages of an experiment in it{cut}")
     found = resolve_topics(raw.topics, bag=str(path), namespace=namespace)
@@ -94,7 +94,7 @@ def read_bag(path: Path, *, namespace: str | None = None) -> BagContent:
             raise BagError(f"{path}: has no {content}: no topic {topic}")
     by_index = raw.by_topic()
     messages = {
-        topic: by_index.get(found[topic], []) if topic in found else []
+        topic: by_index[found[topic]] if topic in found else []
         for topic in (*topics.DATA_STREAMS, topics.TRIAL)
     }
     if len(messages[topics.TRIAL]) > _MOST_STATUSES:
@@ -257,7 +257,7 @@ def read_storage(path: Path, wanted: TopicFilter) -> RawMessages:
     except OSError as error:
         prefix = "cannot be read: " if error.errno else ""  # else the reason is ours
         raise BagError(f"{error.filename or path}: {prefix}{error.strerror}") from None
-    except (zstandard.ZstdError, OverflowError, MemoryError) as error:
+    except (zstandard.ZstdError, MemoryError) as error:
         raise BagError(f"{path}: damaged: {one_line(error)}") from None
     messages.metadata.update(custom)
     return messages
@@ -385,9 +385,8 @@ def _decompress_messages(messages: RawMessages) -> None:
     CDR begins with two bytes that are 0 or 1, so such messages are known by their own first
     bytes, even without the ``metadata.yaml`` that says so.
     """
-    if not messages.payloads or not messages.payloads[0].startswith(_ZSTD_MAGIC):
-        return
-    messages.payloads = [
-        messages.unzstd(payload) if payload.startswith(_ZSTD_MAGIC) else payload
-        for payload in messages.payloads
-    ]
+    if messages.messages and messages.messages[0][2].startswith(_ZSTD_MAGIC):
+        messages.messages = [
+            (topic, time, messages.unzstd(raw) if raw.startswith(_ZSTD_MAGIC) else raw)
+            for topic, time, raw in messages.messages
+        ]

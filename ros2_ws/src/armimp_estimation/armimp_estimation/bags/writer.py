@@ -458,7 +458,7 @@ def finish_bag(path: Path) -> str:
                 return f"{unfinished}, and it cannot be finished now: {error}"
     except (BagError, OSError):
         return ""  # It is being recorded, or whoever reads it will say what is wrong.
-    return f"{unfinished}: finished now, with {len(messages.payloads)} messages"
+    return f"{unfinished}: finished now, with {len(messages.messages)} messages"
 
 
 def finish_bags(directory: Path) -> list[str]:
@@ -473,7 +473,7 @@ def _write_anew(path: Path, messages: RawMessages) -> None:
     with tempfile.TemporaryDirectory(prefix=".finishing.", dir=path) as work:
         copy = Path(work) / path.name
         with BagWriter(copy, metadata=messages.metadata) as writer:
-            for index, log_time_ns, payload in messages:
+            for index, log_time_ns, payload in messages.messages:
                 name, _ = messages.topics[index]
                 writer.write(names.get(name, name), payload, log_time_ns)
         for file in (storage_name(path), FILE_NAME):
