@@ -601,12 +601,12 @@ def test_the_rate_is_that_of_the_stamps_with_all_that_is_wrong_with_them(
     streams = {"joint_states": values}
     period = sampling_period(streams)
     assert 1e9 / period == pytest.approx(rate, rel=1e-4)
-    assert [one.code for one in judge_stamps(streams, period, trial=1)] == expected
+    assert [one.code for one in judge_stamps(streams, period)] == expected
 
 
 def test_when_streams_have_different_rates_expect_the_one_that_differs() -> None:
     streams = {name: stamps(1000.0) for name in ("a", "b")} | {"c": stamps(995.0)}
-    (found,) = judge_stamps(streams, sampling_period(streams), trial=1)
+    (found,) = judge_stamps(streams, sampling_period(streams))
     assert (found.code, found.values["stream"]) == (ProblemCode.STREAM_RATES_DIFFER, "c")
 
 

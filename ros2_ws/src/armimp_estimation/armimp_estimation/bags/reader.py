@@ -105,7 +105,7 @@ def read_bag(path: Path, *, namespace: str | None = None) -> BagContent:
         if len(joint_names) > _MOST_JOINTS:
             raise DataError(f"{len(joint_names)} joints are more than {_MOST_JOINTS}")
         streams = decode_streams(joint_names, messages)
-        trials = assemble_trials(streams, statuses, source=str(path))
+        trials = assemble_trials(streams, statuses, bag=str(path))
     except (DataError, ConfigurationError, MalformedMessageError) as error:
         cut = f" (the file {raw.cut})" if raw.cut else ""
         raise BagError(f"{path}: {one_line(error)}{cut}") from None
