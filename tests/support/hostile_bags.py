@@ -368,13 +368,6 @@ for _place, (_name, _arguments) in PLACES.items():
         ATTACKS[f"{_kind} as {_place}"] = _in_place_of(_name, _make, _arguments)
 
 
-@attack
-def storage_with_a_hole(directory: Path) -> Arguments:
-    arguments = mcap(directory, HEAD, sound())
-    os.truncate(directory / "bag.mcap", 1 << 40)
-    return arguments
-
-
 # --- directories ------------------------------------------------------------------------------
 
 
@@ -465,7 +458,7 @@ QUICK: Final = [
     "recursive view of messages",
     "journal that has another file deleted",
     "a pipe as metadata",
-    "storage with a hole",
+    "a hole as storage",
     "link to an unfinished bag elsewhere",
     "config of nested aliases",
 ]
