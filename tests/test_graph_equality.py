@@ -8,9 +8,6 @@ import pytest
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import run_offline
 from armimp_bringup.parameters import node_parameters
-from armimp_common.topics import (
-    PERTURBATION,
-)
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.summary import read_frf
 from support.runs import FinishedRun, Run
@@ -73,7 +70,6 @@ def test_three_joints_go_the_same_way(run: Run) -> None:
         assert np.isfinite(result.K).all()
     finished.assert_same_as_offline(offline(joints=3))
     perturbed = [
-        np.flatnonzero(trial.values(PERTURBATION, finished.joint_names).any(axis=1)).tolist()
-        for trial in finished.trials()
+        np.flatnonzero(record.perturbation.any(axis=1)).tolist() for record in finished.records()
     ]
     assert perturbed == [[0], [1], [2]]

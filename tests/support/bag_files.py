@@ -91,11 +91,13 @@ def write_mcap(
 def iterate_messages(path: Path, *, namespace: str | None = None) -> Iterator[Message]:
     """The messages of the contract in a bag, in which there need not be a trial."""
     raw = read_storage(path, contract_topic)
-    if not raw.payloads:
+    if not raw.messages:
         raise BagError(f"{path}: no messages")
     found = resolve_topics(raw.topics, bag=str(path), namespace=namespace)
     names = {index: topic for topic, index in found.items()}
-    return ((names[index], time, payload) for index, time, payload in raw if index in names)
+    return (
+        (names[index], time, payload) for index, time, payload in raw.messages if index in names
+    )
 
 
 def records_of(content: BagContent) -> list[TrialRecord]:

@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from armimp_common.cdr import CommandDecoder, JointStateDecoder, decode_trial_status, stamp_of
+from armimp_common.cdr import decode_trial_status, stamp_of
 from armimp_common.status import TrialStatus
-from armimp_common.topics import COMMANDS, DATA_STREAMS, PERIOD_NS, PERTURBATION, TRIAL, VALUE_FIELD
+from armimp_common.topics import DATA_STREAMS, PERTURBATION, TRIAL
 from armimp_estimation.bags import read_bag
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.summary import Summary
 from support.bag_files import iterate_messages
+from support.synthetic_bags import assert_same
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,18 +41,6 @@ class RecordedTrial:
         part = slice(first, first + statuses[-1].ticks)
         return cls(streams={t: raws[part] for t, raws in streams.items()}, statuses=statuses)
 
-    def values(self, topic: str, names: tuple[str, ...]) -> NDArray[np.float64]:
-        """Numbers (n, N) of a data stream, rad or N·m."""
-        if topic == COMMANDS:
-            return CommandDecoder(len(names)).decode_many(self.streams[topic])
-        decoder = JointStateDecoder(names, VALUE_FIELD[topic])
-        return decoder.decode_many(self.streams[topic])[1]
-
-    def stamps(self, topic: str, names: tuple[str, ...]) -> NDArray[np.int64]:
-        """Stamps (N,) of a data stream that has some, ns."""
-        decoder = JointStateDecoder(names, VALUE_FIELD[topic])
-        return decoder.decode_many(self.streams[topic])[0]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FinishedRun:
@@ -66,10 +54,10 @@ class FinishedRun:
         """Bags in the order of the trials."""
         return sorted((self.directory / "bags").iterdir())
 
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """Names of the joints, from the first bag."""
-        return read_bag(self.bags[0]).joint_names
+    def records(self) -> list[TrialRecord]:
+        """Samples of all trials, none of which may lack any."""
+        found = [one.record for bag in self.bags for one in read_bag(bag).trials]
+        return [record for record in found if record is not None]
 
     def trials(self) -> list[RecordedTrial]:
         """Read all bags."""
@@ -84,14 +72,9 @@ class FinishedRun:
 
     def assert_same_as_offline(self, trials: list[TrialRecord]) -> None:
         """Check that the samples are those of the loop without ROS, to the last bit."""
-        names = self.joint_names
-        for mine, offline in zip(self.trials(), trials, strict=True):
-            stamps = offline.start_ns + PERIOD_NS * np.arange(offline.position.shape[1])
-            for topic in VALUE_FIELD:
-                np.testing.assert_array_equal(mine.stamps(topic, names), stamps)
-            expected = (offline.position, offline.torque, offline.command, offline.perturbation)
-            for topic, values in zip(DATA_STREAMS, expected, strict=True):
-                np.testing.assert_array_equal(mine.values(topic, names), values, err_msg=topic)
+        for mine, offline in zip(self.records(), trials, strict=True):
+            assert_same(mine, offline)
+            np.testing.assert_array_equal(mine.command, offline.command)
 
 
 class Run(Protocol):

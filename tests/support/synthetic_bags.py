@@ -129,11 +129,14 @@ def recorded_arm(samples: int = 10_000) -> SyntheticRecording:
     return recording_of([synthetic_trial(TWO_JOINT_ARM, k, config, seed=1) for k in range(2)])
 
 
-def assert_same(record: TrialRecord, expected: TrialRecord) -> None:
-    """Check that a record holds the samples of another one, without what only a node knows."""
+def assert_same(
+    record: TrialRecord, expected: TrialRecord, start: int = 0, stop: int | None = None
+) -> None:
+    """Check that a record holds these samples of another one, without what only a node knows."""
     for name in ("position", "torque", "perturbation"):
         values = getattr(record, name)
         assert values.flags.c_contiguous
-        np.testing.assert_array_equal(values, getattr(expected, name))
-    for name in ("start_ns", "perturbed_joint", "joint_names", "rate", "trial"):
+        np.testing.assert_array_equal(values, getattr(expected, name)[:, start:stop])
+    assert record.start_ns == expected.start_ns + start * PERIOD_NS
+    for name in ("perturbed_joint", "joint_names", "rate", "trial"):
         assert getattr(record, name) == getattr(expected, name)

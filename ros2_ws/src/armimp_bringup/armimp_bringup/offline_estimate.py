@@ -60,7 +60,7 @@ def estimate_bags(
     contents = read_bags(bags, namespace=namespace)
     names = contents[0].joint_names
     notes = [note for content in contents for note in content.notes]
-    trials = [replace(t, bag=str(one.path)) for one in contents for t in one.trials]
+    trials = [trial for content in contents for trial in content.trials]
     for trial in trials:
         trial.intact(allow_gaps=allow_gaps)
     metadata = latest_metadata([content.metadata for content in contents])

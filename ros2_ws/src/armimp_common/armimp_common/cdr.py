@@ -28,6 +28,7 @@ from armimp_common.topics import NS_PER_S, ValueField
 Buffer: TypeAlias = bytes | bytearray | memoryview
 Span: TypeAlias = tuple[int, int]
 """Start and end of some bytes of a message, counted from its first byte."""
+_Columns: TypeAlias = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
 
 _LITTLE: Final = b"\0\1\0\0"
 _HEADER_SIZE: Final = 4
@@ -41,7 +42,7 @@ _NUMBERS: Final = struct.Struct("<4x2I")
 
 
 class CdrReader:
-    """Parser of plain CDR (XCDR1) of either byte order, which never reads past the end.
+    """Parser of plain little-endian CDR (XCDR1), which never reads past the end.
 
     Parameters
     ----------
@@ -52,8 +53,6 @@ class CdrReader:
 
     Attributes
     ----------
-    byte_order
-        ``"<"`` or ``">"``, as ``struct`` writes it.
     constants
         Spans of everything read through `count` and `string`: what two messages must have in
         common to share a layout. Padding and surplus are not among them, as senders leave
@@ -168,8 +167,8 @@ class _Layout:
         count = (end - start) // 8
         self._dtype = np.dtype(
             {
-                "names": ["sec", "nanosec", "values"],
-                "formats": ["<i4", "<u4", ("<f8", (count,))],
+                "names": ["first", "second", "values"],
+                "formats": [f"<{'u' if head[0] == 'I' else 'i'}4", "<u4", ("<f8", (count,))],
                 "offsets": [4, 8, start],
                 "itemsize": self._length,
             }
@@ -191,10 +190,8 @@ class _Layout:
             and int.from_bytes(data, "little") & self._mask == self._constant
         )
 
-    def unpack_many(
-        self, messages: Sequence[Buffer]
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]] | None:
-        """Stamps (N,) and values (n, N) of many messages at once; None if the layouts differ."""
+    def unpack_many(self, messages: Sequence[Buffer]) -> _Columns | None:
+        """Head and values (n, N) of many messages at once; None if the layouts differ."""
         if set(map(len, messages)) - {self._length}:
             return None
         data = b"".join(messages)
@@ -202,8 +199,8 @@ class _Layout:
         if (constants != constants[0]).any():  # the layout is that of the first message
             return None
         rows = np.frombuffer(data, self._dtype)
-        stamps = rows["sec"].astype(np.int64) * NS_PER_S + rows["nanosec"]
-        return stamps, np.ascontiguousarray(rows["values"][:, self._order].T, np.float64)
+        first, second = rows["first"].astype(np.int64), rows["second"].astype(np.int64)
+        return first, second, np.ascontiguousarray(rows["values"][:, self._order].T, np.float64)
 
 
 class _Decoder(ABC):
@@ -216,24 +213,44 @@ class _Decoder(ABC):
     @abstractmethod
     def _parse(self, data: Buffer) -> _Layout: ...
 
-    def _unpacked(self, data: Buffer) -> tuple[_Layout, tuple[Any, ...]]:
-        """Unpack a message by its layout, which is parsed if it is not the last one."""
+    @staticmethod
+    @abstractmethod
+    def _number(first: Any, second: Any) -> Any:
+        """Stamp or number of messages, from the two numbers of their heads."""
+
+    def decode(self, data: Buffer) -> tuple[int, tuple[float, ...]]:
+        """Decode one message into its stamp (ns) or number, and n values.
+
+        NaN and infinities are passed on as they are.
+
+        Raises
+        ------
+        MalformedMessageError
+            On truncated or foreign bytes, a missing, unknown or doubled joint, or an array
+            whose length is not the number of joints.
+        """
         layout = self._layout
         if layout is None or not layout.matches(data):
             layout = self._layout = self._parse(data)
-        return layout, layout.unpack(data)
+        items = layout.unpack(data)
+        return self._number(items[0], items[1]), layout.values(items)
 
-    def _many(self, messages: Sequence[Buffer]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        stamps, values = np.zeros(len(messages), np.int64), np.empty((self._count, len(messages)))
+    def decode_many(
+        self, messages: Sequence[Buffer]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """As `decode` of many messages: stamps or numbers (N,), and C-contiguous values (n, N).
+
+        The message of a `MalformedMessageError` names the index.
+        """
+        numbers, values = np.zeros(len(messages), np.int64), np.empty((self._count, len(messages)))
         for index, data in enumerate(messages):
             try:
-                layout, items = self._unpacked(data)
+                numbers[index], values[:, index] = self.decode(data)
             except MalformedMessageError as error:
                 raise MalformedMessageError(f"message {index}: {error}") from None
-            if index == 0 and (bulk := layout.unpack_many(messages)) is not None:
-                return bulk
-            stamps[index], values[:, index] = items[0] * NS_PER_S + items[1], layout.values(items)
-        return stamps, values
+            if index == 0 and self._layout and (bulk := self._layout.unpack_many(messages)):
+                return self._number(*bulk[:2]), bulk[2]
+        return numbers, values
 
 
 class JointStateEncoder:
@@ -289,7 +306,7 @@ class JointStateEncoder:
 
 
 class JointStateDecoder(_Decoder):
-    """Decoder that returns the values in the order of `names`, whatever order they came in.
+    """Decoder into stamp (ns) and values in the order of `names`, whatever order they came in.
 
     Parameters
     ----------
@@ -312,26 +329,9 @@ class JointStateDecoder(_Decoder):
         self._names = [name.encode() for name in names]
         self._field, self._others = field, others
 
-    def decode(self, data: Buffer) -> tuple[int, tuple[float, ...]]:
-        """Decode one message into its stamp (ns) and n numbers, NaN and infinities as they are.
-
-        Raises
-        ------
-        MalformedMessageError
-            On truncated or foreign bytes, a missing, unknown or doubled joint, or an array
-            whose length is not the number of joints.
-        """
-        layout, items = self._unpacked(data)
-        return items[0] * NS_PER_S + items[1], layout.values(items)
-
-    def decode_many(
-        self, messages: Sequence[Buffer]
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """As `decode` of many messages: stamps (N,), ns, and C-contiguous values (n, N).
-
-        The message of a `MalformedMessageError` names the index.
-        """
-        return self._many(messages)
+    @staticmethod
+    def _number(first: Any, second: Any) -> Any:
+        return first * NS_PER_S + second
 
     def _parse(self, data: Buffer) -> _Layout:
         reader, names, position, effort = _joint_state(data)
@@ -430,7 +430,9 @@ def command_number(data: Buffer) -> int:
 
 
 class CommandDecoder(_Decoder):
-    """Decoder of commands for `n` joints; the ``layout`` of the message is ignored.
+    """Decoder of commands into their number, 0 if they have none, and `n` torques (N·m).
+
+    The ``layout`` of the message is ignored.
 
     Parameters
     ----------
@@ -438,25 +440,9 @@ class CommandDecoder(_Decoder):
         Number of joints, and so of numbers in every message.
     """
 
-    def decode(self, data: Buffer) -> tuple[int, tuple[float, ...]]:
-        """Decode one message into its number, 0 if it has none, and n torques (N·m).
-
-        NaN and infinities are passed on as they are.
-
-        Raises
-        ------
-        MalformedMessageError
-            On truncated or foreign bytes, or another number of values.
-        """
-        layout, items = self._unpacked(data)
-        return 0 if items[0] else items[1], layout.values(items)
-
-    def decode_many(self, messages: Sequence[Buffer]) -> NDArray[np.float64]:
-        """As `decode` of many messages: a C-contiguous array (n, N), N·m.
-
-        The message of a `MalformedMessageError` names the index.
-        """
-        return self._many(messages)[1]
+    @staticmethod
+    def _number(first: Any, second: Any) -> Any:
+        return second * (first == 0)
 
     def _parse(self, data: Buffer) -> _Layout:
         reader = CdrReader(data, "Float64MultiArray")

@@ -172,6 +172,18 @@ def test_when_names_are_unusable_expect_configuration_error(names: list[str]) ->
         JointStateDecoder(names, "effort")
 
 
+def assert_many_agree(
+    decoder: JointStateDecoder | CommandDecoder, messages: list[bytes], joints: int
+) -> None:
+    numbers, values = decoder.decode_many(messages)
+    assert numbers.dtype == np.int64
+    assert values.dtype == np.float64
+    assert (numbers.shape, values.shape) == ((len(messages),), (joints, len(messages)))
+    assert values.flags.c_contiguous
+    for k, message in enumerate(messages):
+        assert (numbers[k], tuple(values[:, k])) == decoder.decode(message)
+
+
 @pytest.mark.parametrize("length", [0, 1, 257])
 @pytest.mark.parametrize("order", [[0, 1, 2], [2, 0, 1]])
 @pytest.mark.parametrize("frames", [[""], ["", "of another length"]])
@@ -183,17 +195,7 @@ def test_decode_many_agrees_with_decode(length: int, order: list[int], frames: l
         serialize_message(joint_state(ordered, frames[k % len(frames)], effort=row))
         for k, row in enumerate(numbers)
     ]
-    decoder = JointStateDecoder(names, "effort")
-
-    stamps_many, values_many = decoder.decode_many(messages)
-
-    assert stamps_many.dtype == np.int64
-    assert stamps_many.shape == (length,)
-    assert values_many.dtype == np.float64
-    assert values_many.shape == (3, length)
-    assert values_many.flags.c_contiguous
-    for k, message in enumerate(messages):
-        assert (stamps_many[k], tuple(values_many[:, k])) == decoder.decode(message)
+    assert_many_agree(JointStateDecoder(names, "effort"), messages, 3)
 
 
 @pytest.mark.parametrize("place", [0, 7, 19])
@@ -282,8 +284,6 @@ def test_the_number_comes_with_the_values_whatever_the_layout() -> None:
         (serialize_message(labelled([1.5, -2.5], "a")), 0),
     ):
         assert decoder.decode(data) == (number, (1.5, -2.5))
-    with pytest.raises(MalformedMessageError):
-        decoder.decode(CommandEncoder(3).encode((0.0, 0.0, 0.0), 1))
 
 
 @pytest.mark.parametrize("count", [0, 1, 3, 7])
@@ -300,18 +300,10 @@ def test_when_the_number_of_values_is_wrong_expect_malformed_message(count: int)
 @pytest.mark.parametrize("length", [0, 1, 100])
 def test_decode_many_of_commands_agrees_with_decode(length: int) -> None:
     numbers = np.random.default_rng(length).normal(size=(length, 3))
-    plain = [CommandEncoder(3).encode(row) for row in numbers]
-    mixed = [
-        data if k % 2 else serialize_message(labelled(row.tolist(), "a"))
-        for k, (data, row) in enumerate(zip(plain, numbers, strict=True))
-    ]
-
-    for messages in (plain, mixed):
-        values = CommandDecoder(3).decode_many(messages)
-        assert values.shape == (3, length)
-        assert values.dtype == np.float64
-        assert values.flags.c_contiguous
-        assert values.T.tolist() == numbers.tolist()
+    plain = [CommandEncoder(3).encode(row, k) for k, row in enumerate(numbers)]
+    foreign = [serialize_message(labelled(row.tolist(), "a")) for row in numbers]
+    for messages in (plain, foreign, [*plain, *foreign]):
+        assert_many_agree(CommandDecoder(3), messages, 3)
 
 
 # --- UInt64 bytes: agreement with rclpy, and refusal of everything else -------------------------

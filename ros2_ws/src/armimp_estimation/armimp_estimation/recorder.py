@@ -150,11 +150,6 @@ class TrialRecorder:
         counts.append(self._streams.count(COMMANDS) - self._before[PERTURBATION])
         return max(min(*counts, self._statuses[-1].ticks), 0)
 
-    @property
-    def rate(self) -> float:
-        """Samples per second of wall time in the present trial, Hz."""
-        return self.samples / (time.monotonic() - self._began) if self._began else 0.0
-
     def add_status(self, status: TrialStatus) -> None:
         """Take a trial status; those of the next trial wait until the present one is complete.
 
@@ -231,14 +226,15 @@ class TrialRecorder:
                 so_far |= {letter: tuple(found.tolist()), f"{letter}_se": tuple(errors.tolist())}
             so_far["largest_error"] = largest_error(column)[0]
             so_far["preliminary"] = column.preliminary
+        samples, elapsed = self.samples, time.monotonic() - self._began
         return Progress(
             trial=status.trial,
             trials=status.trials,
             joint=status.joint + 1,
             phase=status.phase,
-            samples=self.samples,
+            samples=samples,
             planned=status.ticks,
-            rate=self.rate,
+            rate=samples / elapsed if self._began else 0.0,
             coherence_motion=motion,
             coherence_torque=torque,
             **so_far,

@@ -31,16 +31,14 @@ from armimp_estimation.alignment.trial_windows import (
     MOST_TICKS,
     TrialWindow,
     infer_windows,
-    is_customary,
     judge_stamps,
     sampling_period,
     tick_numbers,
     windows_from_statuses,
 )
 from armimp_estimation.problems import Problem, ProblemCode, Severity
-from armimp_estimation.record import TrialRecord
 from support.streams import changed
-from support.synthetic_bags import SyntheticRecording, synthetic_recording
+from support.synthetic_bags import SyntheticRecording, assert_same, synthetic_recording
 
 NAMES = ("shoulder", "elbow")
 STAMPED = (JOINT_STATES, TORQUE_SENSORS, PERTURBATION)
@@ -80,14 +78,6 @@ def only(trial: Trial, code: ProblemCode) -> Problem:
     (problem,) = trial.problems
     assert (problem.code, problem.trial) == (code, 1)
     return problem
-
-
-def assert_part(record: TrialRecord, expected: TrialRecord, start: int, stop: int) -> None:
-    for name in ("position", "torque", "perturbation"):
-        values = getattr(record, name)
-        assert values.flags.c_contiguous
-        np.testing.assert_array_equal(values, getattr(expected, name)[:, start:stop])
-    assert record.start_ns == expected.start_ns + start * PERIOD_NS
 
 
 def assert_refused(trial: Trial, code: ProblemCode, *, healed: bool) -> None:
@@ -150,7 +140,7 @@ def test_a_trial_that_ends_early_has_the_samples_that_were_announced_last() -> N
     trial = assemble(RECORDING.by_topic(), early)
     assert not trial.problems
     assert not trial.note
-    assert_part(trial.intact()[0], RECORDING.records[0], 0, 25)
+    assert_same(trial.intact()[0], RECORDING.records[0], 0, 25)
     assert {count.received for count in trial.statistics.streams.values()} == {25}
 
 
@@ -172,7 +162,7 @@ def test_without_statuses_trials_are_inferred_from_the_perturbation() -> None:
     assert [trial.trial for trial in trials] == [1, 2, 3]
     for trial, expected in zip(trials, several.records, strict=True):
         assert trial.joint == expected.perturbed_joint
-        assert_part(trial.intact()[0], expected, 0, 50)
+        assert_same(trial.intact()[0], expected, 0, 50)
 
 
 def test_a_pause_of_a_quarter_of_a_second_or_another_joint_divides_what_is_inferred() -> None:
@@ -203,7 +193,7 @@ def test_record_holds_exactly_the_samples_of_the_trial() -> None:
     trial = assemble(RECORDING.by_topic())
     record = trial.record
     assert record is not None
-    assert_part(record, RECORDING.records[0], 0, TICKS)
+    assert_same(record, RECORDING.records[0], 0, TICKS)
     assert (record.trial, record.perturbed_joint, record.seed) == (1, 0, 1)
     assert (record.rate, record.joint_names) == (1000.0, NAMES)
     assert (trial.segments, trial.problems, trial.note) == ((record,), (), "")
@@ -243,7 +233,7 @@ def test_every_injected_fault_is_counted_and_only_those(data: st.DataObject) -> 
     long_runs = [run for run in runs if len(run) > 1]
     assert len(trial.segments) == len(long_runs)
     for segment, run in zip(trial.segments, long_runs, strict=True):
-        assert_part(segment, RECORDING.records[0], int(run[0]), int(run[-1]) + 1)
+        assert_same(segment, RECORDING.records[0], int(run[0]), int(run[-1]) + 1)
 
 
 @pytest.mark.parametrize("topic", STAMPED)
@@ -255,7 +245,7 @@ def test_exchange_of_two_samples_is_one_reordered(topic: str) -> None:
     problem = only(trial, ProblemCode.SAMPLES_REORDERED)
     assert problem.values == {"stream": topic, "count": 1}
     assert_refused(trial, ProblemCode.SAMPLES_REORDERED, healed=True)
-    assert_part(trial.intact(allow_gaps=True)[0], RECORDING.records[0], 0, TICKS)
+    assert_same(trial.intact(allow_gaps=True)[0], RECORDING.records[0], 0, TICKS)
 
 
 @pytest.mark.parametrize("after", [0, 1, 9])
@@ -505,7 +495,7 @@ def test_cut_recording_gives_all_complete_periods(cut: int) -> None:
     assert trial.shortfall == TICKS - complete
     assert trial.statistics.lost == 0
     if complete > 1:
-        assert_part(trial.intact()[0], recording.records[0], 0, complete)
+        assert_same(trial.intact()[0], recording.records[0], 0, complete)
     if complete < TICKS:
         assert trial.note == f"trial 1 is cut short: {complete} of {TICKS} samples"
 
@@ -521,7 +511,7 @@ def test_aborted_trial_keeps_what_came_before() -> None:
     assert trial.shortfall == TICKS - 25
     with pytest.raises(DataError, match="trial 1: aborted: no sensor sample; --allow-gaps"):
         trial.intact()
-    assert_part(trial.intact(allow_gaps=True)[0], RECORDING.records[0], 0, 25)
+    assert_same(trial.intact(allow_gaps=True)[0], RECORDING.records[0], 0, 25)
     # Its result is not valid all the same.
     assert trial.judged(allow_gaps=True, most_excluded=1.0) == [fault]
 
@@ -551,7 +541,7 @@ def test_trials_before_the_recording_began_are_passed_over() -> None:
     for topic in DATA_STREAMS:
         del topics[topic][: TICKS + 15]
     (trial,) = trials_of(topics, statuses_of(several))
-    assert_part(trial.intact()[0], several.records[1], 0, TICKS)
+    assert_same(trial.intact()[0], several.records[1], 0, TICKS)
 
 
 @pytest.mark.parametrize(
@@ -575,62 +565,59 @@ def test_trial_without_any_sample_is_refused(statuses: int, code: ProblemCode) -
 BEGIN = 1_700_000_000_000_000_000
 
 
-def stamps(rate: float, count: int = 4000) -> np.ndarray:
-    made: np.ndarray = BEGIN + np.rint(np.arange(count) * (1e9 / rate)).astype(np.int64)
+def whole(nanoseconds: np.ndarray) -> np.ndarray:
+    made: np.ndarray = np.rint(nanoseconds).astype(np.int64)
     return made
 
 
-def codes_of(values: np.ndarray) -> list[ProblemCode]:
+def stamps(rate: float, count: int = 4000) -> np.ndarray:
+    return BEGIN + whole(np.arange(count) * (1e9 / rate))
+
+
+NOISE = np.random.default_rng(1).normal(size=4000)
+
+
+@pytest.mark.parametrize(
+    ("values", "rate", "expected"),
+    [
+        *((stamps(rate), rate, []) for rate in (200.0, 1e3 / 3.0, 500.0, 512.0, 800.0, 1e3, 4e3)),
+        *((stamps(rate), rate, [ProblemCode.RATE_UNCUSTOMARY]) for rate in (980.0, 1020.0, 900.0)),
+        (
+            stamps(1000.0) + whole(2.5 * np.arange(4000) ** 2),  # faster and faster
+            990.1,
+            [ProblemCode.RATE_UNCUSTOMARY, ProblemCode.RATE_DRIFTS],
+        ),
+        (
+            stamps(1000.0) + whole(3e5 * np.clip(NOISE, -1.4, 1.4)),
+            1000.0,
+            [ProblemCode.STAMPS_IRREGULAR],
+        ),
+        (stamps(1000.0) + whole(2e4 * NOISE), 1000.0, []),
+    ],
+)
+def test_the_rate_is_that_of_the_stamps_with_all_that_is_wrong_with_them(
+    values: np.ndarray, rate: float, expected: list[ProblemCode]
+) -> None:
     streams = {"joint_states": values}
     period = sampling_period(streams)
-    return [one.code for one in judge_stamps(streams, period, trial=1)]
-
-
-@pytest.mark.parametrize("rate", [200.0, 333.333333, 500.0, 512.0, 800.0, 1000.0, 2000.0, 4000.0])
-def test_a_customary_rate_is_found_and_taken(rate: float) -> None:
-    period = sampling_period({"joint_states": stamps(rate)})
-    assert 1e9 / period == pytest.approx(rate, rel=1e-6)
-    assert codes_of(stamps(rate)) == []
-
-
-@pytest.mark.parametrize("rate", [980.0, 1020.0, 900.0])
-def test_when_a_rate_is_not_customary_expect_a_problem_with_it(rate: float) -> None:
-    assert not is_customary(rate)
-    assert codes_of(stamps(rate)) == [ProblemCode.RATE_UNCUSTOMARY]
-
-
-def test_when_a_clock_runs_faster_and_faster_expect_a_problem() -> None:
-    x = np.arange(4000)
-    assert codes_of(stamps(1000.0) + np.rint(2.5 * x**2).astype(np.int64))[-1:] == [
-        ProblemCode.RATE_DRIFTS
-    ]
-
-
-def test_when_stamps_scatter_by_a_third_of_a_period_expect_a_problem_and_not_by_a_fiftieth() -> (
-    None
-):
-    noise = np.random.default_rng(1).normal(size=4000)
-    wild = stamps(1000.0) + np.rint(3e5 * np.clip(noise, -1.4, 1.4)).astype(np.int64)
-    calm = stamps(1000.0) + np.rint(2e4 * noise).astype(np.int64)
-    assert codes_of(wild) == [ProblemCode.STAMPS_IRREGULAR]
-    assert codes_of(calm) == []
+    assert 1e9 / period == pytest.approx(rate, rel=1e-4)
+    assert [one.code for one in judge_stamps(streams, period)] == expected
 
 
 def test_when_streams_have_different_rates_expect_the_one_that_differs() -> None:
     streams = {name: stamps(1000.0) for name in ("a", "b")} | {"c": stamps(995.0)}
-    period = sampling_period(streams)
-    found = judge_stamps(streams, period, trial=1)
-    assert [(one.code, one.values["stream"]) for one in found] == [
-        (ProblemCode.STREAM_RATES_DIFFER, "c")
-    ]
+    (found,) = judge_stamps(streams, sampling_period(streams))
+    assert (found.code, found.values["stream"]) == (ProblemCode.STREAM_RATES_DIFFER, "c")
 
 
-@pytest.mark.parametrize("rate", [100.0, 8000.0])
-def test_when_a_rate_is_out_of_range_expect_it_refused_with_the_rate(rate: float) -> None:
-    with pytest.raises(DataError, match=f"{rate:g} Hz"):
-        sampling_period({"joint_states": stamps(rate)})
-
-
-def test_when_stamps_do_not_advance_expect_that_to_be_said() -> None:
-    with pytest.raises(DataError, match="joint_states have 1 different stamps"):
-        sampling_period({"joint_states": np.zeros(4000, np.int64)})
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        (stamps(100.0), "100 Hz"),
+        (stamps(8000.0), "8000 Hz"),
+        (np.zeros(4000, np.int64), "joint_states have 1 different stamps"),
+    ],
+)
+def test_stamps_without_a_rate_that_is_taken_are_refused(values: np.ndarray, reason: str) -> None:
+    with pytest.raises(DataError, match=reason):
+        sampling_period({"joint_states": values})

@@ -24,12 +24,6 @@ RECORDING = synthetic_recording(ticks=TICKS)
 MESSAGES = list(RECORDING.messages)
 
 
-@pytest.fixture(scope="module")
-def own(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("own") / "bag"
-    return write_bag(path, MESSAGES, {"seed": "1", "joint_names": '["shoulder", "elbow"]'})
-
-
 def storage_file(bag: Path) -> Path:
     (file,) = (entry for entry in bag.iterdir() if entry.name != "metadata.yaml")
     return file
@@ -55,29 +49,28 @@ def samples_or_refusal(bag: Path) -> int:
     return record.samples
 
 
-class TestTruncation:
-    @pytest.mark.parametrize(
-        ("storage", "mode"),
-        [
-            (StoragePlugin.SQLITE3, CompressionMode.NONE),
-            (StoragePlugin.SQLITE3, CompressionMode.FILE),
-            (StoragePlugin.MCAP, CompressionMode.NONE),
-            (StoragePlugin.MCAP, CompressionMode.FILE),
-            (StoragePlugin.MCAP, CompressionMode.MESSAGE),
-        ],
-    )
-    def test_foreign_bag_cut_anywhere_is_read_or_refused(
-        self, tmp_path: Path, storage: StoragePlugin, mode: CompressionMode
-    ) -> None:
-        bag = write_foreign(tmp_path / "bag", typed(MESSAGES), storage=storage, mode=mode)
-        file = storage_file(bag)
-        whole = file.read_bytes()
-        step = max(len(whole) // 50, 1)
-        for size in (*range(40), *range(40, len(whole), step), len(whole) - 1):
-            file.write_bytes(whole[:size])
-            samples_or_refusal(bag)
-        file.write_bytes(whole)
-        assert samples_or_refusal(bag) == TICKS
+@pytest.mark.parametrize(
+    ("storage", "mode"),
+    [
+        (StoragePlugin.SQLITE3, CompressionMode.NONE),
+        (StoragePlugin.SQLITE3, CompressionMode.FILE),
+        (StoragePlugin.MCAP, CompressionMode.NONE),
+        (StoragePlugin.MCAP, CompressionMode.FILE),
+        (StoragePlugin.MCAP, CompressionMode.MESSAGE),
+    ],
+)
+def test_foreign_bag_cut_anywhere_is_read_or_refused(
+    tmp_path: Path, storage: StoragePlugin, mode: CompressionMode
+) -> None:
+    bag = write_foreign(tmp_path / "bag", typed(MESSAGES), storage=storage, mode=mode)
+    file = storage_file(bag)
+    whole = file.read_bytes()
+    step = max(len(whole) // 50, 1)
+    for size in (*range(40), *range(40, len(whole), step), len(whole) - 1):
+        file.write_bytes(whole[:size])
+        samples_or_refusal(bag)
+    file.write_bytes(whole)
+    assert samples_or_refusal(bag) == TICKS
 
 
 @pytest.fixture(scope="module")

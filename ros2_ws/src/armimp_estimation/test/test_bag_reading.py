@@ -2,7 +2,7 @@
 
 import shutil
 import sqlite3
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 
@@ -12,13 +12,20 @@ import zstandard
 from mcap.writer import CompressionType
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
-from armimp_common import topics
+from armimp_common.cdr import JointStateEncoder
 from armimp_common.errors import BagError, DataError
-from armimp_common.topics import JOINT_STATES, PERIOD_NS, TRIAL
+from armimp_common.topics import (
+    JOINT_STATES,
+    PERIOD_NS,
+    PERTURBATION,
+    TORQUE_SENSORS,
+    TRIAL,
+    VALUE_FIELD,
+)
 from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.metadata_yaml import absolute, dump
+from armimp_estimation.record import TrialRecord
 from support.bag_files import (
-    STORE,
     iterate_messages,
     records_of,
     typed,
@@ -83,28 +90,19 @@ def refusal(path: Path, *, namespace: str | None = None) -> str:
     return text
 
 
-def joint_state(
-    stamp_ns: int,
-    names: Sequence[str],
-    *,
-    position: Sequence[float] = (),
-    velocity: Sequence[float] = (),
-    effort: Sequence[float] = (),
-) -> bytes:
-    types = STORE.types
-    sec, nanosec = divmod(stamp_ns, 10**9)
-    message = types["sensor_msgs/msg/JointState"](
-        header=types["std_msgs/msg/Header"](
-            stamp=types["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec),
-            frame_id="world",
-        ),
-        name=list(names),
-        position=np.array(position, np.float64),
-        velocity=np.array(velocity, np.float64),
-        effort=np.array(effort, np.float64),
-    )
-    data = STORE.serialize_cdr(message, "sensor_msgs/msg/JointState")
-    return bytes(data)
+def resent(record: TrialRecord, order: Callable[[int], Sequence[str]]) -> list[Message]:
+    """The samples of a trial whose messages have their joints in this order, by number."""
+    rows = {name: row for row, name in enumerate(record.joint_names)}
+    fields = ((JOINT_STATES, record.position), (TORQUE_SENSORS, record.torque))
+    messages: list[Message] = []
+    for tick in range(record.samples):
+        stamp, names = record.start_ns + tick * PERIOD_NS, order(tick)
+        for topic, values in (*fields, (PERTURBATION, record.perturbation)):
+            told = [name for name in names if name in rows or topic == JOINT_STATES]
+            numbers = [values[rows[name], tick] if name in rows else 0.1 for name in told]
+            encode = JointStateEncoder(told, VALUE_FIELD[topic]).encode
+            messages.append((topic, stamp, encode(stamp, numbers)))
+    return messages
 
 
 class TestStorages:
@@ -228,27 +226,9 @@ class TestTopics:
 
 
 class TestForeignMessages:
-    def test_joint_order_and_filled_arrays_may_differ_per_message(self, tmp_path: Path) -> None:
+    def test_joint_order_may_differ_per_message(self, tmp_path: Path) -> None:
         (record,) = synthetic_recording(ticks=60).records
-        names = record.joint_names
-        messages: list[Message] = []
-        for tick in range(record.samples):
-            stamp = record.start_ns + tick * PERIOD_NS
-            order = [1, 0] if tick % 3 else [0, 1]
-            named = [names[k] for k in order]
-            for topic, values, filled in (
-                (topics.JOINT_STATES, record.position, {"velocity": (1, 2), "effort": (3, 4)}),
-                (topics.TORQUE_SENSORS, record.torque, {"position": (5, 6)}),
-                (topics.PERTURBATION, record.perturbation, {}),
-            ):
-                field = topics.VALUE_FIELD[topic]
-                raw = joint_state(
-                    stamp,
-                    named,
-                    **{field: values[order, tick].tolist()},
-                    **filled,
-                )
-                messages.append((topic, stamp, raw))
+        messages = resent(record, lambda tick: record.joint_names[:: 1 if tick % 3 else -1])
         path = write_ours(tmp_path / "bag", messages)
         assert_same(records_of(read_bag(path))[0], record)
 
@@ -256,16 +236,7 @@ class TestForeignMessages:
         self, tmp_path: Path
     ) -> None:
         record = RECORDING.records[0]
-        messages: list[Message] = []
-        for tick in range(record.samples):
-            stamp = record.start_ns + tick * PERIOD_NS
-            angles, torques = record.position[:, tick], record.torque[:, tick].tolist()
-            states = joint_state(stamp, ["grip", "shoulder", "elbow"], position=[0.1, *angles])
-            sensors = joint_state(stamp, ["shoulder", "elbow"], effort=torques)
-            messages += [(JOINT_STATES, stamp, states), (topics.TORQUE_SENSORS, stamp, sensors)]
-            perturbation = record.perturbation[:, tick].tolist()
-            raw = joint_state(stamp, ["shoulder", "elbow"], effort=perturbation)
-            messages.append((topics.PERTURBATION, stamp, raw))
+        messages = resent(record, lambda _: ("grip", *record.joint_names))
         content = read_bag(write_ours(tmp_path / "bag", messages))
         np.testing.assert_array_equal(records_of(content)[0].position, record.position)
         (note,) = content.notes
@@ -333,6 +304,11 @@ class TestRefusals:
         (path / "metadata.yaml").write_text(dump({"rosbag2_bagfile_information": listed}))
         assert refusal(path).endswith(": is missing, though listed in metadata.yaml")
 
+    def test_recording_of_something_else(self, tmp_path: Path) -> None:
+        chatter = [("/chatter", "std_msgs/msg/String", 1, b"\0\1\0\0\1\0\0\0\0")]
+        path = write_foreign(tmp_path / "bag", chatter)
+        assert refusal(path) == f"{path}: no messages of an experiment in it"
+
     def test_database_of_something_else(self, tmp_path: Path) -> None:
         path = tmp_path / "other.db3"
         with sqlite3.connect(path) as database:
@@ -365,12 +341,12 @@ class TestSpoiledTrials:
     def test_damaged_status_is_noted(self, tmp_path: Path) -> None:
         recording = synthetic_recording(ticks=50)
         topic, time, raw = recording.messages[-1]
-        assert topic == topics.TRIAL
+        assert topic == TRIAL
         path = write_ours(tmp_path / "bag", (*recording.messages[:-1], (topic, time, raw[:40])))
         content = read_bag(path)
         assert_same(records_of(content)[0], recording.records[0])
         (note,) = content.notes
-        assert note.startswith(f"{path}: damaged messages of {topics.TRIAL}: DiagnosticStatus")
+        assert note.startswith(f"{path}: damaged messages of {TRIAL}: DiagnosticStatus")
 
     def test_metadata_is_plain_text_even_where_yaml_sees_numbers(self, tmp_path: Path) -> None:
         path = write_ours(tmp_path / "bag", metadata={"schema": "1"})

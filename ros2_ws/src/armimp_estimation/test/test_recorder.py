@@ -11,11 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armimp_common.cdr import (
-    CommandEncoder,
     JointStateDecoder,
     JointStateEncoder,
     decode_trial_status,
-    decode_trial_statuses,
     encode_trial_status,
 )
 from armimp_common.errors import BagError
@@ -41,7 +39,13 @@ from armimp_estimation.recorder import TrialRecorder, largest_error, record_so_f
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from support.bag_files import iterate_messages
 from support.streams import changed, fed_synchronizer, record
-from support.synthetic_bags import Message, recorded_arm, synthetic_recording
+from support.synthetic_bags import (
+    Message,
+    assert_same,
+    recorded_arm,
+    recording_of,
+    synthetic_recording,
+)
 from support.synthetic_trials import TWO_JOINT_ARM as ARM
 from support.synthetic_trials import SyntheticConfig, part_of, synthetic_trial
 
@@ -103,16 +107,7 @@ class Desk:
             assert (read.window, read.statistics) == (trial.window, trial.statistics)
             assert read.problems == trial.problems
             for one, other in zip(read.segments, trial.segments, strict=True):
-                assert_equal(one, other)
-
-
-def assert_equal(record: TrialRecord, expected: TrialRecord, samples: int | None = None) -> None:
-    for name in ("position", "torque", "perturbation"):
-        np.testing.assert_array_equal(
-            getattr(record, name), getattr(expected, name)[:, slice(samples)]
-        )
-    assert record.start_ns == expected.start_ns
-    assert record.perturbed_joint == expected.perturbed_joint
+                assert_same(one, other)
 
 
 @pytest.mark.parametrize("together", [1, 10, 50])
@@ -120,27 +115,20 @@ def test_each_trial_gets_a_bag_that_reads_as_what_was_handed_over(
     tmp_path: Path, together: int
 ) -> None:
     desk = Desk(tmp_path, together=together)
-
     desk.feed(MADE_UP.messages)
-
     assert desk.problems == []
     assert [bag.name for bag in desk.bags] == list(BAG_NAMES)
+    desk.assert_bags_read_as_handed_over()
     for number, (path, trial) in enumerate(zip(desk.bags, desk.finished, strict=True), 1):
         assert trial.bag == f"bags/{path.name}"
         assert 0.0 < trial.rtf < math.inf
-        assert_equal(trial.intact()[0], MADE_UP.records[number - 1])
+        assert_same(trial.intact()[0], MADE_UP.records[number - 1])
         content = read_bag(path)
-        (read,) = content.trials
-        assert_equal(read.intact()[0], trial.intact()[0])
-        assert (read.window, read.statistics) == (trial.window, trial.statistics)
         assert content.metadata.items() >= METADATA.items()
         assert content.notes == ()
         raws = [raw for topic, _, raw in content.messages() if topic == TRIAL]
-        statuses, problem = decode_trial_statuses(raws)
-        assert not problem
-        assert [(status.phase, status.trial) for status in statuses] == [
-            (phase, number) for phase in (Phase.SETTLE, Phase.PERTURB, Phase.REST)
-        ]
+        phases = [decode_trial_status(raw).phase for raw in raws]
+        assert phases == [Phase.SETTLE, Phase.PERTURB, Phase.REST]
 
 
 @settings(max_examples=30, deadline=None)
@@ -160,7 +148,7 @@ def test_however_late_a_stream_is_each_trial_has_exactly_its_samples_also_replay
     again.recorder.stop()
     for finished in (desk.finished, again.finished):
         for trial, expected in zip(finished, recording.records, strict=True):
-            assert_equal(trial.intact()[0], expected)
+            assert_same(trial.intact()[0], expected)
             assert trial.segments[0].command is not None
 
 
@@ -179,7 +167,7 @@ def test_a_perturbation_of_somebody_else_between_trials_is_found_and_costs_no_sa
     desk.recorder.stop()
     codes = [{problem.code for problem in trial.problems} for trial in desk.finished]
     assert codes == [set(), {ProblemCode.PERTURBATIONS_FOREIGN}]
-    assert_equal(desk.finished[1].segments[0], recording.records[1])
+    assert_same(desk.finished[1].segments[0], recording.records[1])
 
 
 @settings(max_examples=20, deadline=None)
@@ -243,7 +231,7 @@ def test_trials_may_come_in_any_order_of_their_times(
     desk.recorder.stop()
     assert [trial.trial for trial in desk.finished] == [2, 1]
     for trial, expected in zip(desk.finished, recording.records[::-1], strict=True):
-        assert_equal(trial.intact()[0], expected)
+        assert_same(trial.intact()[0], expected)
     desk.assert_bags_read_as_handed_over()
 
 
@@ -266,7 +254,7 @@ def test_a_trial_that_ends_early_has_no_sample_of_the_rest(announced: bool, toge
     desk.feed(told for message in MADE_UP.messages for told in longer(message))
     for trial, expected in zip(desk.finished, MADE_UP.records, strict=True):
         assert trial.window.saved == TICKS
-        assert_equal(trial.intact()[0], expected)
+        assert_same(trial.intact()[0], expected)
 
 
 @pytest.mark.parametrize("drift", [-1e-4, 1e-4])
@@ -298,7 +286,7 @@ def test_stamps_that_make_no_sense_hold_nothing_up_and_messages_without_are_refu
     desk.feed(messages)
     assert [line[:33] for line in refused] == ["joint_states: message has 2 bytes"]
     for trial, expected in zip(desk.finished, MADE_UP.records, strict=True):
-        assert_equal(trial.segments[0], expected)
+        assert_same(trial.segments[0], expected)
 
 
 def test_when_a_trial_ends_depends_on_its_first_samples_and_the_trials_before() -> None:
@@ -332,23 +320,12 @@ def so_far(
     """The first so many samples of a trial of the first joint, whose messages came in parts."""
     streams = Streams(ARM_NAMES)
     for stop in (*sorted(stops), SAMPLES):
-        for topic, raws in messages.items():
-            streams.add(topic, raws[streams.count(topic) : stop])
-    perturb = decode_trial_status(MADE_UP.by_topic()[TRIAL][1])
-    return record_so_far(streams, changed(perturb, joint=0, start_ns=0), samples)
+        for topic in DATA_STREAMS:
+            streams.add(topic, messages[topic][streams.count(topic) : stop])
+    return record_so_far(streams, decode_trial_status(messages[TRIAL][1]), samples)
 
 
-def arm_messages() -> dict[str, list[bytes]]:
-    record, encode = ARM_RECORDING.records[0], CommandEncoder(len(ARM_NAMES)).encode
-    rows = (record.perturbation, record.position, record.torque)
-    made = {COMMANDS: [encode(record.perturbation[:, k]) for k in range(SAMPLES)]}
-    for topic, values in zip(STREAMS, rows, strict=True):
-        encoder = JointStateEncoder(ARM_NAMES, VALUE_FIELD[topic])
-        made[topic] = [encoder.encode(k * PERIOD_NS, values[:, k]) for k in range(SAMPLES)]
-    return made
-
-
-ARM_MESSAGES = arm_messages()
+ARM_MESSAGES = recording_of(ARM_RECORDING.records[:1], settle=0, rest=0).by_topic()
 
 
 @settings(max_examples=8, deadline=None)
@@ -359,7 +336,7 @@ def test_first_samples_of_a_running_trial_are_the_same_however_they_arrived(
     found = so_far(ARM_MESSAGES, samples, stops)
     assert found is not None
     expected = with_commands(part_of(ARM_RECORDING.records[0], 0, samples))
-    assert_equal(found, replace(expected, start_ns=0))
+    assert_same(found, replace(expected, start_ns=0))
     np.testing.assert_array_equal(found.command, expected.command)
     assert so_far(ARM_MESSAGES, SAMPLES + 1) is None
 

@@ -93,10 +93,8 @@ class Trial:
     """The account of the samples."""
     problems: tuple[Problem, ...] = ()
     """Problems that were found in the trial."""
-    source: str = ""
-    """Where the trial comes from, for messages."""
     bag: str | None = None
-    """Where it is stored."""
+    """Where it is stored, if it is."""
     rtf: float = math.nan
     """Times real time at which it ran; NaN if it was not run live."""
 
@@ -170,10 +168,10 @@ class Trial:
         Raises
         ------
         DataError
-            If there are none; the message names the source and the trial.
+            If there are none; the message names the bag and the trial.
         """
         if refusals := self.refusals(allow_gaps=allow_gaps):
-            where = f"{self.source}: " if self.source else ""
+            where = f"{self.bag}: " if self.bag else ""
             healing = self.segments and not allow_gaps and not self.refusals(allow_gaps=True)
             hint = "; --allow-gaps uses the intact parts" if healing else ""
             raise DataError(where + "; ".join(map(str, refusals)) + hint)
@@ -181,7 +179,7 @@ class Trial:
 
 
 def assemble_trials(
-    streams: Streams, statuses: Sequence[TrialStatus], *, source: str = ""
+    streams: Streams, statuses: Sequence[TrialStatus], *, bag: str | None = None
 ) -> tuple[Trial, ...]:
     """Assemble every trial in a recording, or in what a node has received.
 
@@ -192,8 +190,8 @@ def assemble_trials(
     statuses : sequence of TrialStatus
         The trial statuses in order. Without any, the trials are inferred from the perturbation,
         as `infer_windows` says.
-    source : str
-        Where the messages come from, for the messages of errors.
+    bag : str, optional
+        Where the messages come from.
 
     Returns
     -------
@@ -225,14 +223,14 @@ def assemble_trials(
     for window in windows:
         # A latched topic repeats the statuses of trials that were over before the recording.
         if window.start_ns + window.ticks * period > began_ns:
-            trials.append(_assemble(window, streams, source, period))
+            trials.append(_assemble(window, streams, bag, period))
             used += sum(segment.samples for segment in trials[-1].segments)
             if used > received:
                 raise DataError(f"trial {window.trial} overlaps with others: they share samples")
     return tuple(trials)
 
 
-def _assemble(window: TrialWindow, streams: Streams, source: str, period: float) -> Trial:
+def _assemble(window: TrialWindow, streams: Streams, bag: str | None, period: float) -> Trial:
     """Join the streams of one trial, at a sampling period in ns; other trials may be in them."""
     aligned = {t: AlignedStream(one, window.start_ns, period) for t, one in streams.stamped.items()}
     stamps = _union([one.stamps for one in aligned.values()])
@@ -285,7 +283,7 @@ def _assemble(window: TrialWindow, streams: Streams, source: str, period: float)
         found.append(problem(ProblemCode.NOTHING_RECORDED))
     if not disagree:
         within = {topic: one.stamps for topic, one in aligned.items()}
-        found += judge_stamps(within, period, trial=window.trial)
+        found += judge_stamps(within, period)
     return Trial(
         window=window,
         segments=segments,
@@ -296,7 +294,7 @@ def _assemble(window: TrialWindow, streams: Streams, source: str, period: float)
             stretches=len(runs),
         ),
         problems=tuple(one.model_copy(update={"trial": window.trial}) for one in found),
-        source=source,
+        bag=bag,
     )
 
 

@@ -93,7 +93,6 @@ class AlignedStream:
     def __init__(self, stream: Stream, start_ns: int, period: float) -> None:
         self.stream, self.start_ns, self.period = stream, start_ns, period
         stamps, order, contradicted = stream.ordered()
-        self._orderly = order.size == stream.count and not (np.diff(order) < 0).any()
         first = int(np.searchsorted(stamps, start_ns - period / 2.0))
         # Of each message that is kept: stamp (ns), place in the stream, number of its period.
         self.stamps, self.order = stamps[first:], order[first:]
@@ -105,10 +104,7 @@ class AlignedStream:
         self.numbers = numbers[np.searchsorted(stamps, self.stamps)]
         early = int(np.searchsorted(self.numbers, 0))
         self._keep(slice(early, None))
-        single = np.diff(self.numbers, prepend=-1) > 0
-        if not single.all():
-            self._keep(single)
-            self._orderly = False
+        self._keep(np.diff(self.numbers, prepend=-1) > 0)
 
     def cut(self, span: int) -> None:
         """Keep what is within so many periods, and lay it out by period."""
@@ -126,13 +122,10 @@ class AlignedStream:
     def statistics(self, last_ns: int) -> StreamCount:
         """The account of the periods, the last stamp of which is given (ns)."""
         span, distinct = self.present.size, self.numbers.size
-        received, reordered = distinct, 0
-        if not self._orderly:
-            stamps = self.stream.stamps
-            first_ns = self.stamps[0] if distinct else self.start_ns
-            received = int(((stamps >= first_ns) & (stamps <= last_ns)).sum())
-            arrived = stamps[np.sort(self.order)]
-            reordered = int((arrived[1:] < np.maximum.accumulate(arrived)[:-1]).sum())
+        stamps = self.stream.stamps
+        first_ns = self.stamps[0] if distinct else self.start_ns
+        received = int(((stamps >= first_ns) & (stamps <= last_ns)).sum())
+        arrived = stamps[np.sort(self.order)]
         steps = np.diff(self.stamps) - self.period * np.diff(self.numbers)
         return StreamCount(
             expected=span,
@@ -140,7 +133,7 @@ class AlignedStream:
             lost=span - distinct,
             duplicated=received - distinct,
             contradictory=int(self._contradicted.sum()),
-            reordered=reordered,
+            reordered=int((arrived[1:] < np.maximum.accumulate(arrived)[:-1]).sum()),
             late=int((steps > _LATE * self.period).sum()),
         )
 

@@ -39,15 +39,6 @@ class Stream:
         Header stamps (ns); of commands, which have none, the numbers that they carry, 0 for none.
     values : ndarray, shape (n, N)
         Numbers of the joints, in SI units.
-
-    Attributes
-    ----------
-    count : int
-        Number N of messages so far.
-    malformed : int
-        Messages that were left out because they could not be decoded.
-    defect : str
-        What is wrong with the first of those.
     """
 
     def __init__(self, stamps: IntArray, values: FloatArray) -> None:
@@ -55,9 +46,9 @@ class Stream:
         self.count = stamps.size
         """Number N of messages so far."""
         self.malformed = 0
-        """Messages that were left out because they could not be decoded."""
+        """Messages with a stamp that were left out because they could not be decoded."""
         self.defect = ""
-        """What is wrong with the first of those."""
+        """What is wrong with the first that could not be decoded."""
 
     @classmethod
     def empty(cls, joints: int) -> Stream:
@@ -134,13 +125,15 @@ class Streams:
         self.joint_names = tuple(joint_names)
         self.stamped = dict(stamped or {topic: Stream.empty(n) for topic in VALUE_FIELD})
         self.commands = Stream.empty(n) if commands is None else commands
-        self._pending: dict[str, list[bytes]] = {topic: [] for topic in (*VALUE_FIELD, COMMANDS)}
-        self._decoders = {
+        self._no_command = (np.nan,) * n
+        self._streams = {**self.stamped, COMMANDS: self.commands}
+        self._pending: dict[str, list[bytes]] = {topic: [] for topic in self._streams}
+        self._decoders: dict[str, JointStateDecoder | CommandDecoder] = {
             # Those of all joints of a robot may be published together, but the perturbed are known.
             topic: JointStateDecoder(joint_names, field, others=topic != PERTURBATION)
             for topic, field in VALUE_FIELD.items()
         }
-        self._command_decoder = CommandDecoder(n)
+        self._decoders[COMMANDS] = CommandDecoder(n)
 
     def add(self, topic: str, messages: Sequence[bytes]) -> None:
         """Take serialised messages of a topic of the contract, in order of arrival."""
@@ -151,7 +144,7 @@ class Streams:
 
     def count(self, topic: str) -> int:
         """Number of messages so far, malformed ones included."""
-        stream = self.commands if topic == COMMANDS else self.stamped[topic]
+        stream = self._streams[topic]
         return stream.count + stream.malformed + len(self._pending[topic])
 
     def decode(self) -> Streams:
@@ -164,32 +157,21 @@ class Streams:
         messages, self._pending[topic] = self._pending[topic], []
         if not messages:
             return
-        if topic == COMMANDS:
-            self._decode_commands(messages)
-            return
-        stream, decoder = self.stamped[topic], self._decoders[topic]
+        stream, decoder = self._streams[topic], self._decoders[topic]
         try:
             stream.append(*decoder.decode_many(messages))
         except MalformedMessageError:
             for message in messages:
                 try:
-                    stamp, values = decoder.decode(message)
+                    number, values = decoder.decode(message)
                 except MalformedMessageError as error:
-                    stream.malformed += 1
                     stream.defect = stream.defect or str(error)
-                else:
-                    stream.append(np.array([stamp]), np.array(values)[:, None])
-
-    def _decode_commands(self, messages: Sequence[bytes]) -> None:
-        """Decode all commands or none, since a missing one would shift all those after it."""
-        commands = self.commands
-        numbers = np.fromiter(map(command_number, messages), np.int64, len(messages))
-        try:
-            values = self._command_decoder.decode_many(messages)
-        except MalformedMessageError as error:
-            commands.defect = commands.defect or str(error)
-            values = np.full((len(self.joint_names), len(messages)), np.nan)
-        commands.append(numbers, values)
+                    if topic != COMMANDS:
+                        stream.malformed += 1
+                        continue
+                    # It keeps its place, since a missing one would shift all those after it.
+                    number, values = command_number(message), self._no_command
+                stream.append(np.array([number]), np.array(values)[:, None])
 
 
 def decode_streams(joint_names: Sequence[str], messages: Mapping[str, Sequence[bytes]]) -> Streams:

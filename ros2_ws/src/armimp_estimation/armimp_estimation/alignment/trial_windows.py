@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -317,7 +317,7 @@ def is_customary(rate: float) -> bool:
     return any(abs(rate / one - 1.0) <= TOLERANCE for one in customary)
 
 
-def judge_stamps(streams: Mapping[str, IntArray], period: float, *, trial: int) -> list[Problem]:
+def judge_stamps(streams: Mapping[str, IntArray], period: float) -> Iterator[Problem]:
     """Find what is wrong with the stamps of a trial.
 
     Parameters
@@ -326,27 +326,23 @@ def judge_stamps(streams: Mapping[str, IntArray], period: float, *, trial: int) 
         Stamps (ns) of each stream within the trial, ascending, by topic.
     period : float
         Sampling period that is used, ns.
-    trial : int
-        Its number, 1-based.
     """
     rate = NS_PER_S / period
-    found: list[tuple[ProblemCode, dict[str, Any]]] = []
     if not is_customary(rate):
-        found.append((ProblemCode.RATE_UNCUSTOMARY, {"rate": rate}))
+        yield problem(ProblemCode.RATE_UNCUSTOMARY, rate=rate)
     for topic, stamps in streams.items():
         own = _period(stamps)
         if own is not None and abs(own / period - 1.0) > _DRIFT:
-            rates = {"stream": topic, "rate": NS_PER_S / own, "other": rate}
-            found.append((ProblemCode.STREAM_RATES_DIFFER, rates))
+            code = ProblemCode.STREAM_RATES_DIFFER
+            yield problem(code, stream=topic, rate=NS_PER_S / own, other=rate)
     if (off := _off_grid(next(iter(streams.values())))) is not None:
         drift, scatter, largest = off
         if abs(drift) > _DRIFT:
             first, second = rate * (1.0 - 0.5 * drift), rate * (1.0 + 0.5 * drift)
-            found.append((ProblemCode.RATE_DRIFTS, {"first": first, "second": second}))
+            yield problem(ProblemCode.RATE_DRIFTS, first=first, second=second)
         elif not (scatter <= _SCATTER and largest <= _LARGEST):
-            values = {"scatter": scatter, "largest": largest, "rate": rate}
-            found.append((ProblemCode.STAMPS_IRREGULAR, values))
-    return [problem(code, trial=trial, **values) for code, values in found]
+            code = ProblemCode.STAMPS_IRREGULAR
+            yield problem(code, scatter=scatter, largest=largest, rate=rate)
 
 
 def _off_grid(stamps: IntArray) -> tuple[float, float, float] | None:

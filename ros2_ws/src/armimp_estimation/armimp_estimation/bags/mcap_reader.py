@@ -22,6 +22,7 @@ from armimp_estimation.bags.raw import (
     MESSAGE_COST,
     NODE_COST,
     RECORD_COST,
+    RawMessage,
     RawMessages,
     one_line,
 )
@@ -65,11 +66,7 @@ def read_mcap(file: BinaryIO, size: int, *, name: str, into: RawMessages) -> Non
     """
     reading = _McapReading(name, into)
     position = len(file.read(len(MAGIC)))
-    while True:
-        head = file.read(_RECORD_HEAD.size)
-        if len(head) < _RECORD_HEAD.size:
-            into.cut = f"ends at byte {size} without the end of the data"
-            return
+    while len(head := file.read(_RECORD_HEAD.size)) == _RECORD_HEAD.size:
         opcode, length = _RECORD_HEAD.unpack(head)
         end = position + len(head) + length
         if end > size:
@@ -79,7 +76,7 @@ def read_mcap(file: BinaryIO, size: int, *, name: str, into: RawMessages) -> Non
             return
         if opcode in _USED:
             try:
-                reading.record(opcode, file.read(length))
+                reading.record(opcode, head, file.read(length))
             except _DAMAGE as error:
                 raise BagError(
                     f"{name}: damaged record at byte {position}: {one_line(error)}"
@@ -87,6 +84,7 @@ def read_mcap(file: BinaryIO, size: int, *, name: str, into: RawMessages) -> Non
         else:
             file.seek(length, 1)
         position = end
+    into.cut = f"ends at byte {size} without the end of the data"
 
 
 class _McapReading:
@@ -100,9 +98,9 @@ class _McapReading:
         # Index of the topic of each channel whose messages are wanted.
         self._channels: dict[int, int] = {}
 
-    def record(self, opcode: int, content: bytes) -> None:
+    def record(self, opcode: int, head: bytes, content: bytes) -> None:
         if opcode == MESSAGE:
-            self._messages(_RECORD_HEAD.pack(opcode, len(content)) + content)
+            self._messages(head + content)
             return
         self._spend(RECORD_COST)
         stream = ReadDataStream(BytesIO(content))
@@ -154,9 +152,7 @@ class _McapReading:
         """Walk through a chunk, or what stands outside of chunks, record by record."""
         unpack, head_size = MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size
         topic_of = self._channels.get
-        topics: list[int] = []
-        log_times: list[int] = []
-        payloads: list[bytes] = []
+        found: list[RawMessage] = []
         unwanted = 0
         position, end = 0, len(records)
         while position < end:
@@ -171,12 +167,10 @@ class _McapReading:
             if topic is None:
                 unwanted += 1
             else:
-                topics.append(topic)
-                log_times.append(log_time)
-                payloads.append(records[position + head_size : after])
+                found.append((topic, log_time, records[position + head_size : after]))
             position = after
         self._spend(MESSAGE_COST * unwanted)
-        self._into.extend(topics, log_times, payloads)
+        self._into.extend(found)
 
     def _other(self, records: bytes, position: int) -> int:
         opcode, length = _RECORD_HEAD.unpack_from(records, position)
@@ -185,5 +179,5 @@ class _McapReading:
         if start + length > len(records):
             raise ValueError(f"record of {length} bytes in a chunk")
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            self.record(opcode, records[start : start + length])
+            self.record(opcode, records[position:start], records[start : start + length])
         return int(start + length)

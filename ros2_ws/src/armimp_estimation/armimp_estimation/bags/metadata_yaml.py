@@ -11,13 +11,15 @@ from armimp_common.errors import BagError
 from armimp_common.schema import TextLoader, load_yaml
 from armimp_common.topics import MESSAGE_TYPES, QOS
 from armimp_estimation.atomic_write import read_text, replace_atomically
+from armimp_estimation.bags.raw import one_line
 
 FILE_NAME: Final = "metadata.yaml"
 VERSION: Final = 9
 """Version of the metadata that rosbag2 writes in Jazzy."""
 
 _ROOT: Final = "rosbag2_bagfile_information"
-_NO_MESSAGES: Final = "message_count: 0"
+_PROVISIONAL: Final = "\n  message_count: 0\n"
+"""What `dump` makes of a bag without messages; in what users add, lines are indented deeper."""
 _INFINITE: Final = {"sec": 9223372036, "nsec": 854775807}
 _MOST_BYTES: Final = 4 << 20
 _DUMPER: Final[Any] = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
@@ -157,10 +159,12 @@ def read_metadata(file: Path) -> tuple[list[Path], dict[str, str]]:
     """
     try:
         information = _information(read_text(file, _MOST_BYTES))
-    except (OSError, UnicodeDecodeError) as error:
-        raise BagError(f"{file}: cannot be read: {_reason(error)}") from None
+    except OSError as error:
+        raise BagError(f"{file}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise BagError(f"{file}: cannot be read: not UTF-8 text") from None
     except _BROKEN as error:
-        raise BagError(f"{file}: not valid YAML: {_yaml_reason(error)}") from None
+        raise BagError(f"{file}: not valid YAML: {one_line(error)}") from None
     if not information:
         raise BagError(f"{file}: not the metadata of a bag: {_ROOT} is missing")
     paths = information.get("relative_file_paths")
@@ -180,12 +184,9 @@ def is_provisional(file: Path) -> bool:
     It counts no messages. A bag that really has none cannot be told from that, and need not be.
     """
     try:
-        text = read_text(file, _MOST_BYTES)
-        # Parsing takes longer, and mostly there are messages.
-        information = _information(text) if _NO_MESSAGES in text else {}
-    except (OSError, *_BROKEN):
+        return _PROVISIONAL in read_text(file, _MOST_BYTES)
+    except (OSError, UnicodeDecodeError):
         return False
-    return information.get("message_count") == "0"
 
 
 def parse_custom_data(text: str) -> dict[str, str]:
@@ -215,16 +216,6 @@ def _custom(information: Mapping[str, Any]) -> dict[str, str]:
     if not isinstance(custom, dict):
         return {}
     return {str(key): value for key, value in custom.items() if isinstance(value, str)}
-
-
-def _reason(error: Exception) -> str:
-    return error.strerror or "unknown reason" if isinstance(error, OSError) else "not UTF-8 text"
-
-
-def _yaml_reason(error: Exception) -> str:
-    if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
-        return f"{error.problem} in line {error.problem_mark.line + 1}"
-    return " ".join(str(error).split()) or type(error).__name__
 
 
 def absolute(topic: str) -> str:

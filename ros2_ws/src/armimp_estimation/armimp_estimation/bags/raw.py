@@ -1,11 +1,11 @@
 """The messages of a bag as they are stored, and what it may cost to read them."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
+from operator import itemgetter
 from pathlib import Path
 from typing import BinaryIO, Final, TypeAlias
 
 import lz4.frame
-import numpy as np
 import zstandard
 
 from armimp_common.errors import BagError
@@ -25,6 +25,8 @@ _PIECE: Final = 1 << 20
 
 
 TopicFilter: TypeAlias = Callable[[str], object]
+RawMessage: TypeAlias = tuple[int, int, bytes]
+"""Index of the topic, log time (ns) and bytes of a message."""
 _LONGEST: Final = 300
 
 
@@ -51,10 +53,7 @@ class RawMessages:
         self.topics: list[tuple[str, str]] = []
         """Name and message type of each recorded topic, wanted or not; the type is empty where the
         file does not say."""
-        self.topic_indices: list[int] = []
-        self.log_times: list[int] = []
-        self.payloads: list[bytes] = []
-        """For each message its index in `topics`, its log time (ns) and its bytes."""
+        self.messages: list[RawMessage] = []
         self.metadata: dict[str, str] = {}
         """Metadata of the recording."""
         self.cut = ""
@@ -140,9 +139,7 @@ class RawMessages:
             self.topics.append(entry)
         return index
 
-    def extend(
-        self, topic_indices: Iterable[int], log_times: Iterable[int], payloads: Iterable[bytes]
-    ) -> None:
+    def extend(self, messages: Iterable[RawMessage]) -> None:
         """Add messages, whose content has been charged.
 
         Raises
@@ -150,37 +147,17 @@ class RawMessages:
         BagError
             If they are more than may be.
         """
-        before = len(self.payloads)
-        self.topic_indices += topic_indices
-        self.log_times += log_times
-        self.payloads += payloads
-        self.spend(MESSAGE_COST * (len(self.payloads) - before))
+        before = len(self.messages)
+        self.messages += messages
+        self.spend(MESSAGE_COST * (len(self.messages) - before))
 
     def sort(self) -> None:
-        """Bring the messages into the order of their log times, keeping that of equal ones.
-
-        Raises
-        ------
-        OverflowError
-            If a log time does not fit 64 bits.
-        """
-        times = np.array(self.log_times, np.int64)
-        if (np.diff(times) >= 0).all():
-            return
-        order = np.argsort(times, kind="stable").tolist()
-        self.topic_indices = [self.topic_indices[i] for i in order]
-        self.log_times = [self.log_times[i] for i in order]
-        self.payloads = [self.payloads[i] for i in order]
+        """Bring the messages into the order of their log times, keeping that of equal ones."""
+        self.messages.sort(key=itemgetter(1))
 
     def by_topic(self) -> dict[int, list[bytes]]:
-        """Messages of each topic that has any, in recorded order."""
-        payloads = self.payloads
-        indices = np.array(self.topic_indices, np.int64)
-        return {
-            int(index): [payloads[i] for i in np.flatnonzero(indices == index).tolist()]
-            for index in np.unique(indices)
-        }
-
-    def __iter__(self) -> Iterator[tuple[int, int, bytes]]:
-        """Topic index, log time (ns) and bytes of each message in recorded order."""
-        return zip(self.topic_indices, self.log_times, self.payloads, strict=True)
+        """Messages of each topic, in recorded order."""
+        found: dict[int, list[bytes]] = {index: [] for index in range(len(self.topics))}
+        for index, _, payload in self.messages:
+            found[index].append(payload)
+        return found

@@ -64,7 +64,7 @@ class BagContent:
 
     def messages(self) -> Iterator[tuple[str, int, bytes]]:
         """Topic, time of reception (ns) and bytes of each message of the contract, in order."""
-        for index, log_time_ns, payload in self._raw:
+        for index, log_time_ns, payload in self._raw.messages:
             if index in self._contract_names:
                 yield self._contract_names[index], log_time_ns, payload
 
@@ -85,7 +85,7 @@ def read_bag(path: Path, *, namespace: str | None = None) -> BagContent:
         that names the file. A trial that is there but spoiled raises only where it is estimated.
     """
     raw = read_storage(path, contract_topic)
-    if not raw.payloads:
+    if not raw.messages:
         cut = f"; the file {raw.cut}" if raw.cut else ""
         raise BagError(f"{path}: no messages of an experiment in it{cut}")
     found = resolve_topics(raw.topics, bag=str(path), namespace=namespace)
@@ -94,7 +94,7 @@ def read_bag(path: Path, *, namespace: str | None = None) -> BagContent:
             raise BagError(f"{path}: has no {content}: no topic {topic}")
     by_index = raw.by_topic()
     messages = {
-        topic: by_index.get(found[topic], []) if topic in found else []
+        topic: by_index[found[topic]] if topic in found else []
         for topic in (*topics.DATA_STREAMS, topics.TRIAL)
     }
     if len(messages[topics.TRIAL]) > _MOST_STATUSES:
@@ -105,7 +105,7 @@ def read_bag(path: Path, *, namespace: str | None = None) -> BagContent:
         if len(joint_names) > _MOST_JOINTS:
             raise DataError(f"{len(joint_names)} joints are more than {_MOST_JOINTS}")
         streams = decode_streams(joint_names, messages)
-        trials = assemble_trials(streams, statuses, source=str(path))
+        trials = assemble_trials(streams, statuses, bag=str(path))
     except (DataError, ConfigurationError, MalformedMessageError) as error:
         cut = f" (the file {raw.cut})" if raw.cut else ""
         raise BagError(f"{path}: {one_line(error)}{cut}") from None
@@ -227,10 +227,8 @@ def _prefix(name: str, topic: str) -> str | None:
     """What stands before a topic of the contract; None if the name is not that of the topic."""
     if name == topic:
         return ""
-    tail = topic if topic.startswith("/") else "/" + topic
-    if not name.endswith(tail):
-        return None
-    return name[: len(name) - len(tail) + 1]
+    tail = metadata_yaml.absolute(topic)
+    return name[: len(name) - len(tail) + 1] if name.endswith(tail) else None
 
 
 def read_storage(path: Path, wanted: TopicFilter) -> RawMessages:
@@ -249,7 +247,9 @@ def read_storage(path: Path, wanted: TopicFilter) -> RawMessages:
             files = [path]
         else:
             raise BagError(f"{path}: does not exist")
-        messages = RawMessages(str(path), _size_of(files), wanted)
+        known: dict[tuple[int, int], Path] = {}
+        size = sum(_size_of(file, file, known) for file in files)
+        messages = RawMessages(str(path), size, wanted)
         for file in files:
             _read_file(file, messages)
         _decompress_messages(messages)
@@ -257,7 +257,7 @@ def read_storage(path: Path, wanted: TopicFilter) -> RawMessages:
     except OSError as error:
         prefix = "cannot be read: " if error.errno else ""  # else the reason is ours
         raise BagError(f"{error.filename or path}: {prefix}{error.strerror}") from None
-    except (zstandard.ZstdError, OverflowError, MemoryError) as error:
+    except (zstandard.ZstdError, MemoryError) as error:
         raise BagError(f"{path}: damaged: {one_line(error)}") from None
     messages.metadata.update(custom)
     return messages
@@ -287,7 +287,11 @@ def find_bags(paths: Sequence[Path]) -> list[Path]:
     found: list[Path] = []
     for path in paths:
         folder = path / BAGS if (path / BAGS).is_dir() else path
-        found += sorted(_bags_in(folder), key=_natural) or [path]
+        bags: list[Path] = []
+        with suppress(OSError):  # no directory, or one that cannot be read, as the reader will say
+            if not _holds_bag(folder):
+                bags = [one for one in folder.iterdir() if one.is_dir() and _holds_bag(one)]
+        found += sorted(bags, key=_natural) or [path]
     return found
 
 
@@ -299,27 +303,12 @@ def require_distinct(bags: Sequence[Path]) -> None:
     BagError
         If there are such ones.
     """
-    found: dict[tuple[int, int], Path] = {}
+    known: dict[tuple[int, int], Path] = {}
     for bag in bags:
-        try:
+        with suppress(OSError):  # as the reader will say
             for file in bag.iterdir() if bag.is_dir() else (bag,):
                 if file == bag or file.name.endswith(_SUFFIXES):
-                    status = file.stat()
-                    other = found.setdefault((status.st_dev, status.st_ino), bag)
-                    if other is not bag:
-                        raise BagError(f"{bag}: is the same bag as {other}")
-        except OSError:  # as the reader will say
-            continue
-
-
-def _bags_in(folder: Path) -> list[Path]:
-    try:
-        entries = list(folder.iterdir())
-        if _holds_bag(folder):
-            return []  # it is one itself
-        return [one for one in entries if one.is_dir() and _holds_bag(one)]
-    except OSError:  # no directory, or one that cannot be read, as the reader will say
-        return []
+                    _size_of(file, bag, known)
 
 
 def _holds_bag(folder: Path) -> bool:
@@ -335,16 +324,13 @@ def _natural(path: Path) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdecimal() else (0, part) for part in parts]
 
 
-def _size_of(files: Sequence[Path]) -> int:
-    """Bytes of all files, each of which must be another one."""
-    found: dict[tuple[int, int], Path] = {}
-    size = 0
-    for file in files:
-        status = file.stat()
-        if (other := found.setdefault((status.st_dev, status.st_ino), file)) != file:
-            raise BagError(f"{file}: is the same file as {other.name}")
-        size += status.st_size
-    return size
+def _size_of(file: Path, bag: Path, known: dict[tuple[int, int], Path]) -> int:
+    """Bytes of a file, which must not be that of another bag, or another file, that is known."""
+    status = file.stat()
+    other = known.setdefault((status.st_dev, status.st_ino), bag)
+    if other is not bag:
+        raise BagError(f"{bag}: is the same as {other}")
+    return status.st_size
 
 
 def _read_file(path: Path, into: RawMessages) -> None:
@@ -385,9 +371,8 @@ def _decompress_messages(messages: RawMessages) -> None:
     CDR begins with two bytes that are 0 or 1, so such messages are known by their own first
     bytes, even without the ``metadata.yaml`` that says so.
     """
-    if not messages.payloads or not messages.payloads[0].startswith(_ZSTD_MAGIC):
-        return
-    messages.payloads = [
-        messages.unzstd(payload) if payload.startswith(_ZSTD_MAGIC) else payload
-        for payload in messages.payloads
-    ]
+    if messages.messages and messages.messages[0][2].startswith(_ZSTD_MAGIC):
+        messages.messages = [
+            (topic, time, messages.unzstd(raw) if raw.startswith(_ZSTD_MAGIC) else raw)
+            for topic, time, raw in messages.messages
+        ]

@@ -145,4 +145,4 @@ def _messages(database: sqlite3.Connection, topics: dict[int, int], into: RawMes
         if not isinstance(log_time, int) or not isinstance(data, bytes):
             raise sqlite3.DatabaseError("a row holds no message")
         into.spend(len(data))
-        into.extend((topics[identity],), (log_time,), (data,))
+        into.extend([(topics[identity], log_time, data)])

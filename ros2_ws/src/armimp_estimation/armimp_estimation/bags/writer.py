@@ -17,7 +17,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import zstandard
 from mcap.data_stream import RecordBuilder
@@ -29,6 +29,7 @@ from mcap.records import (
     DataEnd,
     Footer,
     Header,
+    McapRecord,
     Metadata,
     MetadataIndex,
     Schema,
@@ -47,11 +48,10 @@ from armimp_estimation.bags.metadata_yaml import (
     is_provisional,
     message_definition,
     qos_profiles,
-    read_metadata,
     write_metadata,
 )
 from armimp_estimation.bags.raw import RawMessages
-from armimp_estimation.bags.reader import BAGS, contract_topic, read_storage
+from armimp_estimation.bags.reader import BAGS, read_storage
 
 METADATA_RECORD: Final = "armimp"
 """Name of the MCAP metadata record with the metadata, for files that lost their directory."""
@@ -59,8 +59,6 @@ FLUSH_INTERVAL_NS: Final = 50_000_000
 """A chunk is closed when it spans this much log time (ns)."""
 FLUSH_MESSAGES: Final = 256
 """A chunk is closed at this many messages: 64 ticks of four streams, whatever the log times."""
-FLUSH_BYTES: Final = 1 << 18
-"""A chunk is closed when its messages take more bytes than this."""
 
 _HEAD_BYTES: Final = 64_000
 _MESSAGE_BYTES: Final = 200
@@ -74,11 +72,7 @@ _ENTRY: Final = struct.Struct("<QQ")
 _LEVEL: Final = 1
 
 
-class _Record(Protocol):
-    def write(self, stream: RecordBuilder) -> None: ...
-
-
-def _encoded(*records: _Record) -> bytes:
+def _encoded(*records: McapRecord) -> bytes:
     builder = RecordBuilder()
     for record in records:
         record.write(builder)
@@ -123,8 +117,6 @@ class BagWriter:
         self._metadata: list[MetadataIndex] = []
         self._counts: dict[int, int] = {}
         """Messages of each channel that were flushed."""
-        self._time_range = (0, 0)
-        """Earliest and latest log time of these (ns); zeros if there are none."""
         self._chunk = bytearray()
         self._pending = 0
         self._start_ns = self._end_ns = 0
@@ -134,8 +126,8 @@ class BagWriter:
         self._position = 0
         self._closed = False
         self._failed = False
-        _make_directory(path)
         with self._one_line():
+            path.mkdir(parents=True)
             self._file = (path / storage_name(path)).open("xb", buffering=0)
             try:
                 with suppress(OSError):  # Not every file system has locks.
@@ -173,11 +165,31 @@ class BagWriter:
         """
         with self._one_line():
             channels = {self._channel(topic): raws for topic, raws in messages.items()}
-            try:
-                self._add_block(log_times, channels)
-            except struct.error:
-                times = f"{log_times[0]} to {log_times[-1]}"
-                raise BagError(f"{self._path}: log times are out of range: {times}") from None
+            head, entry, offset = MESSAGE_HEAD.pack, _ENTRY.pack, len(self._chunk)
+            records: list[bytes] = []
+            index: list[tuple[int, bytes]] = []
+            for number, time_ns in enumerate(log_times):
+                for channel, raws in channels.items():
+                    raw = raws[number]
+                    times = time_ns, time_ns
+                    records += head(MESSAGE, BEYOND_LENGTH + len(raw), channel, 0, *times), raw
+                    index.append((channel, entry(time_ns, offset)))
+                    offset += MESSAGE_HEAD.size + len(raw)
+            # Nothing has changed so far, if a time is impossible.
+            first_ns, last_ns = log_times[0], log_times[-1]
+            if not self._chunk:
+                self._start_ns, self._end_ns = first_ns, last_ns
+            self._start_ns, self._end_ns = min(self._start_ns, first_ns), max(self._end_ns, last_ns)
+            self._chunk += b"".join(records)
+            for channel, place in index:
+                self._index[channel] += place
+            self._pending += len(index)
+            # Another block like this must not lead beyond what may be lost.
+            if (
+                2 * last_ns - first_ns >= self._start_ns + FLUSH_INTERVAL_NS
+                or self._pending + len(index) > FLUSH_MESSAGES
+            ):
+                self._flush()
 
     def add_metadata(self, values: Mapping[str, str]) -> None:
         """Add to the metadata what is known only after recording.
@@ -218,26 +230,21 @@ class BagWriter:
         if self._closed:
             return
         reported = self._failed
-        problem: BagError | None = None
         try:
-            self.flush()
-        except BagError as error:
-            problem = error
-            self._begin_chunk()
-        try:
-            with self._one_line():
-                information = self._information(self._channels)
-                self._add_metadata("rosbag2", {"serialized_metadata": dump(information)})
-                self._append_summary()
-                self._file.close()
-                write_metadata(self._path, information)
-        except BagError as error:
-            problem = problem or error
+            try:
+                self.flush()
+            finally:
+                with self._one_line():
+                    information = self._information(self._channels)
+                    self._add_metadata("rosbag2", {"serialized_metadata": dump(information)})
+                    self._append_summary()
+                    write_metadata(self._path, information)
+        except BagError:
+            if not reported:
+                raise
         finally:
             self._closed = True
             self._file.close()
-        if problem is not None and not reported:
-            raise problem
 
     def __enter__(self) -> BagWriter:
         return self
@@ -279,36 +286,6 @@ class BagWriter:
         self._append(record)
         self._metadata.append(entry)
 
-    def _add_block(self, log_times: Sequence[int], channels: Mapping[int, Sequence[bytes]]) -> None:
-        """Append messages and flush as is due; for an impossible time nothing, and struct.error."""
-        head, entry, offset = MESSAGE_HEAD.pack, _ENTRY.pack, len(self._chunk)
-        records: list[bytes] = []
-        index: list[tuple[int, bytes]] = []
-        for number, time_ns in enumerate(log_times):
-            for channel, raws in channels.items():
-                raw = raws[number]
-                records += (
-                    head(MESSAGE, BEYOND_LENGTH + len(raw), channel, 0, *[time_ns] * 2),
-                    raw,
-                )
-                index.append((channel, entry(time_ns, offset)))
-                offset += MESSAGE_HEAD.size + len(raw)
-        first_ns, last_ns = log_times[0], log_times[-1]
-        if not self._chunk:
-            self._start_ns, self._end_ns = first_ns, last_ns
-        self._start_ns, self._end_ns = min(self._start_ns, first_ns), max(self._end_ns, last_ns)
-        self._chunk += b"".join(records)
-        for channel, place in index:
-            self._index[channel] += place
-        self._pending += len(index)
-        # Another block like this must not lead beyond what may be lost.
-        if (
-            2 * last_ns - first_ns >= self._start_ns + FLUSH_INTERVAL_NS
-            or self._pending + len(index) > FLUSH_MESSAGES
-            or len(self._chunk) > FLUSH_BYTES
-        ):
-            self._flush()
-
     def _flush(self) -> None:
         if not self._pending:
             return
@@ -348,16 +325,17 @@ class BagWriter:
         self._chunks.append(chunk)
         for channel, entries in self._index.items():
             self._counts[channel] += len(entries) // _ENTRY.size
-        first_ns, last_ns = self._time_range
-        first_ns = min(first_ns, self._start_ns) if len(self._chunks) > 1 else self._start_ns
-        self._time_range = first_ns, max(last_ns, self._end_ns)
-        self._begin_chunk()
-
-    def _begin_chunk(self) -> None:
-        """Forget the messages of the chunk, written or not."""
         self._chunk.clear()
         self._pending = 0
         self._index.clear()
+
+    @property
+    def _time_range(self) -> tuple[int, int]:
+        """Earliest and latest log time of what was flushed (ns); zeros if there is nothing."""
+        return (
+            min((chunk.message_start_time for chunk in self._chunks), default=0),
+            max((chunk.message_end_time for chunk in self._chunks), default=0),
+        )
 
     def _append_summary(self) -> None:
         first_ns, last_ns = self._time_range
@@ -373,7 +351,7 @@ class BagWriter:
             schema_count=len(self._schemas),
         )
         end = _encoded(DataEnd(data_section_crc=0))
-        summary: Iterable[_Record] = (
+        summary: Iterable[McapRecord] = (
             *(*self._schemas.values(), *self._channels.values(), statistics),
             *(*self._chunks, *self._metadata),
         )
@@ -408,25 +386,24 @@ class BagWriter:
     @contextmanager
     def _one_line(self) -> Iterator[None]:
         """Say in one line why something cannot be written."""
-        if self._closed:
-            raise BagError(f"{self._path}: cannot be written: the bag is closed")
+        reason: object = "the bag is closed"
         try:
-            yield
-        except (OSError, ValueError) as error:
+            if not self._closed:
+                yield
+                return
+        except FileExistsError:
+            raise BagError(f"{self._path}: exists already, nothing is overwritten") from None
+        except (OSError, ValueError, struct.error) as error:
             self._failed = True
-            reason = _reason(error) if isinstance(error, OSError) else "the bag is closed"
-            raise BagError(f"{self._path}: cannot be written: {reason}") from None
+            reason = getattr(error, "strerror", None) or error
+            if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+                reason = "disk full"
+        raise BagError(f"{self._path}: cannot be written: {reason}")
 
 
 def storage_name(path: Path) -> str:
     """Name of the MCAP file in the directory of a bag."""
     return f"{path.name}_0.mcap"
-
-
-def _reason(error: OSError) -> str:
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        return "disk full"
-    return error.strerror or "unknown reason"
 
 
 def require_free_space(path: Path, ticks: int, joints: int) -> None:
@@ -458,16 +435,6 @@ def require_free_space(path: Path, ticks: int, joints: int) -> None:
         )
 
 
-def _make_directory(path: Path) -> None:
-    try:
-        path.mkdir(parents=True)
-    except FileExistsError:
-        raise BagError(f"{path}: exists already, nothing is overwritten") from None
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise BagError(f"{path}: cannot be made: {reason}") from None
-
-
 def finish_bag(path: Path) -> str:
     """Finish a bag which a killed `BagWriter` left behind; any other is left alone.
 
@@ -480,20 +447,18 @@ def finish_bag(path: Path) -> str:
         return ""
     unfinished = f"{path}: its recorder did not finish it"
     try:
-        files, _ = read_metadata(path / FILE_NAME)
-        with open_regular(files[0]) as file:
+        with open_regular(path / storage_name(path)) as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if files[0].name != storage_name(path) or file.read(len(HEAD)) != HEAD:
+            if file.read(len(HEAD)) != HEAD:
                 return ""
             messages = read_storage(path, lambda _: True)
             try:
-                if not _write_anew(path, messages):
-                    return ""
+                _write_anew(path, messages)
             except (BagError, OSError) as error:
                 return f"{unfinished}, and it cannot be finished now: {error}"
     except (BagError, OSError):
         return ""  # It is being recorded, or whoever reads it will say what is wrong.
-    return f"{unfinished}: finished now, with {len(messages.payloads)} messages"
+    return f"{unfinished}: finished now, with {len(messages.messages)} messages"
 
 
 def finish_bags(directory: Path) -> list[str]:
@@ -502,16 +467,14 @@ def finish_bags(directory: Path) -> list[str]:
     return [note for bag in bags if (note := finish_bag(bag.parent))]
 
 
-def _write_anew(path: Path, messages: RawMessages) -> bool:
-    """Replace the files of a bag by new ones; return false if another recorder made it."""
-    names = [contract_topic(name) or "" for name, _ in messages.topics]
-    if [absolute(name) for name in names] != [name for name, _ in messages.topics]:
-        return False
+def _write_anew(path: Path, messages: RawMessages) -> None:
+    """Replace the files of a bag by new ones with the same messages."""
+    names = {absolute(topic): topic for topic in MESSAGE_TYPES}
     with tempfile.TemporaryDirectory(prefix=".finishing.", dir=path) as work:
         copy = Path(work) / path.name
         with BagWriter(copy, metadata=messages.metadata) as writer:
-            for topic, log_time_ns, payload in messages:
-                writer.write(names[topic], payload, log_time_ns)
-        for name in (storage_name(path), FILE_NAME):
-            (copy / name).replace(path / name)
-    return True
+            for index, log_time_ns, payload in messages.messages:
+                name, _ = messages.topics[index]
+                writer.write(names.get(name, name), payload, log_time_ns)
+        for file in (storage_name(path), FILE_NAME):
+            (copy / file).replace(path / file)
