@@ -224,13 +224,12 @@ def identify(
     known = results.get("lpm_full")
     hold = LpmFull(config=options.lpm).jump(records) if known is None else known.estimate.hold
     if best is not None:
-        delay = 0.0 if best.fit.delay is None else best.fit.delay.delay
         of_motion, doubts, gains = judge_linearity(
             records,
             best.estimate,
             best.fit,
             hold,
-            reading.model_copy(update={"delay": reading.delay + delay}),
+            reading,
             resolved=np.all(unseen_share(records) < RESOLVED_SHARE, axis=0),
             linearity=options.calibration.linearity,
         )

@@ -42,7 +42,7 @@ from armimp_estimation.hold_correction import HoldCorrection, command_steps
 from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import Concern, Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.torque_timing import TorqueReading
+from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -399,6 +399,7 @@ def unexplained_torque(
     arm: MBK,
     jump: HoldCorrection | None = None,
     reading: TorqueReading | None = None,
+    late: float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
     """Motion of the perturbed joint and what the arm leaves of its torque, both within the band.
 
@@ -412,6 +413,8 @@ def unexplained_torque(
         How torques jump with the commands, if that is known.
     reading : TorqueReading, optional
         How torques were read.
+    late : float
+        How late they were found to be beyond that, s.
 
     Returns
     -------
@@ -422,10 +425,13 @@ def unexplained_torque(
     """
     k, band = record.perturbed_joint, _Band(record)
     angle, torque = band.of(record.position), band.of(record.torque[k])
+    known = (reading or TorqueReading()).at_rate(record.rate)
     if jump is not None:
-        lacking = jump.missing(band.f, record.rate, reading)[k]
+        lacking = jump.missing(band.f, record.rate, known)[k]
         torque = torque + np.sum(lacking * band.of(command_steps(record, record.samples)), axis=0)
-        torque = torque / (reading or TorqueReading()).response(band.f)
+    elif known.timing is TorqueTiming.INTERVAL_MEAN:
+        late += 0.5 / record.rate
+    torque = torque * np.exp(2j * np.pi * band.f * late) / known.response(band.f)
     motion = angle[k] * (2j * np.pi * band.f) ** np.arange(3)[:, None]
     left = torque - _fitted(arm, record, band, angle)
     return band.signal(motion), band.signal(left)
@@ -447,6 +453,7 @@ def deviations(
     arm: MBK,
     jump: HoldCorrection | None = None,
     reading: TorqueReading | None = None,
+    late: float = 0.0,
 ) -> dict[str, Deviation]:
     """In which ways the perturbed joint is not linear, by name.
 
@@ -463,7 +470,7 @@ def deviations(
         return {}
     record = record.whole_periods
     band, k = _Band(record), record.perturbed_joint
-    motion, rest = unexplained_torque(record, arm, jump, reading)
+    motion, rest = unexplained_torque(record, arm, jump, reading, late)
     wide, moving = _Band(record, WIDE), _Band(record, MOVING)
     # All motion and torque are bent, but what the perturbation causes of them alone is independent
     # of what the person does: it is the instrument by which the rest is found. Slow motion of the
@@ -511,7 +518,7 @@ def deviations(
         cause, term, alone = (band.signal(weights * part)[kept] for part in bent)
         instrument = linear.unlike(cause)
         slope, error, freedom = _slope(instrument, linear.removed(term), remains)
-        if np.linalg.norm(linear.unlike(alone)) < _TOLD * np.linalg.norm(alone):
+        if np.linalg.norm(linear.unlike(alone)) <= _TOLD * np.linalg.norm(alone):
             error = np.inf
         shift, gain, held, slack = np.zeros(3), 0.0, 0.0, 0.0
         if of_gain:
@@ -648,6 +655,8 @@ def _slope(
     products = np.array([np.sum(p * q) for p, _, q in zip(*parts, strict=True)])
     squares = np.array([np.sum(p * q) for p, q, _ in zip(*parts, strict=True)])
     total = float(np.sum(squares))
+    if not total:
+        return 0.0, np.inf, 1.0  # as of |τ| where a load keeps its sign
     slope = float(np.sum(products)) / total
     weights = np.clip(squares / total, 0.0, 0.9)
     error = float(np.linalg.norm((products - slope * squares) / (1.0 - weights))) / abs(total)
@@ -692,7 +701,8 @@ def judge_linearity(
     n = len(records)
     problems: list[Problem] = []
     doubts, gain = [np.zeros((3, n, n)) for _ in records], np.zeros(n)
-    found = [deviations(record, fit.mbk, jump, reading) for record in records]
+    late = 0.0 if fit.delay is None else fit.delay.delay
+    found = [deviations(record, fit.mbk, jump, reading, late) for record in records]
 
     def of_torque(joint: int, trial: int, torque: FloatArray) -> FloatArray:
         shift = np.zeros((3, n, n))

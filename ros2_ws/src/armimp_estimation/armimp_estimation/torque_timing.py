@@ -153,22 +153,6 @@ class TorqueReading(JsonModel):
         bend = driven / (1j * x) ** 2 - z**first * ramps
         return edge, bend
 
-    def skew(self, rate: float) -> float:
-        """How late is what jumps, at low frequency and beyond the delay of G, samples.
-
-        This is ``e(0)``: the inertial torque is ``jx`` times the jumps.
-        """
-        if self.timing is TorqueTiming.SIMULTANEOUS:
-            return 0.0
-        if self.timing is TorqueTiming.INTERVAL_MEAN or self.prompt:
-            return 0.5
-        first, since = self.first(rate)
-        skew = first - 0.5 - self.delay * rate
-        for amplitude, pole in zip(*self._modes, strict=True):
-            decay = np.exp(pole * since / rate) / (1.0 - np.exp(pole / rate))
-            skew -= float((amplitude * (decay + rate / pole)).real)
-        return skew
-
     def answers(self, rate: float, count: int) -> FloatArray:
         """Responses of readings to a step, a ramp and a parabola of the torque at an update.
 

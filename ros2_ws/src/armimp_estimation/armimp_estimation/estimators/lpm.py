@@ -301,7 +301,7 @@ class LpmFull:
         skew[diagonal, diagonal] = 1.0
         if jump is None:
             if reading.timing is TorqueTiming.INTERVAL_MEAN:
-                skew *= np.exp(2j * np.pi * f * reading.skew(rate) / rate)
+                skew *= np.exp(1j * np.pi * f / rate)
         else:
             skew[:, joints:] = jump.missing(f, rate, reading)
         if not reading.prompt:
