@@ -1,6 +1,7 @@
 """The facade: recordings of any origin give the same result, with intervals that hold the truth."""
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 
 import armimp
 from armimp_estimation.bags import BagWriter
+from armimp_estimation.torque_timing import TorqueReading
 from support.synthetic_bags import synthetic_recording
 
 
@@ -201,3 +203,37 @@ def test_what_is_declared_of_how_linear_transducers_are_decides_the_errors_besid
     assert np.array_equal(declared.B, unknown.B)
     assert (unknown.B_se > declared.B_se).all()
     assert (poor.B_se > 2.0 * declared.B_se).all()
+
+
+def test_torques_that_a_load_keeps_of_one_sign_are_no_fault(
+    recording: armimp.Recording, result: armimp.Result
+) -> None:
+    loaded = tuple(replace(one, torque=one.torque + 15.0) for one in recording.trials)
+    found = armimp.identify(replace(recording, trials=loaded))
+    assert found.valid, found.problems
+    assert (np.abs(found.K - result.K) < 0.1 * result.K_se).all()
+
+
+def test_a_transducer_that_shows_the_torque_of_another_joint_is_named_with_its_share() -> None:
+    crossed = armimp.simulate(
+        duration=20.0,
+        seed=1,
+        friction=0,
+        resolution=0,
+        arm_sim={"sensors.torque.cross_talk": 0.05},
+    )
+    found = armimp.identify(crossed)
+    assert not found.impedance_valid
+    # A gain of the shoulder's would explain its share as well, as the rows of this arm are alike.
+    assert any(
+        re.match(r"the transducer of elbow shows 4\.\d+ ± 0\.\d+ % of the torque of shoulder", one)
+        for one in found.problems
+    ), found.problems
+
+
+def test_an_arm_whose_torques_are_late_by_what_nobody_told_is_not_taken_for_bent() -> None:
+    late = armimp.simulate(duration=20.0, seed=1, arm_sim={"sensors.torque.delay": 0.0015})
+    found = armimp.identify(replace(late, reading=TorqueReading()))
+    assert found.valid, found.problems
+    assert any("late against angles by 1.5" in one for one in found.problems), found.problems
+    assert not any("amplitude" in one or "hysteresis" in one for one in found.problems)

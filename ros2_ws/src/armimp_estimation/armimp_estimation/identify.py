@@ -55,12 +55,19 @@ class EstimatorResult:
         return replace(self, fit=reduce(MBKFit.with_doubt, shifts, self.fit))
 
     def with_gains_in_doubt(self, doubts: FloatArray) -> EstimatorResult:
-        """Return the same with relative standard errors of the gains, (n,), in all errors."""
+        """Return the same with standard errors of gains and cross-talk, (n, n), in all errors.
+
+        Of each joint and the one whose torque its transducer may show, relative.
+        """
         if not doubts.any():
             return self
-        mbk, rows = self.fit.mbk, np.diag(doubts)
-        shifts = [row[:, None] * np.stack([mbk.M, mbk.B, mbk.K]) for row in rows]
-        variance = self.estimate.variance + np.abs(doubts[:, None, None] * self.estimate.Z) ** 2
+        mbk, variance = self.fit.mbk, self.estimate.variance.copy()
+        found, shifts = np.stack([mbk.M, mbk.B, mbk.K]), []
+        for i, row in np.argwhere(doubts):
+            shift = np.zeros_like(found)
+            shift[:, i] = doubts[i, row] * found[:, row]
+            shifts.append(shift)
+            variance[i] += np.abs(doubts[i, row] * self.estimate.Z[row]) ** 2
         return replace(self.with_doubts(shifts), estimate=replace(self.estimate, variance=variance))
 
     @property
@@ -235,7 +242,7 @@ def identify(
         )
         problems += of_motion
         results = {
-            name: one.with_doubts(doubts).with_gains_in_doubt(gains)
+            name: one.with_doubts(doubts).with_gains_in_doubt(np.diag(gains))
             for name, one in results.items()
         }
     trusted = first if best is None else best

@@ -92,6 +92,7 @@ class ProblemCode(str, Enum):
     IMPLAUSIBLE_VALUE = "implausible_value"
     IMPLAUSIBLE_ANGLE = "implausible_angle"
     TORQUE_UNBALANCED = "torque_unbalanced"
+    TORQUES_CROSS = "torques_cross"
     GAIN_DOUBTED = "gain_doubted"
     GAIN_UNCONFIRMED = "gain_unconfirmed"
     ROBOT_INERTIA_IMPOSSIBLE = "robot_inertia_impossible"

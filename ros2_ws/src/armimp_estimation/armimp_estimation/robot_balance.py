@@ -25,6 +25,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import DataError
@@ -79,6 +80,8 @@ joint would explain what is left.
 """
 _UNCONFIRMED = 0.1
 """Assumption: relative error of a gain that nobody has declared and no command confirms."""
+_UNCONFIRMED_CROSS_TALK = 0.03
+"""Assumption: the same of cross-talk."""
 _SPRING = 2.0
 """Standard errors from which on a joint of the robot seems to have a spring."""
 _REFUTED = 3.0
@@ -303,20 +306,22 @@ def _least_squares(
 
 
 def imbalance(robot: RobotBalance, arm: MBKFit) -> tuple[FloatArray, FloatArray]:
-    """Share ``ρ = (1 - g)/g`` of the arm's torque that is no robot's, and its standard error, (n,).
+    """Shares of the arm's torque that are no robot's, and their standard errors, each (n, n).
 
-    By least squares from B and K of the joint's row, off the diagonal: a spring or friction of the
-    joint itself is on it. For a single joint it is that of K.
+    On the diagonal ``ρ = (1 - g)/g`` of the torque of the joint itself, which its transducer shows
+    g times; beside it -c of each other joint's, as with the cross-talk c. Each is as if there was
+    no other, by least squares from B and K of the robot off the diagonal: a spring or friction of
+    the joint itself is on it. For a single joint it is that of K.
     """
     n = len(robot.order)
     used = [2] if n == 1 else [1, 2]
-    shares, errors = np.zeros(n), np.zeros(n)
-    for i in range(n):
+    shares, errors = np.zeros((2, n, n))
+    for i, row in np.ndindex(n, n):
         mixed, square = 0.0, np.finfo(np.float64).tiny
         doubt, held, own, left = 0.0, 0.0, 0.0, 0.0
         for j in range(n) if n == 1 else np.delete(np.arange(n), i):
-            arms = np.array([arm.mbk.M[i, j], arm.mbk.B[i, j], arm.mbk.K[i, j]])[used]
-            arms_se = np.array([arm.M_se[i, j], arm.B_se[i, j], arm.K_se[i, j]])[used]
+            arms = np.array([arm.mbk.M[row, j], arm.mbk.B[row, j], arm.mbk.K[row, j]])[used]
+            arms_se = np.array([arm.M_se[row, j], arm.B_se[row, j], arm.K_se[row, j]])[used]
             information = np.linalg.pinv(robot.covariance[np.ix_(used, used)][:, :, i, j])
             part = float(arms @ information @ arms)
             residual = robot.terms[used, i, j]
@@ -327,40 +332,56 @@ def imbalance(robot: RobotBalance, arm: MBKFit) -> tuple[FloatArray, FloatArray]
             held += part * robot.unseen[i, j]
             # Where the arm hardly couples the joints its own errors count.
             own += float(arms_se @ information @ arms_se)
-        shares[i] = mixed / square
+        shares[i, row] = mixed / square
         # One share has to explain all of the row.
-        spread = max(1.0, (left - mixed * shares[i]) / max(len(used) * max(n - 1, 1) - 1, 1))
-        own_error = shares[i] * np.sqrt(own / square)
+        spread = max(1.0, (left - mixed * mixed / square) / max(len(used) * max(n - 1, 1) - 1, 1))
+        own_error = shares[i, row] * np.sqrt(own / square)
         # Friction that holds a joint takes torque: to the transducer it is a gain above 1.
-        doubt = (_HELD * max(doubt, held) if mixed < 0.0 else _TAKEN * doubt) / square
-        errors[i] = np.linalg.norm((np.sqrt(spread / square), doubt, own_error))
+        holds = mixed < 0.0 or i != row
+        doubt = (_HELD * max(doubt, held) if holds else _TAKEN * doubt) / square
+        errors[i, row] = np.linalg.norm((np.sqrt(spread / square), doubt, own_error))
     return shares, errors
 
 
 def gains_in_doubt(
     shares: FloatArray, errors: FloatArray, springs: FloatArray, calibration: Calibration
 ) -> FloatArray:
-    """Relative standard errors of gains, (n,), that the balance leaves possible.
+    """Standard errors of gains and, beside the diagonal, of cross-talk that the balance leaves.
 
     A share ρ that the commands tell is possible, whatever else may explain it, so it comes beside
     what is assumed; so does what they could not have told, up to `_UNCONFIRMED`, or up to what
     a spring of the joint itself would be of the arm's, if there seems to be one. A calibration that
-    was declared holds until ρ refutes it.
+    was declared holds until ρ refutes it. Cross-talk is told where it explains more than a gain.
 
     Parameters
     ----------
-    shares, errors : ndarray, shape (n,)
+    shares, errors : ndarray, shape (n, n)
         Of :func:`imbalance`.
     springs : ndarray, shape (n,)
         Of :func:`apparent_springs`.
     calibration : Calibration
         What is known of the transducers.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        By joint and the other one whose torque its transducer may show.
     """
-    told = np.where(np.abs(shares) > _REFUTED * errors, np.abs(shares), 0.0)
+    size, own = np.abs(shares), np.eye(len(springs), dtype=np.bool_)
+    told = np.where(
+        (size > _REFUTED * errors) & (own | _explained_better(shares, errors)), size, 0.0
+    )
     if not calibration.assumed:
         return np.asarray(told)
-    untold = np.minimum(np.hypot(shares, errors), np.maximum(springs, _UNCONFIRMED))
+    most = np.where(own, np.maximum(springs, _UNCONFIRMED), _UNCONFIRMED_CROSS_TALK)
+    untold = np.minimum(np.hypot(shares, errors), most)
     return np.asarray(np.maximum(told, untold))
+
+
+def _explained_better(shares: FloatArray, errors: FloatArray) -> NDArray[np.bool_]:
+    """Where a share is the most significant one of its row, (n, n)."""
+    sure = np.abs(shares) / np.maximum(errors, np.finfo(np.float64).tiny)
+    return np.asarray(sure == np.max(sure, axis=1, keepdims=True))
 
 
 def apparent_springs(robot: RobotBalance, arm: MBKFit) -> FloatArray:
@@ -372,6 +393,22 @@ def apparent_springs(robot: RobotBalance, arm: MBKFit) -> FloatArray:
     own, error, K = np.diag(robot.K), np.diag(robot.K_se), np.abs(np.diag(arm.mbk.K))
     ratio = np.abs(own) / np.maximum(K, np.finfo(np.float64).tiny)
     return np.asarray(np.where(np.abs(own) > _SPRING * error, np.minimum(ratio, 1.0), 0.0))
+
+
+def _cross_talk(names: Sequence[str], shares: FloatArray, errors: FloatArray) -> list[Problem]:
+    """Transducers that show the torque of another joint, which explains more than their gain."""
+    beyond = np.abs(shares) > GAIN_TOLERANCE + _ERRORS * errors
+    beyond &= _explained_better(shares, errors) & ~np.eye(len(names), dtype=np.bool_)
+    return [
+        problem(
+            ProblemCode.TORQUES_CROSS,
+            name=names[i],
+            other=names[row],
+            percent=-100.0 * shares[i, row],
+            error=100.0 * errors[i, row],
+        )
+        for i, row in np.argwhere(beyond)
+    ]
 
 
 def _unconfirmed(name: str, doubt: float) -> Problem:
@@ -410,25 +447,31 @@ def judge_balance(
     Returns
     -------
     problems : list of Problem
-    doubts : ndarray, shape (n,)
-        Relative standard errors of the gains of transducers that are not refused.
+    doubts : ndarray, shape (n, n)
+        Relative standard errors of the gains of transducers that are not refused, and of their
+        cross-talk, see :func:`gains_in_doubt`.
     """
     problems = []
+    nowhere = np.zeros((len(names), len(names)))
     if balance is None:
         doubt = max(_UNCONFIRMED, calibration.gain) if calibration.assumed else 0.0
         problems = [_unconfirmed(name, doubt) for name in names if doubt > 0.0]
-        return problems, np.full(len(names), doubt)
-    shares, errors = imbalance(balance, arm)
+        return problems, doubt * np.eye(len(names))
+    every, uncertain = imbalance(balance, arm)
+    shares, errors = np.diag(every), np.diag(uncertain)
     if balance.permuted:
         order = ", ".join(names[row] for row in np.argsort(balance.order))
         problems.append(problem(ProblemCode.COMMANDS_PERMUTED, severity=Severity.NOTE, order=order))
-    wrong = []
+    crossed = _cross_talk(names, every, uncertain)
+    problems += crossed
+    wrong = [str(one.values["name"]) for one in crossed]
     nothing = np.abs(shares + 1.0) <= _NOT_ALL + 2.0 * errors
-    if (nothing & (np.abs(shares) > GAIN_TOLERANCE + _ERRORS * errors)).any():
-        return problems, np.zeros(len(names))
+    nothing &= np.abs(shares) > GAIN_TOLERANCE + _ERRORS * errors
+    if (nothing & ~np.isin(names, wrong)).any():
+        return problems, nowhere
     for name, share, error in zip(names, shares, errors, strict=True):
         # In terms of the stiffness, so that a gain near 0 or below counts as well.
-        if not abs(share) <= GAIN_TOLERANCE + _ERRORS * error:
+        if name not in wrong and not abs(share) <= GAIN_TOLERANCE + _ERRORS * error:
             wrong.append(name)
             problems.append(problem(ProblemCode.TORQUE_UNBALANCED, **_gain_of(name, share, error)))
     for name, least in zip(names, negative_gains(balance, arm), strict=True):
@@ -444,9 +487,9 @@ def judge_balance(
             problem(ProblemCode.ROBOT_INERTIA_IMPOSSIBLE, inertia=inertia, name=suspects)
         )
     if wrong:
-        return problems, np.zeros(len(names))
-    doubts = gains_in_doubt(shares, errors, apparent_springs(balance, arm), calibration)
-    for name, share, error, doubt in zip(names, shares, errors, doubts, strict=True):
+        return problems, nowhere
+    doubts = gains_in_doubt(every, uncertain, apparent_springs(balance, arm), calibration)
+    for name, share, error, doubt in zip(names, shares, errors, np.diag(doubts), strict=True):
         if doubt > 0.0 and abs(share) > _REFUTED * error:
             about = _gain_of(name, share, error) | {"doubt": 100.0 * float(doubt)}
             problems.append(problem(ProblemCode.GAIN_DOUBTED, severity=Severity.NOTE, **about))
