@@ -113,7 +113,7 @@ class Recording:
         records = [
             TrialRecord(
                 trial=number,
-                perturbed_joint=int(np.argmax(np.sum(trial[0] ** 2, axis=1))),
+                perturbed_joint=int(np.argmax(np.var(trial[0], axis=1))),
                 rate=float(rate),
                 joint_names=names,
                 perturbation=trial[0],

@@ -237,3 +237,14 @@ def test_an_arm_whose_torques_are_late_by_what_nobody_told_is_not_taken_for_bent
     assert found.valid, found.problems
     assert any("late against angles by 1.5" in one for one in found.problems), found.problems
     assert not any("amplitude" in one or "hysteresis" in one for one in found.problems)
+
+
+def test_a_constant_in_the_perturbation_of_all_joints_perturbs_none(
+    recording: armimp.Recording, result: armimp.Result
+) -> None:
+    perturbation, position, torque = arrays_of(recording)
+    offset = [one + 0.05 for one in perturbation]
+    made = armimp.Recording.from_arrays(offset, position, torque, rate=1000.0)
+    found = armimp.identify(made)
+    assert found.valid, found.problems
+    np.testing.assert_allclose(found.M, result.M, rtol=0.01)

@@ -189,7 +189,7 @@ def _contradictions(trials: Sequence[TrialData]) -> Iterator[str]:
         if not np.array_equal(trial.f, trials[0].f):
             yield f"trials {other.trial} and {one.trial} have spectra at different frequencies"
         for joint, name in enumerate(names):
-            if joint != trial.joint and one.perturbation[joint].any():
+            if joint != trial.joint and np.ptp(one.perturbation[joint]) > 0.0:
                 both = f"{name} as well as {names[trial.joint]}"
                 yield f"{this} perturbs {both}: decomposition needs one joint at a time"
     for joint, name in enumerate(trials[0].record.joint_names):
