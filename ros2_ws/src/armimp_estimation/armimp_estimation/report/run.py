@@ -258,10 +258,11 @@ def _distortion(result: Result) -> Content | None:
         return None
     fitted = summary.estimators.get("lpm_full") or next(iter(summary.estimators.values()))
     arm = MBK(M=np.array(fitted.M), B=np.array(fitted.B), K=np.array(fitted.K))
+    late = 0.0 if fitted.delay is None else fitted.delay.delay
     trials = []
     for one in result.trials:
         if one.record is not None and (found := Distortion.of(one.record, arm)) is not None:
-            changes = deviations(one.record, arm)
+            changes = deviations(one.record, arm, late=late)
             trials.append((one, found, changes.get("amplitude"), changes.get("time")))
     if not trials:
         return None
