@@ -248,3 +248,19 @@ def test_a_constant_in_the_perturbation_of_all_joints_perturbs_none(
     found = armimp.identify(made)
     assert found.valid, found.problems
     np.testing.assert_allclose(found.M, result.M, rtol=0.01)
+
+
+def test_commands_that_move_nothing_confirm_no_gain(recording: armimp.Recording) -> None:
+    perturbation, position, torque = arrays_of(recording)
+    nothing = [np.zeros_like(one) for one in torque]
+    with_nothing, without = (
+        armimp.identify(
+            armimp.Recording.from_arrays(
+                perturbation, position, torque, rate=1000.0, command=command
+            )
+        )
+        for command in (nothing, None)
+    )
+    for found in (with_nothing, without):
+        assert sum("no command confirms the gain" in one for one in found.problems) == 2
+    np.testing.assert_allclose(with_nothing.K_se, without.K_se, rtol=0.05)

@@ -91,7 +91,7 @@ class Calibration:
     gain: float = 0.0
     cross_talk: float = 0.0
     angle: float = 0.0
-    linearity: float | None = 0.0
+    linearity: float | None = None
     assumed: bool = False
 
     def __post_init__(self) -> None:
@@ -108,7 +108,7 @@ class Calibration:
     @classmethod
     def undeclared(cls) -> Calibration:
         """What a transducer of a laboratory is assumed to have: 1 % of either."""
-        return cls(gain=0.01, cross_talk=0.01, linearity=None, assumed=True)
+        return cls(gain=0.01, cross_talk=0.01, assumed=True)
 
     def effects(self, Z: ComplexArray) -> tuple[ComplexArray, ...]:
         """Standard errors ``g Z_ij``, for each other joint l ``c Z_lj``, by column ``a Z_ij``.

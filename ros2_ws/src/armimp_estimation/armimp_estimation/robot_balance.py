@@ -416,6 +416,15 @@ def _unconfirmed(name: str, doubt: float) -> Problem:
     return problem(code, severity=Severity.NOTE, name=name, doubt=100.0 * doubt)
 
 
+def _nothing_confirmed(
+    names: Sequence[str], calibration: Calibration
+) -> tuple[list[Problem], FloatArray]:
+    """What :func:`judge_balance` finds where no command tells of the transducers."""
+    doubt = max(_UNCONFIRMED, calibration.gain) if calibration.assumed else 0.0
+    problems = [_unconfirmed(name, doubt) for name in names if doubt > 0.0]
+    return problems, doubt * np.eye(len(names))
+
+
 def negative_gains(robot: RobotBalance, arm: MBKFit) -> FloatArray:
     """Gains of transducers that a negative stiffness of the robot takes at least; 1: none.
 
@@ -451,12 +460,10 @@ def judge_balance(
         Relative standard errors of the gains of transducers that are not refused, and of their
         cross-talk, see :func:`gains_in_doubt`.
     """
+    if balance is None:
+        return _nothing_confirmed(names, calibration)
     problems = []
     nowhere = np.zeros((len(names), len(names)))
-    if balance is None:
-        doubt = max(_UNCONFIRMED, calibration.gain) if calibration.assumed else 0.0
-        problems = [_unconfirmed(name, doubt) for name in names if doubt > 0.0]
-        return problems, doubt * np.eye(len(names))
     every, uncertain = imbalance(balance, arm)
     shares, errors = np.diag(every), np.diag(uncertain)
     if balance.permuted:
@@ -468,7 +475,9 @@ def judge_balance(
     nothing = np.abs(shares + 1.0) <= _NOT_ALL + 2.0 * errors
     nothing &= np.abs(shares) > GAIN_TOLERANCE + _ERRORS * errors
     if (nothing & ~np.isin(names, wrong)).any():
-        return problems, nowhere
+        # The arm moves, but not by these commands.
+        untold, doubts = _nothing_confirmed(names, calibration)
+        return problems + untold, doubts
     for name, share, error in zip(names, shares, errors, strict=True):
         # In terms of the stiffness, so that a gain near 0 or below counts as well.
         if name not in wrong and not abs(share) <= GAIN_TOLERANCE + _ERRORS * error:
