@@ -23,7 +23,7 @@ from armimp_common.topics import ValueField
 
 OnMalformed = Callable[[MalformedMessageError], None]
 _POLL = 0.005
-_PATIENCE = 10.0
+_PATIENCE = 30.0
 """How long the others are waited for before a node becomes active (s)."""
 
 
@@ -339,7 +339,7 @@ def wait_for_partners(
     Raises
     ------
     GraphError
-        If somebody does not turn up within 10 s, or is lost but still listed.
+        If somebody does not turn up within 30 s, or is lost but still listed.
     """
     lonely = wait_until_matched(
         node, publishers=publishers, subscriptions=subscriptions, timeout_s=_PATIENCE

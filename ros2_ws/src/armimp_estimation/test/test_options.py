@@ -149,7 +149,7 @@ def test_when_a_joint_has_two_trials_expect_data_error() -> None:
     [
         ({"joint_names": ("x", "y")}, "trial 2 has joints x, y, trial 1 has joint_1, joint_2"),
         ({"rate": 250.0}, "250.0 samples per second, trial 1 has 125.0"),
-        ({"perturbation": np.ones((2, 6144))}, "trial 2 perturbs joint_1 as well as joint_2"),
+        ({"perturbation": np.eye(2, 6144)}, "trial 2 perturbs joint_1 as well as joint_2"),
     ],
 )
 def test_when_trials_do_not_belong_together_expect_data_error(
