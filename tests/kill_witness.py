@@ -11,6 +11,7 @@ which all processes share.
 import json
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -18,7 +19,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 
 from armimp_common import qos, topics
-from armimp_common.errors import MalformedMessageError
+from armimp_common.errors import GraphError, MalformedMessageError
 from armimp_common.executor import run_node, steady_timer
 from armimp_common.pubsub import (
     publisher_count,
@@ -72,8 +73,9 @@ class Witness(Node):
     def _look_around(self) -> None:
         if all(publisher_count(self, one) for one in self._subscriptions):
             self._timer.cancel()
-            wait_until_known_to(self, [SIM_NODE, CONTROLLER_NODE], timeout_s=_PATIENCE)
-            self._file.with_suffix(".known").touch()
+            with suppress(GraphError):  # who was killed before does not answer any more
+                wait_until_known_to(self, [SIM_NODE, CONTROLLER_NODE], timeout_s=_PATIENCE)
+                self._file.with_suffix(".known").touch()
 
     def _on_perturbation(self, stamp_ns: int, torque: tuple[float, ...]) -> None:
         self._stamps.append((time.monotonic(), stamp_ns))
