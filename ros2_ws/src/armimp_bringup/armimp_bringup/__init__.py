@@ -1,1 +1,6 @@
 """Orchestrator of the node graph, study runner and the armimp command line."""
+
+import os
+
+# Matrices are small here: threads of the linear algebra would only wait for one another.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
