@@ -25,9 +25,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from armimp_common.arrays import ComplexArray, FloatArray
+from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.estimators.local_polynomial import (
@@ -378,7 +377,12 @@ def gains_in_doubt(
     return np.asarray(np.maximum(told, untold))
 
 
-def _explained_better(shares: FloatArray, errors: FloatArray) -> NDArray[np.bool_]:
+def _beyond(shares: FloatArray, errors: FloatArray) -> BoolArray:
+    """Where shares are larger than what is tolerated and chance, or no numbers."""
+    return np.asarray(~(np.abs(shares) <= GAIN_TOLERANCE + _ERRORS * errors))
+
+
+def _explained_better(shares: FloatArray, errors: FloatArray) -> BoolArray:
     """Where a share is the most significant one of its row, (n, n)."""
     sure = np.abs(shares) / np.maximum(errors, np.finfo(np.float64).tiny)
     return np.asarray(sure == np.max(sure, axis=1, keepdims=True))
@@ -397,8 +401,8 @@ def apparent_springs(robot: RobotBalance, arm: MBKFit) -> FloatArray:
 
 def _cross_talk(names: Sequence[str], shares: FloatArray, errors: FloatArray) -> list[Problem]:
     """Transducers that show the torque of another joint, which explains more than their gain."""
-    beyond = np.abs(shares) > GAIN_TOLERANCE + _ERRORS * errors
-    beyond &= _explained_better(shares, errors) & ~np.eye(len(names), dtype=np.bool_)
+    others = ~np.eye(len(names), dtype=np.bool_)
+    beyond = _beyond(shares, errors) & _explained_better(shares, errors) & others
     return [
         problem(
             ProblemCode.TORQUES_CROSS,
@@ -472,15 +476,15 @@ def judge_balance(
     crossed = _cross_talk(names, every, uncertain)
     problems += crossed
     wrong = [str(one.values["name"]) for one in crossed]
-    nothing = np.abs(shares + 1.0) <= _NOT_ALL + 2.0 * errors
-    nothing &= np.abs(shares) > GAIN_TOLERANCE + _ERRORS * errors
+    unbalanced = _beyond(shares, errors)
+    nothing = unbalanced & (np.abs(shares + 1.0) <= _NOT_ALL + 2.0 * errors)
     if (nothing & ~np.isin(names, wrong)).any():
         # The arm moves, but not by these commands.
         untold, doubts = _nothing_confirmed(names, calibration)
         return problems + untold, doubts
-    for name, share, error in zip(names, shares, errors, strict=True):
+    for name, share, error, off in zip(names, shares, errors, unbalanced, strict=True):
         # In terms of the stiffness, so that a gain near 0 or below counts as well.
-        if name not in wrong and not abs(share) <= GAIN_TOLERANCE + _ERRORS * error:
+        if off and name not in wrong:
             wrong.append(name)
             problems.append(problem(ProblemCode.TORQUE_UNBALANCED, **_gain_of(name, share, error)))
     for name, least in zip(names, negative_gains(balance, arm), strict=True):

@@ -5,9 +5,8 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from armimp_common.arrays import ComplexArray, FloatArray
+from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError
 from armimp_estimation.hold_correction import HoldCorrection
 from armimp_estimation.trial import TrialData
@@ -109,7 +108,7 @@ class ImpedanceEstimate:
         """Number of joints n."""
         return int(self.Z.shape[0])
 
-    def at(self, kept: NDArray[np.bool_]) -> "ImpedanceEstimate":
+    def at(self, kept: BoolArray) -> "ImpedanceEstimate":
         """Return the same at some of its frequencies, a mask of shape (n_freq,).
 
         Those on either side of a gap count as neighbours.
