@@ -291,6 +291,16 @@ def _resampled(rate: float) -> Callable[[Recording], Recording]:
     return resample
 
 
+def _cable(stiffness: float) -> Callable[[Recording], Recording]:
+    """Torques with those of a cable, N·m/rad, which bends with the joint beside the robot."""
+
+    def load(recording: Recording) -> Recording:
+        bent = recording.position - recording.position[:, :1]
+        return replace(recording, torque=recording.torque + stiffness * bent)
+
+    return load
+
+
 def _without_commands(recording: Recording) -> Recording:
     return replace(recording, command=None)
 
@@ -651,6 +661,11 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     for share in (0.01, 0.02, 0.03, 0.1):
         crossed = {"readings": changed(torque=_cross(share))} | undeclared
         add(MUST, "cross-talk", (f"{100 * share:g} %", crossed))
+    for stiffness in (-2.0, -0.5, 0.1, 0.5, 2.0):
+        bent: dict[str, Any] = {"readings": _cable(stiffness)} | undeclared
+        add(MUST, "cable", (f"{stiffness:g} N·m/rad", bent))
+        beside = bent | {"drive_lag": 1e-3, "friction": 0.5, "stick": 2e-3, "bristle": 2e3}
+        add(MUST, "cable, drive lag and friction", (f"{stiffness:g} N·m/rad", beside))
     return found
 
 

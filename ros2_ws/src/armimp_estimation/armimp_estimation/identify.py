@@ -184,8 +184,7 @@ def identify(
     if order != tuple(range(len(names))):
         ordered = tuple(in_order(trial, order) for trial in ordered)
     frf = frf_matrix(ordered)
-    averages = min(trial.spectra.effective_averages for trial in ordered)
-    level = scores.coherence_significance(averages, verdict.SIGNIFICANCE)
+    level = max(scores.coherence_of_chance(trial.spectra) for trial in ordered)
     for trial in ordered:
         scores.require_motion(trial.record)
     locks = scores.lock_ratio(ordered, frf)

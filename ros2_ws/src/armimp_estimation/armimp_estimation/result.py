@@ -30,7 +30,6 @@ from armimp_estimation.summary import (
     write_summary,
 )
 from armimp_estimation.trial import TrialData, segments_for
-from armimp_estimation.verdict import SIGNIFICANCE
 
 MOST_EXCLUDED = 0.05
 """Largest share of the samples of a trial that may be left out of a valid result."""
@@ -66,7 +65,7 @@ class Result:
     def significance(self) -> float | None:
         """Coherence below which signals count as unrelated; None without curves."""
         averages = self.averages
-        return None if averages is None else coherence_significance(averages, SIGNIFICANCE)
+        return None if averages is None else coherence_significance(averages)
 
     def write(self, directory: Path) -> None:
         """Write ``summary.json`` and, if there are curves, ``frf.npz``.

@@ -20,6 +20,8 @@ from armimp_estimation.trial import TrialData
 
 NORMAL_95 = 1.959963984540054
 """Standard errors on either side of an estimate that make a 95 % confidence interval."""
+CHANCE = 4.0
+"""Standard deviations by which a band mean of coherences exceeds that of unrelated signals."""
 
 
 def vaf(estimate: ImpedanceEstimate, truth: MBK) -> FloatArray:
@@ -101,6 +103,27 @@ def coherence_significance(averages: float, alpha: float = 0.05) -> float:
         Level of γ²; 1 if a single average makes any coherence meaningless.
     """
     return float(1.0 - alpha ** (1.0 / (averages - 1.0))) if averages > 1.0 else 1.0
+
+
+def coherence_of_chance(spectra: CrossSpectra) -> float:
+    """Band mean of the coherence which that of unrelated signals hardly ever exceeds.
+
+    At each frequency theirs has a beta distribution of 1 and ``n_d - 1``, with the mean ``1/n_d``;
+    at frequencies with correlated averages (ρ) it is correlated, by ρ². The result is
+    `CHANCE` standard deviations of the band mean above that.
+
+    Parameters
+    ----------
+    spectra : CrossSpectra
+        From which the coherence comes.
+    """
+    averages, rho = spectra.effective_averages, spectra.bin_correlation
+    if not averages > 1.0:
+        return 1.0
+    single = np.sqrt((averages - 1.0) / (averages + 1.0)) / averages
+    size = spectra.f.size
+    spread = single * np.sqrt(size + 2.0 * np.sum(rho[1:] ** 2)) / size
+    return float(1.0 / averages + CHANCE * spread)
 
 
 def require_motion(record: TrialRecord) -> None:

@@ -29,9 +29,6 @@ per cent."""
 BIAS_BOUND = 0.1
 """Largest share of a torque that motion of locked joints explains, band mean, see
 :func:`armimp_estimation.scores.bias_bound`. Good locking stays below 0.03."""
-SIGNIFICANCE = 0.05
-"""Probability with which unrelated signals may pass as coherent; sets the level that band means of
-the ordinary coherences with the perturbation have to exceed."""
 _NOTICED = 5.0
 _CORNER = 0.03
 """Corner of a high-pass, Hz, below which what it does is small enough for the standard errors."""

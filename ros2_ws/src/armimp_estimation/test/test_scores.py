@@ -110,6 +110,19 @@ def test_coherence_of_unrelated_signals_exceeds_the_significance_level_as_often_
     assert 0.035 < np.mean(above) < 0.065
 
 
+def test_band_mean_of_the_coherence_of_unrelated_signals_scatters_as_expected() -> None:
+    rng = np.random.default_rng(9)
+    means = []
+    for _ in range(300):
+        accumulator = SpectralAccumulator(2, 125.0, WELCH)
+        accumulator.push(rng.standard_normal((2, 6144)))
+        spectra = accumulator.result()
+        means.append(np.mean(scores.coherence(spectra, 0, 1)))
+    spread = (scores.coherence_of_chance(spectra) - 1.0 / spectra.effective_averages) / 4.0
+    assert np.mean(means) == pytest.approx(1.0 / spectra.effective_averages, abs=0.004)
+    assert np.std(means) == pytest.approx(spread, rel=0.15)
+
+
 def test_lock_ratio_is_the_motion_that_the_perturbation_causes_and_not_that_of_a_dither() -> None:
     loop = SyntheticConfig(rate=125.0, samples=6144, torque_noise=0.01)
     ratios = []
