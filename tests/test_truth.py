@@ -21,6 +21,8 @@ QUICK = {
     ("stiffness of either direction 0.1", 11),
     # Between the lines of a few sines, ratios are those of what noise does in the loop.
     ("sines 12 0.1 N·m", 1),
+    # Friction of a locked wrist takes what accelerates it off the commands, which then don't jump.
+    ("fine angles 3 joints, 1000", 2),
 }
 ONCE_WRONG = {
     # Noise hides the cuff in some elements; the intervals of all must hold it.
@@ -41,6 +43,8 @@ ONCE_WRONG = {
     # What a person does neither hides a bent transducer nor looks like friction.
     ("torque larger in one direction, voluntary 0.3 N·m", 1),
     ("voluntary and tremor 1 N·m", 1),
+    # What commands lack to overcome friction is no hysteresis of the arm.
+    ("friction and a weak perturbation 2 joints, 500", 2),
 }
 SLOW = sorted(ONCE_WRONG | {(name, 0) for name in CASES})
 

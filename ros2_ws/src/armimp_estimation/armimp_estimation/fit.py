@@ -205,6 +205,7 @@ LACK_LIMIT = 2.0
 _LACK_CHANCE = 5.0
 _REFUTED = 4.0
 _SUREST = 20e-6
+_SUREST_SHARE = 1e-6
 _NOTICED = 2.0
 _MOST_CUFFS = 8
 """Joints up to which cuffs and reflexes are looked for: it takes time with the third power."""
@@ -711,6 +712,8 @@ class _Elements:
             size = np.sum(self.weights(row) * np.abs(left) ** 2, axis=1, keepdims=True)
             functionals = self.weights(row) * left / np.sqrt(size + np.finfo(np.float64).tiny)
             errors = covariance_of_sums(functionals * np.sqrt(self.noise[row]), self.correlation)
+            # Of terms that are known as well as that, what was expected would be lost by rounding.
+            errors += np.diag(_SUREST_SHARE**2 * size[:, 0])
             for one in self.systematics:
                 common = (np.conj(functionals) @ one[row]).real
                 errors = errors + np.outer(common, common)

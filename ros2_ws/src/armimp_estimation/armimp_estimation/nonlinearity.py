@@ -88,6 +88,9 @@ _NEGLIGIBLE = 0.003
 _UNFELT = 0.001
 _RUBBING = 0.03
 """Share of friction from which on it is the arm's: what the robot's leaves in torques is less."""
+_JUMPING = 15.0
+"""Torque that friction of the robot may leave of an arm's, per period of commands whose jumps are
+not known, N·m/s: a quarter of 2 N·m (assumption) at 30 rad/s."""
 _LEFT = 0.01
 _LEAST = 10.0
 _TOLD = 0.05
@@ -663,6 +666,9 @@ def _slope(
     return slope, error, max(1.0 / float(np.sum(weights**2)) - 1.0, 1.0)
 
 
+_NO_JUMP = {TorqueTiming.INTERVAL_MEAN, TorqueTiming.SIMULTANEOUS}
+
+
 def judge_linearity(
     records: Sequence[TrialRecord],
     estimate: ImpedanceEstimate,
@@ -702,6 +708,7 @@ def judge_linearity(
     problems: list[Problem] = []
     doubts, gain = [np.zeros((3, n, n)) for _ in records], np.zeros(n)
     late = 0.0 if fit.delay is None else fit.delay.delay
+    jumps_known = jump is not None or (reading or TorqueReading()).timing in _NO_JUMP
     found = [deviations(record, fit.mbk, jump, reading, late) for record in records]
 
     def of_torque(joint: int, trial: int, torque: FloatArray) -> FloatArray:
@@ -730,7 +737,8 @@ def judge_linearity(
                 continue
             if not one.slack:
                 doubts[k][:, k, k] = np.hypot(doubts[k][:, k, k], doubt * one.shift)
-            large = resolved[k] and TERMS[name].large < abs(one.share) < TERMS[name].most
+            arms = jumps_known or not 0.0 < abs(one.held) < _JUMPING / record.rate
+            large = arms and resolved[k] and TERMS[name].large < abs(one.share) < TERMS[name].most
             code, severity = TERMS[name].code, Severity.ERROR if large else Severity.NOTE
             if not one.significant or (code, severity) in said:
                 continue

@@ -83,6 +83,11 @@ _UNCONFIRMED_CROSS_TALK = 0.03
 """Assumption: the same of cross-talk."""
 _SPRING = 2.0
 """Standard errors from which on a joint of the robot seems to have a spring."""
+_RUBBING = 2.0
+"""Stiffness of friction per its viscosity, as it seems to a perturbation, at most, 1/s."""
+_LOADED = 0.3
+"""Assumption: standard error of a torque that seems to be of a spring of the robot, which may as
+well be of a cable that loads the transducer, relative to itself."""
 _REFUTED = 3.0
 """Standard errors by which a gain has to differ from 1 to refute a declared calibration."""
 
@@ -356,7 +361,7 @@ def gains_in_doubt(
     ----------
     shares, errors : ndarray, shape (n, n)
         Of :func:`imbalance`.
-    springs : ndarray, shape (n,)
+    springs : ndarray, shape (2, n)
         Of :func:`apparent_springs`.
     calibration : Calibration
         What is known of the transducers.
@@ -366,14 +371,16 @@ def gains_in_doubt(
     ndarray, shape (n, n)
         By joint and the other one whose torque its transducer may show.
     """
-    size, own = np.abs(shares), np.eye(len(springs), dtype=np.bool_)
+    size, own = np.abs(shares), np.eye(len(shares), dtype=np.bool_)
     told = np.where(
         (size > _REFUTED * errors) & (own | _explained_better(shares, errors)), size, 0.0
     )
     if not calibration.assumed:
         return np.asarray(told)
-    most = np.where(own, np.maximum(springs, _UNCONFIRMED), _UNCONFIRMED_CROSS_TALK)
+    apparent, unexplained = springs
+    most = np.where(own, np.maximum(apparent, _UNCONFIRMED), _UNCONFIRMED_CROSS_TALK)
     untold = np.minimum(np.hypot(shares, errors), most)
+    untold = np.maximum(untold, _LOADED * np.diag(unexplained))
     return np.asarray(np.maximum(told, untold))
 
 
@@ -389,14 +396,21 @@ def _explained_better(shares: FloatArray, errors: FloatArray) -> BoolArray:
 
 
 def apparent_springs(robot: RobotBalance, arm: MBKFit) -> FloatArray:
-    """Stiffness of each joint of the robot beyond chance, relative to the arm's, (n,).
+    """Stiffness of each joint of the robot beyond chance, relative to the arm's.
 
     There is none but that of friction which holds a joint, unless the transducer shows another
     torque than the drive feels.
+
+    Returns
+    -------
+    ndarray, shape (2, n)
+        Of each joint; and the same where friction would have to be more viscous to have it.
     """
     own, error, K = np.diag(robot.K), np.diag(robot.K_se), np.abs(np.diag(arm.mbk.K))
-    ratio = np.abs(own) / np.maximum(K, np.finfo(np.float64).tiny)
-    return np.asarray(np.where(np.abs(own) > _SPRING * error, np.minimum(ratio, 1.0), 0.0))
+    ratio = np.minimum(np.abs(own) / np.maximum(K, np.finfo(np.float64).tiny), 1.0)
+    rubbing = _RUBBING * np.abs(np.diag(robot.terms[1]))
+    beyond = np.abs(own) - np.stack((np.zeros_like(own), rubbing)) > _SPRING * error
+    return np.asarray(np.where(beyond, ratio, 0.0))
 
 
 def _cross_talk(names: Sequence[str], shares: FloatArray, errors: FloatArray) -> list[Problem]:

@@ -41,6 +41,8 @@ _SETS_OFF = 4.0
 _HELD_TIMES = 3.0
 _LEAST_HELD = 5
 _LEAST_DIPS = 3
+_KICK = 4
+"""Samples for which a law needs to answer a step of the angle, at most."""
 DROPPED = 0.002
 """Share of the samples that may be dropped; as large is the bias of what is lost."""
 _BRIEF = 5
@@ -106,7 +108,10 @@ def judge_signals(record: TrialRecord) -> list[Problem]:
                 if count:
                     about = {"longest": longest, "count": count, "limit": limit}
                     found.append((ProblemCode.STUCK, about))
-                dropped, share = dropouts(signal, partner)
+                locked = joint != record.perturbed_joint
+                dropped, share = dropouts(
+                    signal, partner, record.position[joint] if locked else None
+                )
                 if share > DROPPED:
                     about = {"count": dropped, "percent": 100.0 * share}
                     found.append((ProblemCode.DROPPED, about))
@@ -409,7 +414,9 @@ def sticking(
     return max(long, default=int(np.max(runs))) / rate, len(long), limit / rate
 
 
-def dropouts(signal: FloatArray, partner: FloatArray) -> tuple[int, float]:
+def dropouts(
+    signal: FloatArray, partner: FloatArray, kicked: FloatArray | None = None
+) -> tuple[int, float]:
     """How often a signal drops out, and in which share of its samples.
 
     It does where it keeps one value for 3 times longer than but in one of a hundred moments, while
@@ -421,6 +428,9 @@ def dropouts(signal: FloatArray, partner: FloatArray) -> tuple[int, float]:
     signal : ndarray, shape (N,)
     partner : ndarray, shape (N,)
         As :func:`sticking` takes it.
+    kicked : ndarray, shape (N,), optional
+        Angle of the locked joint whose torque the signal is. Where that rests as well, and steps as
+        the torque jumps, the law has thrown the joint back.
     """
     steps = np.diff(signal)
     edges = np.flatnonzero(steps)
@@ -432,7 +442,12 @@ def dropouts(signal: FloatArray, partner: FloatArray) -> tuple[int, float]:
     long = max(_HELD_TIMES * float(np.quantile(runs, 0.99)), _LEAST_HELD)
     found = (runs >= long) & jumps[1:]
     for place in np.flatnonzero(found):
-        found[place] = not _rests(partner, int(starts[place]), int(runs[place]))
+        start, run = int(starts[place]), int(runs[place])
+        thrown = False
+        if kicked is not None:
+            stepped = np.flatnonzero(np.diff(kicked[start : start + run + 1]))
+            thrown = bool(stepped.size) and int(stepped[0]) >= run - _KICK
+        found[place] = not (thrown or _rests(partner, start, run))
     dips = jumps[:-1] & jumps[1:]
     values, counts = np.unique(signal[starts[dips]], return_counts=True)
     if counts.size and np.max(counts) >= max(_LEAST_DIPS, np.sum(dips) / 2):

@@ -35,6 +35,7 @@ HIGHEST = 2.0
 What the polynomials do not follow of that would be taken for drift in a short record. Within one a
 drift does little, too.
 """
+_ABSURD = 1e50
 # Polynomials of a higher degree would follow the ramp itself.
 _LOCAL = LocalPolynomialConfig()
 SIGNIFICANT = 6.0
@@ -155,8 +156,13 @@ class TrialData:
         Raises
         ------
         DataError
-            If none of them is as long as one segment.
+            If none of them is as long as one segment, or values are absurd.
         """
+        for stretch in stretches:
+            given = (stretch.position, stretch.torque, stretch.perturbation, stretch.command)
+            largest = max(np.max(np.abs(one), initial=0.0) for one in given if one is not None)
+            if not largest < _ABSURD:
+                raise DataError(f"trial {stretch.trial}: {largest:.3g} is no angle and no torque")
         whole = [mended(stretch) for stretch in stretches]
         record, problems = max(whole, key=lambda one: one[0].samples)
         stretches = tuple(stretch for stretch, _ in whole)

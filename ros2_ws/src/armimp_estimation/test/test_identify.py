@@ -4,7 +4,7 @@ import string
 import numpy as np
 import pytest
 
-from armimp_common.errors import ConfigurationError
+from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.fit import Calibration
 from armimp_estimation.identify import identify
@@ -59,6 +59,16 @@ def test_when_nobody_declares_a_gain_and_no_command_confirms_it_expect_it_in_the
     assert [one.values["doubt"] for one in noted] == [10.0, 10.0]
     fit = result.estimators["welch_full"].fit
     assert (fit.K_se > 0.1 * np.abs(fit.mbk.K)).all()
+
+
+@pytest.mark.parametrize("stream", ["position", "torque", "perturbation"])
+def test_when_values_are_too_large_to_be_multiplied_expect_the_largest_in_the_error(
+    stream: str,
+) -> None:
+    record = synthetic_trial(TWO_JOINT_ARM, 0, LOOP, 1)
+    getattr(record, stream)[0, 5] = 3e200
+    with pytest.raises(DataError, match=r"trial .*: 3e\+200 is no angle and no torque"):
+        TrialData.of(record, welch=CONFIG.welch)
 
 
 @pytest.mark.parametrize(

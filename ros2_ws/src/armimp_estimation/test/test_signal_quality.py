@@ -193,6 +193,19 @@ def test_a_slow_or_coarse_signal_doesn_t_drop_out(every: int, step: float) -> No
     assert dropouts(signal, motion(3, 1e-3)) == (0, 0.0)
 
 
+def test_a_locked_joint_that_its_law_throws_back_as_its_angle_steps_doesn_t_drop_out() -> None:
+    """Between the steps of a coarse encoder joint and torque rest, then the torque dies away."""
+    moving = motion(3, 1e-3)
+    torque, angle = np.zeros_like(moving), np.zeros_like(moving)
+    t = np.arange(250)
+    for start in range(200, moving.size - 300, 300):
+        angle[start : start + 150] = 1e-3
+        torque[start + 1 : start + 251] = np.round(np.exp(-0.1 * t) + 0.02 * np.cos(t), 3)
+    assert dropouts(torque, moving)[0] > 30
+    assert dropouts(torque, moving, np.zeros_like(angle))[0] > 30
+    assert dropouts(torque, moving, angle) == (0, 0.0)
+
+
 @pytest.mark.parametrize(("inertia", "told"), [(0.0, 1), (0.1, 0)])
 def test_a_torque_that_is_only_the_command_of_a_drive_is_told_from_one_on_the_arm(
     inertia: float, told: int

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from armimp_common.errors import DataError
 from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
 from armimp_estimation.fit import fit_mbk
 from armimp_estimation.hold_correction import update_jump
@@ -200,12 +199,3 @@ def test_when_commands_are_of_other_joints_or_samples_expect_none(
         assert record.command is not None
         swapped.append(changed(record.command[::-1]))
     assert update_jump(swapped) is None
-
-
-@pytest.mark.filterwarnings("ignore::RuntimeWarning")
-def test_when_positions_are_too_large_to_be_squared_expect_data_error(
-    smooth: list[TrialRecord],
-) -> None:
-    absurd = [dataclasses.replace(one, position=1e300 * one.position) for one in smooth]
-    with pytest.raises(DataError, match="too large"):
-        update_jump(absurd)

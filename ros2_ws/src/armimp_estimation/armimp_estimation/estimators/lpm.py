@@ -165,13 +165,14 @@ class LpmFull:
         every = _angles_and(_unit(n, 2 * n, f), n)
         coefficients = every[n:].copy()
         every[n:, :n], coefficients[:, :n] = near.impedance(f), -beside
-        leads, lost = unresolved(records, impedance, R, torque, inverse, f)
-        systematics = (*leads, *lost, *skewed)
+        told, lost = unresolved(records, impedance, R, torque, inverse, f)
         half_period = 0.5 / rate
         delay_uncertainty = self._delay_uncertainty(jump, rate)
         powers = _line_power(columns)
         if jump is None and delay_uncertainty == half_period:
-            systematics += untold_friction(records, impedance, f, bending)
+            told += joints_held(impedance, f, half_period)
+            lost += untold_friction(records, impedance, f, bending)
+        systematics = (*told, *lost, *skewed)
         variance = np.asarray(sum(np.abs(one) ** 2 for one in systematics))
         for k, column in enumerate(columns):
             for i in range(n):
@@ -187,7 +188,7 @@ class LpmFull:
             T=torque,
             R=R,
             systematics=systematics,
-            bounded=len(leads),
+            bounded=len(told),
             line_power=powers,
             weight_floor=self._floor(columns[0]),
             friction_skew=added.real.astype(np.complex128),
@@ -499,13 +500,14 @@ def unresolved(
     return leads, lost
 
 
-_FRICTION = 2.0
-"""Assumption: what a robot's joint may have of Coulomb friction F_c, N·m."""
+_FRICTION, _OVERCOME = 2.0, 3.0
+"""Assumption: what a robot's joint may have of Coulomb friction F_c, N·m, and relative to the rms
+of a perturbation that moves it nonetheless."""
 
 
 def untold_friction(
     records: Sequence[TrialRecord], impedance: ComplexArray, f: FloatArray, bending: FloatArray
-) -> tuple[ComplexArray, ...]:
+) -> list[ComplexArray]:
     """What commands that nobody recorded may do to the impedance where their instant is not known.
 
     With each update Δu the torque on the arm jumps by ``D Δu``, ``D = M_h (M_r + M_h)⁻¹``. As far
@@ -513,7 +515,7 @@ def untold_friction(
     friction, like ``jω c θ`` with ``c = 4 F_c/(π V)`` at a velocity of amplitude V (describing
     function), and its jumps are missing by half: ``δZ = -ω² L D c/2``, which looks like inertia,
     and so is what it bends (`_reversals`), which looks like viscosity.
-    F_c up to `_FRICTION` and ``D_ik = M_ik/(2 M_kk)`` are assumptions.
+    F_c up to `_FRICTION` or `_OVERCOME` and ``D_ik = M_ik/(2 M_kk)`` are assumptions.
     """
     turning = 2j * np.pi * f
     effects = []
@@ -523,11 +525,33 @@ def untold_friction(
             float(np.std(speed_of(record.position[k], record.rate, float(f[-1])))), _TINY
         )
         of_one = turning * (turning - bending[k])
-        largest = 0.25 / record.rate * 4.0 * _FRICTION / (np.pi * amplitude)
+        friction = min(_FRICTION, _OVERCOME * float(np.std(record.perturbation[k])))
+        largest = 0.25 / record.rate * 4.0 * friction / (np.pi * amplitude)
         effect = np.zeros_like(impedance)
         effect[:, k] = largest / np.sqrt(3.0) * (inertia / abs(inertia[k]))[:, None] * of_one
         effects.append(effect)
-    return tuple(effects)
+    return effects
+
+
+def joints_held(impedance: ComplexArray, f: FloatArray, half_period: float) -> list[ComplexArray]:
+    """What friction of locked joints may do to the impedance where it is not known what jumps.
+
+    Reading before the jump, half a period, delays the torque ``-ω² M_ik θ_k`` if commands cause it.
+    If friction holds joint i, it takes what accelerates the joint off the command, which then
+    doesn't jump: up to all of the delay is missing, differently for each element.
+
+    Returns
+    -------
+    list of (n, n, n_freq) NDArray
+        Standard errors, whose shape over frequency is known so well that data can tell their size.
+    """
+    cubed = half_period / np.sqrt(3.0) * (2j * np.pi * f) ** 3
+    effects = []
+    for i, k in np.argwhere(~np.eye(len(impedance), dtype=np.bool_)):
+        effect = np.zeros_like(impedance)
+        effect[i, k] = _inertia(impedance[i, k], f) * cubed
+        effects.append(effect)
+    return effects
 
 
 def _reversals(
