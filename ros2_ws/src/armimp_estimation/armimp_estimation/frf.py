@@ -205,7 +205,7 @@ def _contradictions(trials: Sequence[TrialData]) -> Iterator[str]:
 def _perturbed(trial: TrialData) -> BoolArray:
     """Where the perturbation of a trial has power, (n_freq,)."""
     record, f, power = trial.record, trial.f, trial.input_power
-    if record.periods is not None:
+    if trial.at_lines:
         return np.ones(f.size, dtype=np.bool_)
     signal = record.perturbation[trial.joint]
     bins = np.rint(f * record.samples / record.rate).astype(np.intp)

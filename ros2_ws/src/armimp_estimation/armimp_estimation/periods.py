@@ -27,6 +27,7 @@ _LINE = 1e-3
 """Amplitude relative to the largest from which on a harmonic is a line."""
 _POWERLESS = 1e-4
 """Amplitude relative to the largest below which what does not repeat itself has no power."""
+_ENOUGH = 4
 FEWEST_LINES = 3
 
 
@@ -48,8 +49,12 @@ class Periods:
 
     @property
     def segment(self) -> int:
-        """Samples of a segment with a Hann window in which no line reaches the bin of another."""
-        return self.samples if np.min(np.diff(self.lines)) > 1 else 2 * self.samples
+        """Samples of a segment with a Hann window in which no line reaches the bin of another.
+
+        Where there are too few periods for that, neighbours do.
+        """
+        apart = np.min(np.diff(self.lines)) > 1
+        return self.samples if apart or self.count < _ENOUGH else 2 * self.samples
 
     def frequencies(self, rate: float) -> FloatArray:
         """Those of the lines, Hz."""
@@ -94,8 +99,7 @@ class Periods:
         lines = 1 + np.flatnonzero(amplitudes[1:] > _LINE * np.max(amplitudes[1:]))
         if lines.size < FEWEST_LINES:
             return None
-        found = cls(samples=samples, count=count, lines=lines)
-        return found if 2 * found.segment <= size else None
+        return cls(samples=samples, count=count, lines=lines)
 
 
 def common_periods(found: Iterable[Periods | None]) -> list[Periods] | None:

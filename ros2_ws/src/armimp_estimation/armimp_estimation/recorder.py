@@ -43,8 +43,7 @@ from armimp_estimation.metadata import RECORD_KEY, Timing
 from armimp_estimation.problems import Problem, ProblemCode
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.scores import coherence
-from armimp_estimation.spectra import WelchConfig
-from armimp_estimation.trial import TrialData
+from armimp_estimation.trial import TrialData, segments_for
 
 _RATE = NS_PER_S / PERIOD_NS
 _ROUND = 1000
@@ -246,7 +245,7 @@ class TrialRecorder:
         record = record_so_far(self._streams, status, samples)
         if record is not None:
             with suppress(DataError):  # too few samples
-                welch = WelchConfig.for_samples(status.ticks)
+                welch = segments_for([[record]])
                 self._coherence = mean_coherences(TrialData.of(record, welch=welch))
         # Round numbers: the Fourier transform of others may take several times as long.
         self._column_of(samples // _ROUND * _ROUND)

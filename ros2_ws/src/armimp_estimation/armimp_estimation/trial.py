@@ -139,6 +139,8 @@ class TrialData:
     """Of ``[tau_delta_k, theta_1..theta_n, tau_1..tau_n]`` in all stretches, N·m and rad."""
     problems: tuple[Problem, ...] = ()
     """What of the record was mended."""
+    at_lines: bool = False
+    """Whether the spectra are at the lines of a periodic perturbation alone."""
 
     @classmethod
     def of(
@@ -152,6 +154,7 @@ class TrialData:
         They are bit-identical to those that are gathered live, and no segment spans a gap. Torques
         are taken without the delay and the filter of their ``reading``. Lost readings are
         interpolated. Drift, as the longest stretch tells it, is taken out of record and spectra.
+        Where segments are those of its periods, spectra are taken at the lines of the perturbation.
 
         Raises
         ------
@@ -177,11 +180,18 @@ class TrialData:
             signals = stretch.perturbation[k : k + 1], stretch.position, stretch.torque
             accumulator.push(np.concatenate(signals))
         try:
-            found = accumulator.result()
-            if record.periods is not None:
-                found = found.at(record.periods.frequencies(record.rate))
+            found, periods = accumulator.result(), record.periods
+            if periods is not None and welch is not None and welch.segment != periods.segment:
+                periods = None
+            if periods is not None:
+                found = found.at(periods.frequencies(record.rate))
             spectra = _read_at_once(found, reading or TorqueReading())
-            return cls(record=record, spectra=spectra, problems=tuple(problems))
+            return cls(
+                record=record,
+                spectra=spectra,
+                problems=tuple(problems),
+                at_lines=periods is not None,
+            )
         except DataError as error:
             gaps = "" if len(stretches) == 1 else f" in {len(stretches)} intact parts"
             raise DataError(f"trial {record.trial}: {error}{gaps}", error.code) from error

@@ -22,7 +22,6 @@ from armimp_estimation.frf import (
     order_trials,
     unexplained_power,
 )
-from armimp_estimation.record import TrialRecord
 from armimp_estimation.trial import TrialData
 
 Column: TypeAlias = tuple[ComplexArray, FloatArray]
@@ -74,7 +73,7 @@ class WelchSiso:
         estimate = with_disturbance(
             estimate, np.einsum("ikf,kl->klif", -estimate.Z, np.eye(n)), inverse
         )
-        biases = known_biases(estimate, still, inverse, trials[0].record)
+        biases = known_biases(estimate, still, inverse, trials[0])
         return with_biases(estimate, (*biases, multiply(multiply(estimate.Z, locked), inverse)))
 
 
@@ -109,11 +108,11 @@ class WelchFull:
         estimate = matrix_estimate(self.name, ordered, frf, impedance, variance)
         taken = np.broadcast_to(-np.swapaxes(impedance, 0, 1), (n, *impedance.shape))
         estimate = with_disturbance(estimate, taken, inverse)
-        return with_biases(estimate, known_biases(estimate, frf.R, inverse, trials[0].record))
+        return with_biases(estimate, known_biases(estimate, frf.R, inverse, trials[0]))
 
 
 def known_biases(
-    estimate: ImpedanceEstimate, R: ComplexArray, inverse: ComplexArray, record: TrialRecord
+    estimate: ImpedanceEstimate, R: ComplexArray, inverse: ComplexArray, trial: TrialData
 ) -> tuple[ComplexArray, ...]:
     """Biases that averaged spectra are known to have, as standard errors of the impedance.
 
@@ -127,13 +126,13 @@ def known_biases(
         Impedance and its T.
     R, inverse : ndarray, shape (n, n, n_freq)
         Responses of the angles that it takes into account, and their inverse.
-    record : TrialRecord
-        A trial. Where its perturbation is periodic, nothing leaks.
+    trial : TrialData
+        One of the trials. At the lines of a periodic perturbation, nothing leaks.
     """
     if estimate.f.size < 3:
         return ()
-    skew = 1j * np.pi * estimate.f / record.rate * estimate.Z
-    if record.periods is not None:
+    skew = 1j * np.pi * estimate.f / trial.record.rate * estimate.Z
+    if trial.at_lines:
         return (skew,)
     change = _second_difference(estimate.T) - multiply(estimate.Z, _second_difference(R))
     leakage = multiply(change, inverse) / 6.0
