@@ -88,6 +88,7 @@ _NEGLIGIBLE = 0.003
 _UNFELT = 0.001
 _RUBBING = 0.03
 """Share of friction from which on it is the arm's: what the robot's leaves in torques is less."""
+_GROUP = 8
 _JUMPING = 15.0
 """Torque that friction of the robot may leave of an arm's, per period of commands whose jumps are
 not known, N·m/s: a quarter of 2 N·m (assumption) at 30 rad/s."""
@@ -522,7 +523,9 @@ def deviations(
         instrument = linear.unlike(cause)
         slope, error, freedom = _slope(instrument, linear.removed(term), remains)
         if np.linalg.norm(linear.unlike(alone)) <= _TOLD * np.linalg.norm(alone):
-            error = np.inf
+            of_torque = of_gain or name in _LOST
+            moves = (record.torque if of_torque else record.position)[k]
+            slope, error, freedom = _slope_at_lines(record, band, band.of(moves), bent[1], left)
         shift, gain, held, slack = np.zeros(3), 0.0, 0.0, 0.0
         if of_gain:
             share = one.slope * slope / float(sizes[3, 0])
@@ -657,6 +660,41 @@ def _slope(
     parts = [np.array_split(one, count) for one in (instrument, term, left)]
     products = np.array([np.sum(p * q) for p, _, q in zip(*parts, strict=True)])
     squares = np.array([np.sum(p * q) for p, q, _ in zip(*parts, strict=True)])
+    return _ratio(products, squares)
+
+
+def _slope_at_lines(
+    record: TrialRecord,
+    band: _Band,
+    signal: ComplexArray,
+    term: ComplexArray,
+    left: ComplexArray,
+) -> tuple[float, float, float]:
+    """As :func:`_slope`, from spectra (n_freq,) at the lines of a periodic perturbation.
+
+    Where all harmonics are lines, what bends a signal falls on them, too, in another way on each.
+    What any linear filter makes of the signal is smooth over frequency: of each `_GROUP` lines a
+    multiple of the signal is taken out that changes steadily with the frequency.
+    """
+    if record.periods is None:
+        return 0.0, np.inf, 1.0
+    bins = np.arange(band.bins.start, band.bins.stop)
+    lines = np.flatnonzero(np.isin(bins, record.periods.lines * record.periods.count))
+    products, squares = [], []
+    for group in np.array_split(lines, max(lines.size // _GROUP, 1)):
+        steps = np.linspace(-1.0, 1.0, group.size)
+        smooth = np.linalg.qr(signal[group, None] * np.stack((np.ones_like(steps), steps), axis=1))[0]
+        bent, rest = (
+            one[group] - smooth @ (np.conj(smooth.T) @ one[group]) for one in (term, left)
+        )
+        weight = group.size / max(float(np.sum(np.abs(rest) ** 2)), np.finfo(float).tiny)
+        products.append(weight * (np.conj(bent) * rest).real)
+        squares.append(weight * np.abs(bent) ** 2)
+    return _ratio(np.concatenate(products), np.concatenate(squares))
+
+
+def _ratio(products: FloatArray, squares: FloatArray) -> tuple[float, float, float]:
+    """Ratio of sums over parts, its standard error by their scatter, and degrees of freedom."""
     total = float(np.sum(squares))
     if not total:
         return 0.0, np.inf, 1.0  # as of |τ| where a load keeps its sign
