@@ -33,7 +33,12 @@ _PARABOLA = np.array([[1.0, -2.0, 1.0], [0.0, 2.5, -1.5]])
 _PASSED = 0.01
 _DIFFERENCES = 4
 _CHATTER_EXPLAINS = 0.9
+"""Share that the last steps must explain of torques, or of what steps explain of them at all."""
+_CHATTER_SEEN = 0.2
+"""And of torques in any case, as noise makes what is told of value and slope uncertain."""
 _MOTION_EXPLAINS = 0.99
+_QUICK = (2.0, 3.0, 15.0, 20.0)
+"""Where the band begins and ends, and from where to where all of it is looked at, Hz."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,9 +113,10 @@ def update_jump(
 
         τ_before = -½ D Δu + M (θ_{k+1} - 2θ_k + θ_{k-1})/L² + B (θ_{k+1} - θ_{k-1})/2L + K θ
 
-    is fitted by least squares, and the slope, which hardly matters then, is taken as 0. Errors of
-    the angles would bias that; so would a voluntary torque, and whichever way is taken has to
-    explain nearly all of what it is fitted to.
+    is fitted by least squares above 2 Hz, where a person does little, and the slope, which hardly
+    matters then, is taken as 0. Errors of the angles would bias that, so it has to explain nearly
+    all of it. Chatter has to explain nearly all of what any steps do. Each torque is taken from
+    chatter if that tells it, else from the motion.
 
     Readings that are late or have passed a low-pass show a step later, and more slowly. The poles
     of the low-pass are taken from them, and as the answers to a step, a ramp and a parabola of the
@@ -126,18 +132,29 @@ def update_jump(
     Returns
     -------
     HoldCorrection or None
-        None if neither way explains the torques, or if the eigenvalues of D do not lie between 0
+        None if neither way explains a torque, or if the eigenvalues of D do not lie between 0
         and 1, as they do for any two inertias: torques then do not follow the commands like that.
     """
     known = reading or TorqueReading()
     jump, explained = _from_chatter(records, known)
-    if (explained > _CHATTER_EXPLAINS).all() and _is_share_of_inertia(jump.torque):
+    sure = explained > _CHATTER_EXPLAINS
+    if not sure.all():
+        at_all = _explained_by_chatter(records, known)
+        sure = (at_all > _CHATTER_SEEN) & (explained > _CHATTER_EXPLAINS * at_all)
+        if ((at_all > _CHATTER_SEEN) & ~sure).any():
+            return None
+    if sure.all() and _is_share_of_inertia(jump.torque):
         return jump
-    if known.prompt:
-        jump, explained = _from_motion(records)
-        if (explained > _MOTION_EXPLAINS).all() and _is_share_of_inertia(jump.torque):
-            return jump
-    return None
+    if not known.prompt:
+        return None
+    moved, explained = _from_motion(records)
+    rows = (sure & ~sure.all())[:, None]
+    jump = HoldCorrection(
+        torque=np.where(rows, jump.torque, moved.torque),
+        slope=np.where(rows, jump.slope, moved.slope),
+    )
+    known_all = (rows[:, 0] | (explained > _MOTION_EXPLAINS)).all()
+    return jump if known_all and _is_share_of_inertia(jump.torque) else None
 
 
 def _is_share_of_inertia(transmission: FloatArray) -> bool:
@@ -148,8 +165,34 @@ def _is_share_of_inertia(transmission: FloatArray) -> bool:
 def _from_chatter(
     records: Sequence[TrialRecord], reading: TorqueReading
 ) -> tuple[HoldCorrection, FloatArray]:
-    weights, to_parabola, edge = _lags(reading, records[0].rate)
-    lags, before = to_parabola.shape[1], reading.first(records[0].rate)[0] - 1
+    _, to_parabola, edge = _lags(reading, records[0].rate)
+    inputs, outputs = _chatter(records, reading)
+    coefficients, _ = regress(inputs, outputs)
+    n = records[0].joints
+    # Nearly all has to come from the last steps; else commands are not those of these samples.
+    _, explained = regress([rows[: n * edge] for rows in inputs], outputs)
+    torque, slope = (
+        sum(weight * coefficients[:, n * lag : n * (lag + 1)] for lag, weight in enumerate(row))
+        for row in to_parabola
+    )
+    return HoldCorrection(torque=torque, slope=slope), explained
+
+
+def _explained_by_chatter(records: Sequence[TrialRecord], reading: TorqueReading) -> FloatArray:
+    """What steps of the commands explain of the torques at all, also those before and after."""
+    return regress(*_chatter(records, reading, beside=1))[1]
+
+
+def _chatter(
+    records: Sequence[TrialRecord], reading: TorqueReading, beside: int = 0
+) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Fourth differences of steps, newest first, and of the changes of torques that follow them.
+
+    Of each trial; with as many steps `beside` those that may matter on either side.
+    """
+    weights, to_parabola, _ = _lags(reading, records[0].rate)
+    lags = to_parabola.shape[1] + 2 * beside
+    before = reading.first(records[0].rate)[0] - 1 - beside
     inputs, outputs = [], []
     for record in records:
         torque, steps = record.torque, command_steps(record, record.samples)
@@ -165,15 +208,7 @@ def _from_chatter(
         lagged = [steps[:, lags - 1 - lag : last - lag] for lag in range(lags)]
         inputs.append(np.diff(np.concatenate(lagged), n=_DIFFERENCES, axis=1))
         outputs.append(np.diff(changes[:, before + lags - 1 :], n=_DIFFERENCES, axis=1))
-    coefficients, _ = regress(inputs, outputs)
-    n = records[0].joints
-    # Nearly all has to come from the last steps; else commands are not those of these samples.
-    _, explained = regress([rows[: n * edge] for rows in inputs], outputs)
-    torque, slope = (
-        sum(weight * coefficients[:, n * lag : n * (lag + 1)] for lag, weight in enumerate(row))
-        for row in to_parabola
-    )
-    return HoldCorrection(torque=torque, slope=slope), explained
+    return inputs, outputs
 
 
 def _lags(reading: TorqueReading, rate: float) -> tuple[FloatArray, FloatArray, int]:
@@ -209,11 +244,22 @@ def _from_motion(records: Sequence[TrialRecord]) -> tuple[HoldCorrection, FloatA
         acceleration = (after - 2.0 * now + before) * record.rate**2
         velocity = 0.5 * (after - before) * record.rate
         steps = command_steps(record, record.samples)[:, 1:-1]
-        inputs.append(np.concatenate((-0.5 * steps, acceleration, velocity, now)))
-        outputs.append(torque[:, 1:-1])
+        moved = np.concatenate((-0.5 * steps, acceleration, velocity, now))
+        inputs.append(_quick(moved, record.rate))
+        outputs.append(_quick(torque[:, 1:-1], record.rate))
     coefficients, explained = regress(inputs, outputs)
     transmission = coefficients[:, : records[0].joints]
     return HoldCorrection(torque=transmission, slope=np.zeros_like(transmission)), explained
+
+
+def _quick(signals: FloatArray, rate: float) -> FloatArray:
+    """Signals (p, N) in the part of the band above what a person does."""
+    f = np.fft.rfftfreq(signals.shape[1], 1.0 / rate)
+    foot, top, shoulder, end = _QUICK
+    rise = np.clip((f - foot) / (top - foot), 0.0, 1.0)
+    fall = np.clip((end - f) / (end - shoulder), 0.0, 1.0)
+    passed = np.fft.irfft(rise * fall * np.fft.rfft(signals), signals.shape[1])
+    return np.asarray(passed[:, round(rate) : -round(rate)])
 
 
 def regress(

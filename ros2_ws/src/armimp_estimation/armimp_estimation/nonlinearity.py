@@ -683,7 +683,8 @@ def _slope_at_lines(
     products, squares = [], []
     for group in np.array_split(lines, max(lines.size // _GROUP, 1)):
         steps = np.linspace(-1.0, 1.0, group.size)
-        smooth = np.linalg.qr(signal[group, None] * np.stack((np.ones_like(steps), steps), axis=1))[0]
+        multiples = np.stack((np.ones_like(steps), steps), axis=1)
+        smooth = np.linalg.qr(signal[group, None] * multiples)[0]
         bent, rest = (
             one[group] - smooth @ (np.conj(smooth.T) @ one[group]) for one in (term, left)
         )

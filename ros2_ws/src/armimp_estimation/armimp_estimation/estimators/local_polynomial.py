@@ -23,6 +23,8 @@ from armimp_estimation.periods import Periods, has_power
 Mix = Callable[[FloatArray], ComplexArray]
 
 # Smallest ratio of the parts of the regressors that are independent of each other.
+_ENOUGH = 19
+"""Degrees of freedom from which on noise is known well: those of windows of 25 bins."""
 _DEGENERATE = 1e-9
 # Lines on either side over which a response is a polynomial, and over which its scatter is alike.
 _LINES, _ALIKE = 6, 10
@@ -275,13 +277,15 @@ def local_response(
     weights = (to_response @ adjoint)[:, 0, :] / scale[:, None]
     residual = observed - basis @ (adjoint @ observed)
     noise = np.swapaxes(residual, 1, 2) @ np.conj(residual) / config.freedom
+    width = window * float(rate / samples)
+    noise, freedom = _with_neighbours(noise, f, config.freedom, width)
     found = LocalResponse(
         f=f,
         response=np.ascontiguousarray((weights[:, None, :] @ observed)[:, 0, :].T),
         noise=np.ascontiguousarray(np.moveaxis(noise, 0, 2)),
         weights=weights,
         first=first,
-        freedom=config.freedom,
+        freedom=freedom,
     )
     if not perturbed.any():
         raise DataError(
@@ -331,15 +335,36 @@ def _periodic_response(
     residual = between[:, :, None] * observed - basis @ (adjoint @ observed)
     freedom = np.sum(between, axis=1) - (config.order + 1)
     noise = np.swapaxes(residual, 1, 2) @ np.conj(residual) / freedom[:, None, None]
+    f = np.asarray(centres * float(rate / used), dtype=np.float64)
+    width = window * float(rate / used)
+    noise, least = _with_neighbours(noise, f, int(np.min(freedom)), width)
     return LocalResponse(
-        f=np.asarray(centres * float(rate / used), dtype=np.float64),
+        f=f,
         response=np.ascontiguousarray((weights[:, None, :] @ observed)[:, 0, :].T),
         noise=np.ascontiguousarray(np.moveaxis(noise, 0, 2)),
         weights=weights.astype(np.complex128),
         first=first,
-        freedom=int(np.min(freedom)),
+        freedom=least,
         line_power=np.abs(inputs) ** 2,
     )
+
+
+def _with_neighbours(
+    noise: ComplexArray, f: FloatArray, freedom: int, width: float
+) -> tuple[ComplexArray, int]:
+    """Noise (n_freq, C, C) at f of few degrees of freedom, and of windows around, up to `_ENOUGH`.
+
+    Weights that follow what noise of few degrees of freedom is by chance would rest on the windows
+    where it seems to be least. Windows span a width, Hz.
+    """
+    if freedom >= _ENOUGH:
+        return noise, freedom
+    reach = 0.5 * width * _ENOUGH / freedom
+    sums = np.concatenate((np.zeros_like(noise[:1]), np.cumsum(noise, axis=0)))
+    low, high = np.searchsorted(f, f - reach), np.searchsorted(f, f + reach, side="right")
+    mean = (sums[high] - sums[low]) / (high - low)[:, None, None]
+    share = freedom / _ENOUGH
+    return share * noise + (1.0 - share) * mean, _ENOUGH
 
 
 def _observed(
