@@ -38,6 +38,8 @@ _SPARE_BINS = 3
 _MOST_NEAR = 64
 _NEARER = 3
 _TINY = float(np.finfo(np.float64).tiny)
+_LEAD_ERROR = 0.5
+"""Assumption: relative standard error of :func:`rounding_lead`."""
 LINE_FLOOR = 0.001
 """Relative error that responses at the lines of a multisine are allowed beside their variance."""
 
@@ -166,6 +168,8 @@ class LpmFull:
         coefficients = every[n:].copy()
         every[n:, :n], coefficients[:, :n] = near.impedance(f), -beside
         told, lost = unresolved(records, impedance, R, torque, inverse, f)
+        impedance = impedance + sum(told)
+        told = [_LEAD_ERROR * one for one in told]
         half_period = 0.5 / rate
         delay_uncertainty = self._delay_uncertainty(jump, rate)
         powers = _line_power(columns)
@@ -474,7 +478,7 @@ def unresolved(
 ) -> tuple[list[ComplexArray], list[ComplexArray]]:
     """What motion of locked joints that their encoders don't show may do to the impedance.
 
-    Readings may be ahead of the responses R by a lead, a share of ``jω`` times that. Rounding takes
+    Readings are ahead of the responses R by a lead, a share of ``jω`` times that. Rounding takes
     a share off them, or adds it. What isn't seen at all
     follows the torque on the joint, which is a spring to that, or a damper: with ``S = T`` or
     ``T/s``, a motion of a is a response ``δR = a S / rms(S x)``. The effect of either is
@@ -483,7 +487,8 @@ def unresolved(
     Returns
     -------
     leads, lost : list of (n, n, n_freq) NDArray
-        The shape over frequency of leads alone is known so well that data can tell their size.
+        What leads do on average, and standard errors. The shape over frequency of leads alone is
+        known so well that data can tell their size.
     """
     share, beside = lost_motion(records)
     lead = rounding_lead(records, float(f[-1]))
