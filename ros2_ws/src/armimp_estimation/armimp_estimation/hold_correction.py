@@ -33,9 +33,11 @@ _PARABOLA = np.array([[1.0, -2.0, 1.0], [0.0, 2.5, -1.5]])
 _PASSED = 0.01
 _DIFFERENCES = 4
 _CHATTER_EXPLAINS = 0.9
-"""Share that the last steps must explain of torques, or of what steps explain of them at all."""
-_CHATTER_SEEN = 0.2
-"""And of torques in any case, as noise makes what is told of value and slope uncertain."""
+"""Share of torques that the last steps must explain: noise, or friction that answers within the
+period, makes what they tell of value and slope wrong."""
+_OF_OTHERS, _CHATTER_SEEN = 0.95, 0.2
+"""Share of what steps explain from which on commands are of other samples, and of torques, from
+which on that can be seen."""
 _MOTION_EXPLAINS = 0.99
 _QUICK = (2.0, 3.0, 15.0, 20.0)
 """Where the band begins and ends, and from where to where all of it is looked at, Hz."""
@@ -115,8 +117,7 @@ def update_jump(
 
     is fitted by least squares above 2 Hz, where a person does little, and the slope, which hardly
     matters then, is taken as 0. Errors of the angles would bias that, so it has to explain nearly
-    all of it. Chatter has to explain nearly all of what any steps do. Each torque is taken from
-    chatter if that tells it, else from the motion.
+    all of it. Each torque is taken from chatter if that tells it, else from the motion.
 
     Readings that are late or have passed a low-pass show a step later, and more slowly. The poles
     of the low-pass are taken from them, and as the answers to a step, a ramp and a parabola of the
@@ -139,9 +140,8 @@ def update_jump(
     jump, explained = _from_chatter(records, known)
     sure = explained > _CHATTER_EXPLAINS
     if not sure.all():
-        at_all = _explained_by_chatter(records, known)
-        sure = (at_all > _CHATTER_SEEN) & (explained > _CHATTER_EXPLAINS * at_all)
-        if ((at_all > _CHATTER_SEEN) & ~sure).any():
+        at_all, elsewhere = _explained_by_chatter(records, known)
+        if (~sure & (at_all > _CHATTER_SEEN) & (elsewhere > _OF_OTHERS * at_all)).any():
             return None
     if sure.all() and _is_share_of_inertia(jump.torque):
         return jump
@@ -178,9 +178,18 @@ def _from_chatter(
     return HoldCorrection(torque=torque, slope=slope), explained
 
 
-def _explained_by_chatter(records: Sequence[TrialRecord], reading: TorqueReading) -> FloatArray:
-    """What steps of the commands explain of the torques at all, also those before and after."""
-    return regress(*_chatter(records, reading, beside=1))[1]
+def _explained_by_chatter(
+    records: Sequence[TrialRecord], reading: TorqueReading
+) -> tuple[FloatArray, FloatArray]:
+    """What steps of the commands explain of the torques at all, and those of another sample, (n,).
+
+    The former also of the next sample; the latter at most, without any others.
+    """
+    inputs, outputs = _chatter(records, reading, beside=1)
+    n = records[0].joints
+    others = [0, *range(2, len(inputs[0]) // n)]
+    alone = [regress([rows[n * k : n * (k + 1)] for rows in inputs], outputs)[1] for k in others]
+    return regress(inputs, outputs)[1], np.max(alone, axis=0)
 
 
 def _chatter(

@@ -25,6 +25,8 @@ Mix = Callable[[FloatArray], ComplexArray]
 # Smallest ratio of the parts of the regressors that are independent of each other.
 _ENOUGH = 19
 """Degrees of freedom from which on noise is known well: those of windows of 25 bins."""
+_NEIGHBOURS = 1.1
+"""Distance up to which noise is alike, Hz."""
 _DEGENERATE = 1e-9
 # Lines on either side over which a response is a polynomial, and over which its scatter is alike.
 _LINES, _ALIKE = 6, 10
@@ -357,14 +359,15 @@ def _with_neighbours(
     Weights that follow what noise of few degrees of freedom is by chance would rest on the windows
     where it seems to be least. Windows span a width, Hz.
     """
-    if freedom >= _ENOUGH:
+    reach = min(0.5 * width * _ENOUGH / freedom, _NEIGHBOURS)
+    total = min(round(freedom * 2.0 * reach / width), _ENOUGH)
+    if freedom >= total:
         return noise, freedom
-    reach = 0.5 * width * _ENOUGH / freedom
     sums = np.concatenate((np.zeros_like(noise[:1]), np.cumsum(noise, axis=0)))
     low, high = np.searchsorted(f, f - reach), np.searchsorted(f, f + reach, side="right")
     mean = (sums[high] - sums[low]) / (high - low)[:, None, None]
-    share = freedom / _ENOUGH
-    return share * noise + (1.0 - share) * mean, _ENOUGH
+    share = freedom / total
+    return share * noise + (1.0 - share) * mean, total
 
 
 def _observed(
