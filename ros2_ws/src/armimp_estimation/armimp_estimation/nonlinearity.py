@@ -29,7 +29,7 @@ trial are left out: there the derivatives of a record that is cut off ring.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -126,6 +126,8 @@ class Term:
     likely: float = 0.0
     sizes: tuple[float, ...] = (0.0,)
     """Assumptions: how likely it is there, and by what share if so."""
+    lines_alone: bool = False
+    """Whether that is so where the lines of a multisine tell it, as no other term does then."""
     positive: bool = False
     """Whether what is told is negative by chance alone."""
     robots: float = 0.0
@@ -145,6 +147,9 @@ TERMS: Mapping[str, Term] = {
         code=ProblemCode.DEPENDS_ON_AMPLITUDE,
         slope=-1.0,
         large=0.03,
+        likely=0.3,
+        sizes=(0.03, 0.1, 0.3),
+        lines_alone=True,
     ),
     "curvature": Term(
         bend=lambda signals: signals[0] - np.clip(signals[0], -FAR, FAR),
@@ -258,6 +263,8 @@ class Deviation:
     held: float = 0.0
     """Torque of friction or of a spring that yields, N·m: it is there while the joint hardly moves,
     too."""
+    at_lines: bool = False
+    """Whether the lines of a multisine tell it."""
     slack: float = 0.0
     """Torque by which the transducer lags on either way, or that it shows as none, N·m."""
 
@@ -292,7 +299,7 @@ class Deviation:
         term = TERMS[self.name]
         if term.doubted and self.error == np.inf:
             return term.likely * float(np.mean(np.square(term.sizes))), 0.0
-        if not term.likely or not self._errors > 0.0:
+        if not term.likely or (term.lines_alone and not self.at_lines) or not self._errors > 0.0:
             return 0.0, 0.0
         if abs(self.share) <= term.robots:
             return 0.0, 0.0
@@ -521,45 +528,68 @@ def deviations(
         weights, remains = weighed[2 if of_gain else 1 if one.broad else 0]
         cause, term, alone = (band.signal(weights * part)[kept] for part in bent)
         instrument = linear.unlike(cause)
-        slope, error, freedom = _slope(instrument, linear.removed(term), remains)
+        told = _slope(instrument, linear.removed(term), remains)
         if np.linalg.norm(linear.unlike(alone)) <= _TOLD * np.linalg.norm(alone):
-            of_torque = of_gain or name in _LOST
-            moves = (record.torque if of_torque else record.position)[k]
-            slope, error, freedom = _slope_at_lines(record, band, band.of(moves), bent[1], left)
-        shift, gain, held, slack = np.zeros(3), 0.0, 0.0, 0.0
-        if of_gain:
-            share = one.slope * slope / float(sizes[3, 0])
-            gain = one.doubted * share
-        else:
-            # What M, B and K are alike of it: the derivatives 2, 1, 0.
-            shift = (
-                slope
-                * np.linalg.lstsq(motion[2::-1, kept].T, band.signal(bent[1])[kept], rcond=None)[0]
-            )
-            if name in _LOST:
-                slack = _LOST[name][0] * slope
-                share = slack / float(sizes[3, 0])
-            elif name in {"hysteresis", "friction"}:
-                share = float(np.max(np.abs(shift / own)))
-                held = slope if share > one.robots else 0.0
-            else:
-                # Where it falls that far, the stiffness of this motion is no measure of it.
-                stiffness = float(max(abs(own[2]), abs(own[2] - shift[2])))
-                share = one.slope * slope / (stiffness * float(sizes[0, 0]))
-        relative = abs(share * error / slope) if slope else 0.0
-        found[name] = Deviation(
-            name=name,
-            share=share,
-            error=relative,
-            freedom=freedom,
-            shift=shift,
-            gain=gain,
-            held=held,
-            slack=slack,
-        )
+            told = told[0], np.inf, told[2]
+        signal = (record.torque if of_gain or name in _LOST else record.position)[k]
+        of_lines = _slope_at_lines(record, band, band.of(signal), bent[1], left)
+        at_lines = name not in _IN_TIME and of_lines[1] < told[1]
+        # What M, B and K are alike of it: the derivatives 2, 1, 0.
+        alike = np.linalg.lstsq(motion[2::-1, kept].T, band.signal(bent[1])[kept], rcond=None)[0]
+        deviation = _deviation(name, of_lines if at_lines else told, alike, own, sizes[:, 0])
+        found[name] = replace(deviation, at_lines=at_lines)
     return found
 
 
+def _deviation(
+    name: str,
+    told: tuple[float, float, float],
+    alike: FloatArray,
+    own: FloatArray,
+    sizes: FloatArray,
+) -> Deviation:
+    """What a coefficient, its error and that's degrees of freedom mean.
+
+    Parameters
+    ----------
+    name, told
+        Of a term, N·m.
+    alike, own : ndarray, shape (3,)
+        M, B and K that are like a term of 1 N·m, and those of the joint.
+    sizes : ndarray, shape (4,)
+        Units of angle, the same without what is slow, speed and torque.
+    """
+    term, (slope, error, freedom) = TERMS[name], told
+    shift, gain, held, slack = np.zeros(3), 0.0, 0.0, 0.0
+    if term.doubted > 0.0:
+        share = term.slope * slope / float(sizes[3])
+        gain = term.doubted * share
+    else:
+        shift = slope * alike
+        if name in _LOST:
+            slack = _LOST[name][0] * slope
+            share = slack / float(sizes[3])
+        elif name in {"hysteresis", "friction"}:
+            share = float(np.max(np.abs(shift / own)))
+            held = slope if share > term.robots else 0.0
+        else:
+            # Where it falls that far, the stiffness of this motion is no measure of it.
+            stiffness = float(max(abs(own[2]), abs(own[2] - shift[2])))
+            share = term.slope * slope / (stiffness * float(sizes[0]))
+    return Deviation(
+        name=name,
+        share=share,
+        error=abs(share * error / slope) if slope else 0.0,
+        freedom=freedom,
+        shift=shift,
+        gain=gain,
+        held=held,
+        slack=slack,
+    )
+
+
+_IN_TIME = {"time", "onset", "drift"}
+"""Terms that differ from period to period."""
 _LOST: Mapping[str, tuple[float, Callable[[FloatArray, float], FloatArray]]] = {
     "slack": (_OWN_LAG, lambda torque, slack: -slack * play(torque, slack)),
     "dead zone": (_OWN_ZONE, lambda torque, zone: -np.clip(torque, -zone, zone)),
@@ -680,6 +710,7 @@ def _slope_at_lines(
         return 0.0, np.inf, 1.0
     bins = np.arange(band.bins.start, band.bins.stop)
     lines = np.flatnonzero(np.isin(bins, record.periods.lines * record.periods.count))
+    torque = band.of(record.torque[record.perturbed_joint])
     products, squares = [], []
     for group in np.array_split(lines, max(lines.size // _GROUP, 1)):
         steps = np.linspace(-1.0, 1.0, group.size)
@@ -688,7 +719,8 @@ def _slope_at_lines(
         bent, rest = (
             one[group] - smooth @ (np.conj(smooth.T) @ one[group]) for one in (term, left)
         )
-        weight = group.size / max(float(np.sum(np.abs(rest) ** 2)), np.finfo(float).tiny)
+        nearly = np.abs(rest) ** 2 + np.abs(_LEFT * torque[group]) ** 2
+        weight = group.size / max(float(np.sum(nearly)), np.finfo(float).tiny)
         products.append(weight * (np.conj(bent) * rest).real)
         squares.append(weight * np.abs(bent) ** 2)
     return _ratio(np.concatenate(products), np.concatenate(squares))

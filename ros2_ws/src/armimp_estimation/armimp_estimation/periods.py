@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,7 @@ _LINE = 1e-3
 _POWERLESS = 1e-4
 """Amplitude relative to the largest below which what does not repeat itself has no power."""
 _ENOUGH = 4
+_FEWEST_COMMON = 8
 FEWEST_LINES = 3
 
 
@@ -114,6 +116,27 @@ def common_periods(found: Iterable[Periods | None]) -> list[Periods] | None:
         for one in all_of_them
     )
     return all_of_them if same and all_of_them else None
+
+
+def common_lines(
+    found: Iterable[Periods | None], rate: float, band: tuple[float, float]
+) -> FloatArray | None:
+    """Frequencies in a band, Hz, at which all perturbations that are periodic have lines.
+
+    Returns
+    -------
+    ndarray or None
+        None if none is periodic, or they have too few in common.
+    """
+    lines: list[FloatArray] = [
+        np.asarray(one.lines_in(rate, band) * (rate / one.samples), dtype=np.float64)
+        for one in found
+        if one is not None
+    ]
+    if not lines:
+        return None
+    same: FloatArray = reduce(lambda f, g: f[np.isin(np.round(f, 9), np.round(g, 9))], lines)
+    return same if same.size >= _FEWEST_COMMON else None
 
 
 def has_power(amplitudes: FloatArray) -> BoolArray:

@@ -45,7 +45,7 @@ from armimp_estimation.fit import (
     fit_weights,
 )
 from armimp_estimation.hold_correction import HoldCorrection
-from armimp_estimation.periods import common_periods
+from armimp_estimation.periods import common_lines
 from armimp_estimation.plausibility import least_eigenvalue, uneven
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
@@ -77,6 +77,8 @@ _HELD = 0.8
 It is not as linear as the terms that stand for it. The second is where friction that holds the
 joint would explain what is left.
 """
+_HIDDEN = 0.2
+"""Share of friction from which on the inertia beside it may be anything."""
 _UNCONFIRMED = 0.1
 """Assumption: relative error of a gain that nobody has declared and no command confirms."""
 _UNCONFIRMED_CROSS_TALK = 0.03
@@ -125,9 +127,11 @@ class RobotBalance:
         """Its standard errors.
 
         What friction of the perturbed joint isn't like a damper may be all of it at the upper end
-        of the band.
+        of the band. Where friction takes much of what moves a locked joint, it may hide inertia.
         """
-        taken = _TAKEN * np.maximum(self.friction, self.unseen) * np.abs(self.M)
+        share = np.maximum(self.friction, self.unseen)
+        share *= np.where(self.friction > _HIDDEN, 1.0, _TAKEN)
+        taken = share * np.maximum(np.abs(self.M), np.abs(self.M.T))
         own = np.diag(np.abs(np.diag(self.terms[1]))) / (2.0 * np.pi * BAND[1])
         return np.asarray(np.hypot(self._errors[0], taken + own))
 
@@ -376,12 +380,17 @@ def gains_in_doubt(
         (size > _REFUTED * errors) & (own | _explained_better(shares, errors)), size, 0.0
     )
     if not calibration.assumed:
-        return np.asarray(told)
+        return np.asarray(np.where(_springs(shares), 0.0, told))
     apparent, unexplained = springs
     most = np.where(own, np.maximum(apparent, _UNCONFIRMED), _UNCONFIRMED_CROSS_TALK)
     untold = np.minimum(np.hypot(shares, errors), most)
     untold = np.maximum(untold, _LOADED * np.diag(unexplained))
     return np.asarray(np.maximum(told, untold))
+
+
+def _springs(shares: FloatArray) -> BoolArray:
+    """Where shares may be springs of the robot: with one joint alone, no other tells."""
+    return np.asarray((shares > 0.0) & (shares < 1.0) & (len(shares) == 1))
 
 
 def _beyond(shares: FloatArray, errors: FloatArray) -> BoolArray:
@@ -490,7 +499,7 @@ def judge_balance(
     crossed = _cross_talk(names, every, uncertain)
     problems += crossed
     wrong = [str(one.values["name"]) for one in crossed]
-    unbalanced = _beyond(shares, errors)
+    unbalanced = _beyond(shares, errors) & ~_springs(every)[0]
     nothing = unbalanced & (np.abs(shares + 1.0) <= _NOT_ALL + 2.0 * errors)
     if (nothing & ~np.isin(names, wrong)).any():
         # The arm moves, but not by these commands.
@@ -540,9 +549,9 @@ def in_order(trial: TrialData, order: tuple[int, ...]) -> TrialData:
 
 
 def _responses(records: Sequence[TrialRecord]) -> list[LocalResponse]:
-    periodic = common_periods(record.periods for record in records) is not None
+    lines = common_lines((record.periods for record in records), records[0].rate, BAND)
     shortest = min(records, key=lambda record: record.samples)
-    f = None
+    f = lines
     found = []
     for record in (shortest, *(one for one in records if one is not shortest)):
         command = record.position[:0] if record.command is None else record.command
@@ -553,9 +562,9 @@ def _responses(records: Sequence[TrialRecord]) -> list[LocalResponse]:
             BAND,
             LpmConfig().local_for(record.duration),
             f,
-            record.periods if periodic else None,
+            None if lines is None else record.periods,
         )
-        f = response.f
+        f = response.f if lines is None else lines
         found.append((record.perturbed_joint, response))
     ordered = sorted(found, key=lambda pair: pair[0])
     return at_common_frequencies([response for _, response in ordered])

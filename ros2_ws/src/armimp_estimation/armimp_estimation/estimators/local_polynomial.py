@@ -297,11 +297,14 @@ def local_response(
 
 
 def at_common_frequencies(columns: Sequence[LocalResponse]) -> list[LocalResponse]:
-    """Responses of all trials where each of them has power; lines are common to all anyway."""
-    if any(one.line_power is not None for one in columns):
-        return list(columns)
-    f: FloatArray = reduce(np.intersect1d, (one.f for one in columns))
-    return [one if one.f.size == f.size else one.at(np.isin(one.f, f)) for one in columns]
+    """Responses of all trials where each of them has power."""
+    # Lines of different periods are the same but for rounding.
+    places = [np.round(one.f, 9) for one in columns]
+    f: FloatArray = reduce(np.intersect1d, places)
+    return [
+        one if one.f.size == f.size else one.at(np.isin(place, f))
+        for one, place in zip(columns, places, strict=True)
+    ]
 
 
 def _periodic_response(

@@ -21,7 +21,7 @@ from armimp_estimation.fit import FEWEST_FREQUENCIES, FitConfig, fit_column, fit
 from armimp_estimation.frf import order_trials, stands_out
 from armimp_estimation.hold_correction import HoldCorrection, command_steps, update_jump
 from armimp_estimation.mbk import MBK
-from armimp_estimation.periods import common_periods
+from armimp_estimation.periods import common_lines
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.signal_quality import lost_motion, rounding_lead, speed_of
 from armimp_estimation.spectra import WelchConfig
@@ -401,13 +401,15 @@ class LpmFull:
         """
         shortest = min(record.samples for record in records)
         rate = records[0].rate
-        periodic = common_periods(record.periods for record in records) is not None
-        bins = bins_in_band(shortest, rate, *self.band).astype(np.float64)
-        f = bins * float(rate / shortest)
-        if most is not None:
-            f = _strongest(records, f, most)
+        lines = common_lines((record.periods for record in records), rate, self.band)
+        f = lines
+        if f is None:
+            bins = bins_in_band(shortest, rate, *self.band).astype(np.float64)
+            f = bins * float(rate / shortest)
+            f = f if most is None else _strongest(records, f, most)
         columns = []
         for record in records:
+            periods = None if lines is None else record.periods
             outputs = [record.position, record.torque]
             if with_steps:
                 outputs.append(command_steps(record, record.samples))
@@ -416,9 +418,9 @@ class LpmFull:
                 np.concatenate(outputs),
                 rate,
                 self.band,
-                self.config.local_for(record.duration, periodic=periodic),
+                self.config.local_for(record.duration, periodic=periods is not None),
                 f,
-                record.periods if periodic else None,
+                periods,
                 mix,
             )
             columns.append(column)
@@ -460,7 +462,7 @@ def _moved(columns: Sequence[LocalResponse], records: Sequence[TrialRecord]) -> 
 
 def _line_power(columns: Sequence[LocalResponse]) -> FloatArray | None:
     powers = [column.line_power for column in columns if column.line_power is not None]
-    return np.stack(powers) if powers else None
+    return np.stack(powers) if len(powers) == len(columns) else None
 
 
 def _without_drift(record: TrialRecord) -> TrialRecord:
