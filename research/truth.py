@@ -476,6 +476,13 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     for sideways in (-0.3, 0.3):
         pressed = {"preload": sideways, "voluntary": 0.3}
         add(NOISE, "preload, voluntary 0.3 N·m", (f"{sideways:g} rad", pressed))
+    for size in (0.5, 1.0):
+        brief: dict[str, Any] = {"duration": 20.0, "voluntary": size, "level": 0.4}
+        add(NOISE, "short trial", (f"{size:g} N·m", brief))
+    # Readings that lead where a law answers the steps of a coarse encoder.
+    coarse: dict[str, Any] = {"angle_step": 1.6e-4, "lock": 80.0, "level": 0.5}
+    for size in (0.1, 0.5):
+        add(NOISE, "leading readings", (f"{size:g} N·m", coarse | {"voluntary": size}))
     for level in (0.2, 0.5):
         add(NOISE, "weak", (f"{level:g}", {"level": level}))
     for friction in (0.5, 1.0, 2.0):
@@ -518,6 +525,10 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         ("weak", {"waveform": "multisine", "level": 0.2}),
         ("friction 2 N·m", {"waveform": "multisine", "friction": 2.0}),
     )
+    for share in (0.1, 0.3):
+        for size in (0.0, 0.3):
+            hidden = {"waveform": "multisine", "cubic": share, "voluntary": size}
+            add(MUST, "bent, multisine", (f"{share:g}, {size:g} N·m", hidden))
     for waveform in ("sines 12", "sines 20", "sines 40", "chirp", "binary"):
         # Much of the band has no perturbation, but leakage of it.
         for size in (0.0, 0.1, 0.3, 1.0):
