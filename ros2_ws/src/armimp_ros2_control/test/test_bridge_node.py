@@ -50,7 +50,7 @@ class World(ScriptedController):
             changes, self.next = self.next, {}
             self.feed(**changes)  # type: ignore[arg-type]
 
-    def feed(self, stamp_ms: float | None = None, **changes: object) -> None:
+    def feed(self, ahead_ms: float = 0.0, **changes: object) -> None:
         """Publish one joint state of the robot, with a joint more than is asked for."""
         fields: dict[str, object] = {
             "name": ["elbow", "pan", "shoulder"],
@@ -61,7 +61,7 @@ class World(ScriptedController):
         }
         self.tick += 1
         state = JointState(**fields)
-        stamp = self.tick if stamp_ms is None else stamp_ms
+        stamp = self.tick + ahead_ms
         state.header.stamp = to_time(round(PERIOD_NS * stamp))
         self.states.publish(state)
 
@@ -157,7 +157,7 @@ def test_when_joint_states_stop_expect_zero_torque(
     [
         ({"name": ["elbow", "pan", "hip"]}, "lacks joint 'shoulder'; it has 'elbow', 'pan', 'hip'"),
         ({"effort": [0.0, 0.0, math.nan]}, "the effort of 'shoulder' is not a number"),
-        ({"stamp_ms": 500.0}, "samples do not come once a millisecond"),
+        ({"ahead_ms": 500.0}, "samples do not come once a millisecond"),
     ],
     ids=["unknown joint", "effort NaN", "gap"],
 )
