@@ -532,7 +532,7 @@ def deviations(
         if np.linalg.norm(linear.unlike(alone)) <= _TOLD * np.linalg.norm(alone):
             told = told[0], np.inf, told[2]
         signal = (record.torque if of_gain or name in _LOST else record.position)[k]
-        of_lines = _slope_at_lines(record, band, band.of(signal), bent[1], left)
+        of_lines = _slope_at_lines(record, band, band.of(signal), bent[2], bent[1], left)
         at_lines = name not in _IN_TIME and of_lines[1] < told[1]
         # What M, B and K are alike of it: the derivatives 2, 1, 0.
         alike = np.linalg.lstsq(motion[2::-1, kept].T, band.signal(bent[1])[kept], rcond=None)[0]
@@ -697,6 +697,7 @@ def _slope_at_lines(
     record: TrialRecord,
     band: _Band,
     signal: ComplexArray,
+    instrument: ComplexArray,
     term: ComplexArray,
     left: ComplexArray,
 ) -> tuple[float, float, float]:
@@ -716,13 +717,14 @@ def _slope_at_lines(
         steps = np.linspace(-1.0, 1.0, group.size)
         multiples = np.stack((np.ones_like(steps), steps), axis=1)
         smooth = np.linalg.qr(signal[group, None] * multiples)[0]
-        bent, rest = (
-            one[group] - smooth @ (np.conj(smooth.T) @ one[group]) for one in (term, left)
+        cause, bent, rest = (
+            one[group] - smooth @ (np.conj(smooth.T) @ one[group])
+            for one in (instrument, term, left)
         )
         nearly = np.abs(rest) ** 2 + np.abs(_LEFT * torque[group]) ** 2
         weight = group.size / max(float(np.sum(nearly)), np.finfo(float).tiny)
-        products.append(weight * (np.conj(bent) * rest).real)
-        squares.append(weight * np.abs(bent) ** 2)
+        products.append(weight * (np.conj(cause) * rest).real)
+        squares.append(weight * (np.conj(cause) * bent).real)
     return _ratio(np.concatenate(products), np.concatenate(squares))
 
 
