@@ -65,7 +65,7 @@ _BESIDE = 9.0
 _BROAD = 0.5
 _EXACT = 1e-9
 _LOST = 0.16
-_LEADING = 0.3
+_LEADING, _CROWDED = 0.6, 1.4
 _TINY = float(np.finfo(np.float64).tiny)
 _WINDOW = 0.5
 _VALUES = 3
@@ -321,8 +321,9 @@ def rounding_lead(records: Sequence[TrialRecord], band_end: float) -> FloatArray
 
     A law that holds a joint throws it back where its reading steps. Rounding then isn't independent
     of the motion, but follows its speed, by the ratio of their rms values at most. Of joints that
-    a law of 30 to 250 rad/s holds at 500 to 2000 Hz it was 0 to 0.5 of that, the more the oftener
-    readings step back: mostly 0.2 to 0.4 times their share, of which 0.3 are assumed.
+    a law of 30 to 250 rad/s holds at 500 to 4000 Hz it was 0 to 0.5 of that, the more the oftener
+    readings step back, r of their steps, and the less the more of the readings step, d: about
+    ``r (0.6 - 1.4 d)``, which is assumed.
 
     Parameters
     ----------
@@ -342,13 +343,14 @@ def rounding_lead(records: Sequence[TrialRecord], band_end: float) -> FloatArray
         if step == 0.0:
             continue
         angle = records[k].position[joint]
-        steps = np.sign(np.rint(np.diff(angle) / step))
-        steps = steps[steps != 0.0]
+        every = np.sign(np.rint(np.diff(angle) / step))
+        steps = every[every != 0.0]
         if steps.size < _CHANGES:
             continue
         reversals = float(np.mean(steps[1:] != steps[:-1]))
         speed = float(np.std(speed_of(angle, records[k].rate, band_end)))
-        lead[joint, k] = _LEADING * reversals * step / math.sqrt(12.0) / max(speed, _TINY)
+        share = reversals * max(_LEADING - _CROWDED * steps.size / every.size, 0.0)
+        lead[joint, k] = share * step / math.sqrt(12.0) / max(speed, _TINY)
     return lead
 
 
