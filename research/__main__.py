@@ -24,6 +24,7 @@ STUDIES = {
     "controller": "what the choice of the controller's parameters does to accuracy",
     "decomposition": "what decomposition buys: direct, decomposed and all joints at once",
     "truth": "whether what is valid is true, on recordings of a rig that is not ours",
+    "rigs": "the same on rigs and arms of which all is drawn at random",
     "ideal": "whether each check leaves ideal runs alone",
     "distortion": "whether a multisine shows arms that bend or change over time",
     "efficiency": "what each kind of perturbation tells, and the time of a person",

@@ -818,24 +818,43 @@ def investigate(options: InvestigationOptions) -> int:
         If no class has the name that was asked for.
     """
     seeds = parse_seeds(options.seeds or "0:4")
-    names = [name for name in cases() if re.search(options.only, name)]
+    names = names_like(options.only)
+    found = outcomes_of(names, seeds, options.workers)
+    rows = [judge(name, outcomes) for name, outcomes in zip(names, found, strict=True)]
+    title = f"recordings of a rig that isn't the project's, {len(seeds)} seeds"
+    tabulate(options, "truth", title, rows)
+    return 0
+
+
+def names_like(pattern: str) -> list[str]:
+    """Names of the classes that match a pattern.
+
+    Raises
+    ------
+    ConfigurationError
+        If none does.
+    """
+    names = [name for name in cases() if re.search(pattern, name)]
     if not names:
-        raise ConfigurationError(f"--only {options.only}: no class is of that name")
-    rows = [
-        judge(name, outcomes)
-        for name, outcomes in zip(names, outcomes_of(names, seeds, options.workers), strict=True)
-    ]
-    totals = {key: sum(row[key] for row in rows) for key in ("runs", "false_valid")}
-    totals["false_refusals"] = sum(row["false_refusals"] for row in rows)
-    result = {"schema": 1, "seeds": options.seeds or "0:4", **totals, "classes": rows}
-    write_tables(options.out, "truth", result, rows)
+        raise ConfigurationError(f"--only {pattern}: no class is of that name")
+    return names
+
+
+def tabulate(
+    options: InvestigationOptions, name: str, title: str, rows: Sequence[dict[str, Any]]
+) -> None:
+    """Write the rows of a study with their totals, and print them."""
+    counted = ("runs", "false_valid", "false_refusals")
+    totals = {key: sum(row[key] for row in rows) for key in counted}
+    result = {"schema": 1, "seeds": options.seeds, **totals, "classes": list(rows)}
+    write_tables(options.out, name, result, rows)
     display().close()
     if options.json:
         print(to_json(result))
-        return 0
+        return
     shown = ("valid", "false_valid", "false_refusals")
     print_table(
-        f"recordings of a rig that isn't the project's, {len(seeds)} seeds",
+        title,
         ("class", "kind", *shown, "worst/s.e.", "worst %", "reason"),
         [
             (
@@ -850,4 +869,3 @@ def investigate(options: InvestigationOptions) -> int:
         ],
         ", ".join(f"{key.replace('_', ' ')}: {value}" for key, value in totals.items()),
     )
-    return 0
