@@ -136,7 +136,7 @@ def common_lines(
     if not lines:
         return None
     same: FloatArray = reduce(lambda f, g: f[np.isin(np.round(f, 9), np.round(g, 9))], lines)
-    return same if same.size >= _FEWEST_COMMON else None
+    return same if same.size >= min(_FEWEST_COMMON, *(f.size for f in lines)) else None
 
 
 def has_power(amplitudes: FloatArray) -> BoolArray:

@@ -14,7 +14,7 @@ from armimp_estimation.distortion import Distortion
 from armimp_estimation.estimators.local_polynomial import LocalPolynomialConfig, local_response
 from armimp_estimation.mbk import MBK
 from armimp_estimation.nonlinearity import deviations
-from armimp_estimation.periods import Periods
+from armimp_estimation.periods import Periods, common_lines
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import drift_of, segments_for
@@ -83,6 +83,20 @@ def test_segments_are_periods_where_all_trials_have_the_same_ones() -> None:
     above_the_band = np.resize([0.5, 0.1, -0.4, -0.6, 0.2, 0.7, -0.5], record.perturbation.shape)
     quick = dataclasses.replace(record, perturbation=above_the_band)
     assert segments_for([[quick]]) == WelchConfig()
+
+
+def test_lines_in_common_are_those_of_all_perturbations_that_are_periodic() -> None:
+    def periods(lines: list[int], samples: int) -> Periods:
+        return Periods(samples=samples, count=4, lines=np.array(lines))
+
+    every, second = periods(list(range(1, 41)), 4000), periods(list(range(1, 21)), 2000)
+    common = common_lines([every, None, second], 1000.0, (0.3, 9.0))
+    assert common is not None
+    np.testing.assert_allclose(common, np.arange(1, 19) * 0.5)
+    few = periods([1, 3, 7], 4000)
+    assert common_lines([few, few], 1000.0, (0.1, 9.0)) is not None
+    assert common_lines([every, periods(list(range(1, 41)), 3001)], 1000.0, (0.1, 9.0)) is None
+    assert common_lines([None, None], 1000.0, (0.1, 9.0)) is None
 
 
 def test_response_at_the_lines_is_free_of_the_transient_and_scatter_tells_its_error() -> None:
