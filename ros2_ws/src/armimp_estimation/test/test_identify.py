@@ -1,5 +1,6 @@
 import dataclasses
 import string
+from typing import Any
 
 import numpy as np
 import pytest
@@ -59,6 +60,24 @@ def test_when_nobody_declares_a_gain_and_no_command_confirms_it_expect_it_in_the
     assert [one.values["doubt"] for one in noted] == [10.0, 10.0]
     fit = result.estimators["welch_full"].fit
     assert (fit.K_se > 0.1 * np.abs(fit.mbk.K)).all()
+
+
+@pytest.mark.parametrize("periods", [(1024, 768), (1024, 6144)], ids=["other", "none"])
+def test_trials_may_be_perturbed_with_different_periods_or_none(periods: tuple[int, int]) -> None:
+    repeated = []
+    for joint, period in enumerate(periods):
+        loop = dataclasses.replace(LOOP, samples=period, torque_noise=1e-4)
+        one = synthetic_trial(TWO_JOINT_ARM, joint, loop, 1)
+        streams: dict[str, Any] = {
+            name: np.tile(getattr(one, name), 6144 // period)
+            for name in ("position", "torque", "perturbation")
+        }
+        repeated.append(TrialData.of(dataclasses.replace(one, **streams), welch=CONFIG.welch))
+    result = identify(repeated, ("lpm_full",), TWO_JOINT_ARM, CONFIG)
+    assert result.valid, result.problems
+    found = result.estimators["lpm_full"].fit.mbk
+    for name in "MBK":
+        np.testing.assert_allclose(getattr(found, name), getattr(TWO_JOINT_ARM, name), rtol=0.01)
 
 
 @pytest.mark.parametrize("stream", ["position", "torque", "perturbation"])
