@@ -50,7 +50,8 @@ def drawn(name: str, seed: int) -> Mismatch:
     if rng.random() < 0.6:
         found["voluntary"] = about(0.03, 0.5)
     if mismatch.readings is not None:
-        del found["rate"]  # what is done to the arrays is meant for 1 kHz
+        # What is done to the arrays is meant for the usual ones.
+        del found["rate"], found["duration"]
     usual = Mismatch()
     own = {
         one.name for one in fields(usual) if getattr(mismatch, one.name) != getattr(usual, one.name)
