@@ -163,8 +163,8 @@ class TrialData:
         """
         for stretch in stretches:
             given = (stretch.position, stretch.torque, stretch.perturbation, stretch.command)
-            largest = max(np.max(np.abs(one), initial=0.0) for one in given if one is not None)
-            if not largest < _ABSURD:
+            sizes = [np.max(np.abs(one), initial=0.0) for one in given if one is not None]
+            if not (largest := float(np.max(sizes))) < _ABSURD:
                 raise DataError(f"trial {stretch.trial}: {largest:.3g} is no angle and no torque")
         whole = [mended(stretch) for stretch in stretches]
         record, problems = max(whole, key=lambda one: one[0].samples)

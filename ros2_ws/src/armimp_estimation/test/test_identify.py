@@ -80,13 +80,15 @@ def test_trials_may_be_perturbed_with_different_periods_or_none(periods: tuple[i
         np.testing.assert_allclose(getattr(found, name), getattr(TWO_JOINT_ARM, name), rtol=0.01)
 
 
-@pytest.mark.parametrize("stream", ["position", "torque", "perturbation"])
-def test_when_values_are_too_large_to_be_multiplied_expect_the_largest_in_the_error(
-    stream: str,
+@pytest.mark.parametrize("stream", ["position", "torque", "perturbation", "command"])
+@pytest.mark.parametrize(("value", "said"), [(3e200, r"3e\+200"), (np.nan, "nan")])
+def test_when_values_cannot_be_multiplied_expect_the_largest_in_the_error(
+    stream: str, value: float, said: str
 ) -> None:
     record = synthetic_trial(TWO_JOINT_ARM, 0, LOOP, 1)
-    getattr(record, stream)[0, 5] = 3e200
-    with pytest.raises(DataError, match=r"trial .*: 3e\+200 is no angle and no torque"):
+    record = dataclasses.replace(record, command=record.torque.copy())
+    getattr(record, stream)[0, 5] = value
+    with pytest.raises(DataError, match=rf"trial .*: {said} is no angle and no torque"):
         TrialData.of(record, welch=CONFIG.welch)
 
 
