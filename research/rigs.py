@@ -64,18 +64,7 @@ def _outcome(name: str, seed: int) -> Outcome:
 
 
 def investigate(options: InvestigationOptions) -> int:
-    """Judge one class for each seed, write ``rigs.*`` and print the table.
-
-    Returns
-    -------
-    int
-        Exit status 0, whatever the table says: this is a measurement.
-
-    Raises
-    ------
-    ConfigurationError
-        If no class has the name that was asked for.
-    """
+    """As :func:`research.truth.investigate`, of one class for each seed."""
     seeds = parse_seeds(options.seeds or "0:300")
     names = names_like(options.only)
     chosen = [names[int(np.random.default_rng([7, seed]).integers(len(names)))] for seed in seeds]

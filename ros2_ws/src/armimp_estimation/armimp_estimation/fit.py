@@ -255,9 +255,13 @@ def lack_limit(correlation: FloatArray) -> float:
     The mean of F values of ``|e|²/variance`` scatters by ``sqrt(Σ ρ²)/F``, summed over all pairs,
     with the correlation ρ, (lags, F), of the errors of each bin and those above it.
     """
+    return max(LACK_LIMIT, 1.0 + _LACK_CHANCE * spread_of_mean(correlation))
+
+
+def spread_of_mean(correlation: FloatArray) -> float:
+    """Standard deviation of the mean of F powers, relative to that of one, with such a ρ."""
     frequencies = int(correlation.shape[1])
-    spread = math.sqrt(frequencies + 2.0 * float(np.sum(correlation[1:] ** 2))) / frequencies
-    return max(LACK_LIMIT, 1.0 + _LACK_CHANCE * spread)
+    return math.sqrt(frequencies + 2.0 * float(np.sum(correlation[1:] ** 2))) / frequencies
 
 
 def fit_mbk(estimate: ImpedanceEstimate, config: FitConfig | None = None) -> MBKFit:

@@ -139,22 +139,23 @@ def update_jump(
     known = reading or TorqueReading()
     jump, explained = _from_chatter(records, known)
     sure = explained > _CHATTER_EXPLAINS
-    if not sure.all():
+    if sure.all():
+        if _is_share_of_inertia(jump.torque):
+            return jump
+        sure = np.zeros_like(sure)
+    else:
         at_all, elsewhere = _explained_by_chatter(records, known)
         if (~sure & (at_all > _CHATTER_SEEN) & (elsewhere > _OF_OTHERS * at_all)).any():
             return None
-    if sure.all() and _is_share_of_inertia(jump.torque):
-        return jump
     if not known.prompt:
         return None
     moved, explained = _from_motion(records)
-    rows = (sure & ~sure.all())[:, None]
     jump = HoldCorrection(
-        torque=np.where(rows, jump.torque, moved.torque),
-        slope=np.where(rows, jump.slope, moved.slope),
+        torque=np.where(sure[:, None], jump.torque, moved.torque),
+        slope=np.where(sure[:, None], jump.slope, moved.slope),
     )
-    known_all = (rows[:, 0] | (explained > _MOTION_EXPLAINS)).all()
-    return jump if known_all and _is_share_of_inertia(jump.torque) else None
+    told = (sure | (explained > _MOTION_EXPLAINS)).all()
+    return jump if told and _is_share_of_inertia(jump.torque) else None
 
 
 def _is_share_of_inertia(transmission: FloatArray) -> bool:

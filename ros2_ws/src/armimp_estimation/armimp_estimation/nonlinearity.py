@@ -348,6 +348,11 @@ class _Band:
             lines = record.periods.lines * record.periods.count
             self._parts = np.where(np.isin(bins, lines), np.searchsorted(lines, bins), -1)
 
+    @property
+    def lines(self) -> NDArray[np.intp]:
+        """Places of the lines of a periodic perturbation among its bins."""
+        return np.flatnonzero(self._parts >= 0)
+
     def of(self, signal: FloatArray) -> ComplexArray:
         spectrum: ComplexArray = np.fft.rfft(signal - signal.mean(axis=-1, keepdims=True))
         return np.asarray(spectrum[..., self.bins] * self.passed / signal.shape[-1])
@@ -511,7 +516,7 @@ def deviations(
     white = band.weights(inner)
     # What a linear arm leaves that isn't quite as it was fitted is in proportion to the torque.
     nearly = band.weights(inner, _LEFT * band.inner(torque))
-    left = band.of(rest)
+    left, moved, shown = (band.of(one) for one in (rest, record.position[k], record.torque[k]))
     weighed = [
         (one, linear.removed(band.signal(one * left)[kept])) for one in (equal, nearly, white)
     ]
@@ -531,12 +536,15 @@ def deviations(
         told = _slope(instrument, linear.removed(term), remains)
         if np.linalg.norm(linear.unlike(alone)) <= _TOLD * np.linalg.norm(alone):
             told = told[0], np.inf, told[2]
-        signal = (record.torque if of_gain or name in _LOST else record.position)[k]
-        of_lines = _slope_at_lines(record, band, band.of(signal), bent[2], bent[1], left)
-        at_lines = name not in _IN_TIME and of_lines[1] < told[1]
+        at_lines = False
+        if record.periods is not None and name not in _IN_TIME:
+            signal = shown if of_gain or name in _LOST else moved
+            of_lines = _slope_at_lines(band.lines, signal, bent[2], bent[1], left, shown)
+            at_lines = of_lines[1] < told[1]
+            told = of_lines if at_lines else told
         # What M, B and K are alike of it: the derivatives 2, 1, 0.
         alike = np.linalg.lstsq(motion[2::-1, kept].T, band.signal(bent[1])[kept], rcond=None)[0]
-        deviation = _deviation(name, of_lines if at_lines else told, alike, own, sizes[:, 0])
+        deviation = _deviation(name, told, alike, own, sizes[:, 0])
         found[name] = replace(deviation, at_lines=at_lines)
     return found
 
@@ -694,12 +702,12 @@ def _slope(
 
 
 def _slope_at_lines(
-    record: TrialRecord,
-    band: _Band,
+    lines: NDArray[np.intp],
     signal: ComplexArray,
     instrument: ComplexArray,
     term: ComplexArray,
     left: ComplexArray,
+    torque: ComplexArray,
 ) -> tuple[float, float, float]:
     """As :func:`_slope`, from spectra (n_freq,) at the lines of a periodic perturbation.
 
@@ -707,11 +715,6 @@ def _slope_at_lines(
     What any linear filter makes of the signal is smooth over frequency: of each `_GROUP` lines a
     multiple of the signal is taken out that changes steadily with the frequency.
     """
-    if record.periods is None:
-        return 0.0, np.inf, 1.0
-    bins = np.arange(band.bins.start, band.bins.stop)
-    lines = np.flatnonzero(np.isin(bins, record.periods.lines * record.periods.count))
-    torque = band.of(record.torque[record.perturbed_joint])
     products, squares = [], []
     for group in np.array_split(lines, max(lines.size // _GROUP, 1)):
         steps = np.linspace(-1.0, 1.0, group.size)
@@ -737,9 +740,6 @@ def _ratio(products: FloatArray, squares: FloatArray) -> tuple[float, float, flo
     weights = np.clip(squares / total, 0.0, 0.9)
     error = float(np.linalg.norm((products - slope * squares) / (1.0 - weights))) / abs(total)
     return slope, error, max(1.0 / float(np.sum(weights**2)) - 1.0, 1.0)
-
-
-_NO_JUMP = {TorqueTiming.INTERVAL_MEAN, TorqueTiming.SIMULTANEOUS}
 
 
 def judge_linearity(
@@ -781,7 +781,7 @@ def judge_linearity(
     problems: list[Problem] = []
     doubts, gain = [np.zeros((3, n, n)) for _ in records], np.zeros(n)
     late = 0.0 if fit.delay is None else fit.delay.delay
-    jumps_known = jump is not None or (reading or TorqueReading()).timing in _NO_JUMP
+    jumps_known = jump is not None or (reading or TorqueReading()).without_jumps
     found = [deviations(record, fit.mbk, jump, reading, late) for record in records]
 
     def of_torque(joint: int, trial: int, torque: FloatArray) -> FloatArray:

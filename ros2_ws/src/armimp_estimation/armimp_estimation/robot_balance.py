@@ -499,7 +499,7 @@ def judge_balance(
     crossed = _cross_talk(names, every, uncertain)
     problems += crossed
     wrong = [str(one.values["name"]) for one in crossed]
-    unbalanced = _beyond(shares, errors) & ~_springs(every)[0]
+    unbalanced = _beyond(shares, errors) & ~np.diag(_springs(every))
     nothing = unbalanced & (np.abs(shares + 1.0) <= _NOT_ALL + 2.0 * errors)
     if (nothing & ~np.isin(names, wrong)).any():
         # The arm moves, but not by these commands.
@@ -564,7 +564,8 @@ def _responses(records: Sequence[TrialRecord]) -> list[LocalResponse]:
             f,
             None if lines is None else record.periods,
         )
-        f = response.f if lines is None else lines
+        if lines is None:
+            f = response.f
         found.append((record.perturbed_joint, response))
     ordered = sorted(found, key=lambda pair: pair[0])
     return at_common_frequencies([response for _, response in ordered])

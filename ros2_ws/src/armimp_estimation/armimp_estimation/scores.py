@@ -11,7 +11,7 @@ import numpy as np
 from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
-from armimp_estimation.fit import with_neighbours
+from armimp_estimation.fit import spread_of_mean, with_neighbours
 from armimp_estimation.frf import FrfMatrix
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
@@ -117,12 +117,11 @@ def coherence_of_chance(spectra: CrossSpectra) -> float:
     spectra : CrossSpectra
         From which the coherence comes.
     """
-    averages, rho = spectra.effective_averages, spectra.bin_correlation
+    averages = spectra.effective_averages
     if not averages > 1.0:
         return 1.0
     single = np.sqrt((averages - 1.0) / (averages + 1.0)) / averages
-    size = spectra.f.size
-    spread = single * np.sqrt(size + 2.0 * np.sum(rho[1:] ** 2)) / size
+    spread = single * spread_of_mean(spectra.bin_correlation)
     return float(1.0 / averages + CHANCE * spread)
 
 

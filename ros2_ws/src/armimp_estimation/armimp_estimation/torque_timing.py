@@ -90,6 +90,11 @@ class TorqueReading(JsonModel):
         return not (self.delay or self.cutoff or self.actuator_lag)
 
     @property
+    def without_jumps(self) -> bool:
+        """Whether it was told that what jumps with commands doesn't matter to these readings."""
+        return self.timing in {TorqueTiming.INTERVAL_MEAN, TorqueTiming.SIMULTANEOUS}
+
+    @property
     def sentence(self) -> str:
         """All of this in words."""
         facts = [_INSTANTS[self.timing]]

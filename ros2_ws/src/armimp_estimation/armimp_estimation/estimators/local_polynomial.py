@@ -22,11 +22,11 @@ from armimp_estimation.periods import Periods, has_power
 
 Mix = Callable[[FloatArray], ComplexArray]
 
-# Smallest ratio of the parts of the regressors that are independent of each other.
 _ENOUGH = 19
 """Degrees of freedom from which on noise is known well: those of windows of 25 bins."""
 _NEIGHBOURS = 1.1
 """Distance up to which noise is alike, Hz."""
+# Smallest ratio of the parts of the regressors that are independent of each other.
 _DEGENERATE = 1e-9
 # Lines on either side over which a response is a polynomial, and over which its scatter is alike.
 _LINES, _ALIKE = 6, 10

@@ -325,9 +325,9 @@ class LpmFull:
 
     def _delay_uncertainty(self, jump: HoldCorrection | None, rate: float) -> float:
         """Standard error with which torques and angles are of one instant, s."""
-        timing = self.config.reading.timing
-        told = timing in {TorqueTiming.INTERVAL_MEAN, TorqueTiming.SIMULTANEOUS}
-        if told or (jump is not None and timing is not TorqueTiming.UNKNOWN):
+        reading = self.config.reading
+        jumps_told = jump is not None and reading.timing is not TorqueTiming.UNKNOWN
+        if reading.without_jumps or jumps_told:
             return self.config.timing_uncertainty
         return 0.5 / rate
 
