@@ -29,12 +29,8 @@ import numpy as np
 from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
-from armimp_estimation.estimators.local_polynomial import (
-    LocalResponse,
-    at_common_frequencies,
-    local_response,
-)
-from armimp_estimation.estimators.lpm import LpmConfig, unresolved
+from armimp_estimation.estimators.local_polynomial import LocalResponse
+from armimp_estimation.estimators.lpm import LpmConfig, responses, unresolved
 from armimp_estimation.estimators.welch import invert, multiply
 from armimp_estimation.fit import (
     Calibration,
@@ -45,7 +41,6 @@ from armimp_estimation.fit import (
     fit_weights,
 )
 from armimp_estimation.hold_correction import HoldCorrection
-from armimp_estimation.periods import common_lines
 from armimp_estimation.plausibility import least_eigenvalue, uneven
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
@@ -171,10 +166,15 @@ class RobotResponses:
     @classmethod
     def of(cls, records: Sequence[TrialRecord]) -> RobotResponses | None:
         """Those of trials; None if there are no commands, or something does not respond."""
-        if any(record.command is None for record in records):
+        channels = [
+            np.concatenate([record.position, record.torque, record.command])
+            for record in records
+            if record.command is not None
+        ]
+        if len(channels) < len(records):
             return None
         try:
-            columns = _responses(records)
+            columns = responses(records, channels, BAND, LpmConfig())
             angles = np.stack([one.response[: len(records)] for one in columns], axis=1)
             inverse = invert(angles, columns[0].f)
         except DataError:
@@ -546,26 +546,3 @@ def in_order(trial: TrialData, order: tuple[int, ...]) -> TrialData:
         return trial
     command = record.command[list(order)]
     return replace(trial, record=replace(record, command=command))
-
-
-def _responses(records: Sequence[TrialRecord]) -> list[LocalResponse]:
-    lines = common_lines((record.periods for record in records), records[0].rate, BAND)
-    shortest = min(records, key=lambda record: record.samples)
-    f = lines
-    found = []
-    for record in (shortest, *(one for one in records if one is not shortest)):
-        command = record.position[:0] if record.command is None else record.command
-        response = local_response(
-            record.perturbation[record.perturbed_joint],
-            np.concatenate([record.position, record.torque, command]),
-            record.rate,
-            BAND,
-            LpmConfig().local_for(record.duration),
-            f,
-            None if lines is None else record.periods,
-        )
-        if lines is None:
-            f = response.f
-        found.append((record.perturbed_joint, response))
-    ordered = sorted(found, key=lambda pair: pair[0])
-    return at_common_frequencies([response for _, response in ordered])

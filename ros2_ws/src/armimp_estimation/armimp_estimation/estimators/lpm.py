@@ -399,32 +399,53 @@ class LpmFull:
 
         Those of noise are at so many frequencies at most, if that is told.
         """
-        shortest = min(record.samples for record in records)
-        rate = records[0].rate
-        lines = common_lines((record.periods for record in records), rate, self.band)
-        f = lines
-        if f is None:
-            bins = bins_in_band(shortest, rate, *self.band).astype(np.float64)
-            f = bins * float(rate / shortest)
-            f = f if most is None else _strongest(records, f, most)
-        columns = []
+        channels = []
         for record in records:
-            periods = None if lines is None else record.periods
-            outputs = [record.position, record.torque]
-            if with_steps:
-                outputs.append(command_steps(record, record.samples))
-            column = local_response(
-                record.perturbation[record.perturbed_joint],
-                np.concatenate(outputs),
-                rate,
-                self.band,
-                self.config.local_for(record.duration, periodic=periods is not None),
-                f,
-                periods,
-                mix,
-            )
-            columns.append(column)
-        return _moved(at_common_frequencies(columns), records)
+            steps = [command_steps(record, record.samples)] if with_steps else []
+            channels.append(np.concatenate([record.position, record.torque, *steps]))
+        return _moved(responses(records, channels, self.band, self.config, mix, most), records)
+
+
+def responses(
+    records: Sequence[TrialRecord],
+    outputs: Sequence[FloatArray],
+    band: tuple[float, float],
+    config: LpmConfig,
+    mix: Mix | None = None,
+    most: int | None = None,
+) -> list[LocalResponse]:
+    """Responses of trials to their perturbations, all at the same frequencies.
+
+    They are lines that periodic perturbations have in common, or bins of the shortest trial.
+
+    Parameters
+    ----------
+    records : sequence of TrialRecord
+        Trials.
+    outputs : sequence of ndarray, shape (C, N)
+        Signals of each.
+    band : tuple of float
+        Lowest and highest frequency, Hz.
+    config : LpmConfig
+        Options.
+    mix : callable, optional
+        As :func:`local_response` takes it.
+    most : int, optional
+        Where there are no lines, so many frequencies at most.
+    """
+    shortest, rate = min(record.samples for record in records), records[0].rate
+    lines = common_lines((record.periods for record in records), rate, band)
+    f = lines
+    if f is None:
+        f = bins_in_band(shortest, rate, *band) * float(rate / shortest)
+        f = f if most is None else _strongest(records, f, most)
+    columns = []
+    for record, signals in zip(records, outputs, strict=True):
+        periods = None if lines is None else record.periods
+        local = config.local_for(record.duration, periodic=periods is not None)
+        source = record.perturbation[record.perturbed_joint]
+        columns.append(local_response(source, signals, rate, band, local, f, periods, mix))
+    return at_common_frequencies(columns)
 
 
 def _strongest(records: Sequence[TrialRecord], f: FloatArray, most: int) -> FloatArray:
