@@ -87,6 +87,45 @@ class HoldCorrection:
         return lacking
 
 
+def without_skew(
+    f: FloatArray,
+    rate: float,
+    joints: int,
+    reading: TorqueReading,
+    jump: HoldCorrection | None = None,
+    late: float = 0.0,
+) -> ComplexArray:
+    """Coefficients of readings, and of steps of commands, in the torques on the arm.
+
+    Parameters
+    ----------
+    f : ndarray, shape (n_freq,)
+        Frequencies, Hz.
+    rate : float
+        Readings per second, Hz.
+    joints : int
+        Number n of joints.
+    reading : TorqueReading
+        How torques were read.
+    jump : HoldCorrection, optional
+        How torques jump with the commands; by default steps don't count.
+    late : float
+        How late torques were found to be beyond that, s.
+
+    Returns
+    -------
+    ndarray, shape (n, n, n_freq) or (n, 2n, n_freq)
+    """
+    known = reading.at_rate(rate)
+    coefficients = np.eye(joints)[:, :, None]
+    if jump is not None:
+        coefficients = np.concatenate(
+            (coefficients + 0.0 * f, jump.missing(f, rate, known)), axis=1
+        )
+    turned = np.exp(2j * np.pi * f * late) / known.response(f)
+    return np.asarray(coefficients * turned, dtype=np.complex128)
+
+
 def command_steps(record: TrialRecord, samples: int) -> FloatArray:
     """Difference of each command from the one before, ``u_k - u_{k-1}``, shape (n, samples), N·m.
 

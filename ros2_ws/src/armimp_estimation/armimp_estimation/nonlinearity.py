@@ -38,11 +38,11 @@ from scipy.special import ndtri, stdtr
 
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import MBKFit, hidden_square
-from armimp_estimation.hold_correction import HoldCorrection, command_steps
+from armimp_estimation.hold_correction import HoldCorrection, command_steps, without_skew
 from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import Concern, Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
+from armimp_estimation.torque_timing import TorqueReading
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -441,13 +441,12 @@ def unexplained_torque(
     """
     k, band = record.perturbed_joint, _Band(record)
     angle, torque = band.of(record.position), band.of(record.torque[k])
-    known = (reading or TorqueReading()).at_rate(record.rate)
+    known, n = reading or TorqueReading(), record.joints
+    coefficients = without_skew(band.f, record.rate, n, known, jump, late)[k]
+    torque = coefficients[k] * torque
     if jump is not None:
-        lacking = jump.missing(band.f, record.rate, known)[k]
-        torque = torque + np.sum(lacking * band.of(command_steps(record, record.samples)), axis=0)
-    elif known.timing is TorqueTiming.INTERVAL_MEAN:
-        late += 0.5 / record.rate
-    torque = torque * np.exp(2j * np.pi * band.f * late) / known.response(band.f)
+        steps = band.of(command_steps(record, record.samples))
+        torque = torque + np.sum(coefficients[n:] * steps, axis=0)
     motion = angle[k] * (2j * np.pi * band.f) ** np.arange(3)[:, None]
     left = torque - _fitted(arm, record, band, angle)
     return band.signal(motion), band.signal(left)

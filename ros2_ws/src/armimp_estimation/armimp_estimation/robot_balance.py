@@ -40,7 +40,7 @@ from armimp_estimation.fit import (
     covariance_of_sums,
     fit_weights,
 )
-from armimp_estimation.hold_correction import HoldCorrection
+from armimp_estimation.hold_correction import HoldCorrection, without_skew
 from armimp_estimation.plausibility import least_eigenvalue, uneven
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
@@ -220,25 +220,24 @@ class RobotResponses:
         turn = 2j * np.pi * f / rate
         step = 1.0 - np.exp(-turn)
         late = 0.0 if delay is None else delay.delay
+        torques = without_skew(f, rate, n, reading or TorqueReading(), jump, late)
         # What torque and commands, (n, 3n), move the robot.
         mixed = np.zeros((n, 3 * n, f.size), dtype=np.complex128)
-        read = reading.at_rate(rate) if reading is not None else TorqueReading()
-        known = np.exp(turn * rate * late) / read.response(f)
+        mixed[:, n : 2 * n] = -torques[:, :n]
         for i in range(n):
-            mixed[i, n + i] = -known
             mixed[i, 2 * n + order[i]] = step / turn
         if jump is not None:
-            mixed[:, 2 * n :] -= known * step * jump.missing(f, rate, read)
+            mixed[:, 2 * n + np.array(order)] -= step * torques[:, n:]
         stacked = np.stack([one.response for one in self.columns], axis=1)
         moving = multiply(mixed, stacked)
         impedance = multiply(moving, self.inverse)
         coefficients = mixed.copy()
         coefficients[:, :n] -= impedance
-        angles, torques = stacked[:n], stacked[n : 2 * n]
-        leads, lost = unresolved(self.records, impedance, angles, torques, self.inverse, f)
+        angles, shown = stacked[:n], stacked[n : 2 * n]
+        leads, lost = unresolved(self.records, impedance, angles, shown, self.inverse, f)
         systematics = leads + lost
         if delay is not None:
-            torque = multiply(mixed[:, n : 2 * n], stacked[n : 2 * n])
+            torque = multiply(mixed[:, n : 2 * n], shown)
             systematics.append(delay.error * turn * rate * multiply(torque, self.inverse))
         variance = np.asarray(sum(np.abs(one) ** 2 for one in systematics) + np.zeros(moving.shape))
         for k, response in enumerate(self.columns):

@@ -109,21 +109,25 @@ class TorqueReading(JsonModel):
         return ", ".join(facts)
 
     def at_rate(self, rate: float) -> TorqueReading:
-        """The same as readings just before the updates that are late by more, or less.
+        """The same as readings just before the updates, or of what doesn't jump, that are late.
 
-        Readings just after an update are early by nothing but the jump, those amid a period are
-        late by half of it.
+        Readings just after an update are early by nothing but the jump, those amid a period, and
+        means over it, are late by half of it.
 
         Parameters
         ----------
         rate : float
             Readings per second, Hz.
         """
-        shift = {TorqueTiming.AFTER_UPDATE: -_AT_ONCE, TorqueTiming.MID_INTERVAL: 0.5}
+        shift = {
+            TorqueTiming.AFTER_UPDATE: (TorqueTiming.BEFORE_UPDATE, -_AT_ONCE),
+            TorqueTiming.MID_INTERVAL: (TorqueTiming.BEFORE_UPDATE, 0.5),
+            TorqueTiming.INTERVAL_MEAN: (TorqueTiming.SIMULTANEOUS, 0.5),
+        }
         if self.timing not in shift:
             return self
-        delay = self.delay + shift[self.timing] / rate
-        return self.model_copy(update={"timing": TorqueTiming.BEFORE_UPDATE, "delay": delay})
+        timing, periods = shift[self.timing]
+        return self.model_copy(update={"timing": timing, "delay": self.delay + periods / rate})
 
     def response(self, f: FloatArray) -> ComplexArray:
         """``G = H exp(-jωD)`` at frequencies in Hz."""

@@ -19,7 +19,12 @@ from armimp_estimation.estimators.local_polynomial import (
 from armimp_estimation.estimators.welch import invert, multiply
 from armimp_estimation.fit import FEWEST_FREQUENCIES, FitConfig, fit_column, fit_mbk
 from armimp_estimation.frf import order_trials, stands_out
-from armimp_estimation.hold_correction import HoldCorrection, command_steps, update_jump
+from armimp_estimation.hold_correction import (
+    HoldCorrection,
+    command_steps,
+    update_jump,
+    without_skew,
+)
 from armimp_estimation.mbk import MBK
 from armimp_estimation.periods import common_lines
 from armimp_estimation.record import TrialRecord
@@ -249,10 +254,10 @@ class LpmFull:
         f, stacked = response.f, response.response
         if not (np.abs(stacked[k]) > 0.0).all():
             raise DataError(f"trial {record.trial}: joint {k + 1} does not move")
-        skew = self._skew(jump, f, record.rate, n)
+        skew = without_skew(f, record.rate, n, self.config.reading, jump)
         torque = multiply(skew, stacked[n:, None])[:, 0]
         impedance = torque / stacked[k]
-        uncorrected = self._without_skew(stacked[n : 2 * n], f, record.rate)
+        uncorrected = multiply(skew[:, :n], stacked[n : 2 * n, None])[:, 0]
         reversing, bending = _reversals([record], impedance[:, None], f)
         systematics: tuple[ComplexArray, ...]
         systematics = self._doubts((torque - uncorrected) / stacked[k], f, reversing, bending)
@@ -295,24 +300,6 @@ class LpmFull:
         bent = (_inertia(correction, f) * bending)[..., None] * 2j * np.pi * f
         return inertial, rubbing, np.asarray(bent, dtype=np.complex128)
 
-    def _skew(
-        self, jump: HoldCorrection | None, f: FloatArray, rate: float, joints: int
-    ) -> ComplexArray:
-        """Coefficients of torques, and of steps if they count, in the torque without skew."""
-        reading = self.config.reading.at_rate(rate)
-        steps = 0 if jump is None else joints
-        skew = np.zeros((joints, joints + steps, f.size), dtype=np.complex128)
-        diagonal = np.arange(joints)
-        skew[diagonal, diagonal] = 1.0
-        if jump is None:
-            if reading.timing is TorqueTiming.INTERVAL_MEAN:
-                skew *= np.exp(1j * np.pi * f / rate)
-        else:
-            skew[:, joints:] = jump.missing(f, rate, reading)
-        if not reading.prompt:
-            skew /= reading.response(f)
-        return skew
-
     def jump(self, records: Sequence[TrialRecord]) -> HoldCorrection | None:
         """Jump of torques with the commands, if that is what is late and can be known."""
         reading = self.config.reading.at_rate(records[0].rate)
@@ -331,11 +318,6 @@ class LpmFull:
             return self.config.timing_uncertainty
         return 0.5 / rate
 
-    def _without_skew(self, torque: ComplexArray, f: FloatArray, rate: float) -> ComplexArray:
-        """Responses of torques (..., n_freq) with all corrected but what jumps with commands."""
-        reading = self.config.reading.at_rate(rate)
-        return torque if reading.prompt else torque / reading.response(f)
-
     def _beside(self, near: MBK, jump: HoldCorrection | None, rate: float) -> Mix:
         """What is mixed of all channels to estimate an arm beside one that is near.
 
@@ -344,9 +326,9 @@ class LpmFull:
         n = near.joints
 
         def mixed(f: FloatArray) -> ComplexArray:
-            skew = self._skew(jump, f, rate, n)
+            skew = without_skew(f, rate, n, self.config.reading, jump)
             added = skew.copy()
-            added[:, :n] -= self._without_skew(_unit(n, n, f), f, rate)
+            added[:, :n] = 0.0
             chosen = _angles_and(np.concatenate((skew, added)), n)
             chosen[n : 2 * n, :n] = -near.impedance(f)
             return chosen
