@@ -51,7 +51,9 @@ class Share:
         weight = QUANTILE**2 / independent
         middle = (value + 0.5 * weight) / (1.0 + weight)
         half = float(np.sqrt(weight * (certain + 0.25 * weight))) / (1.0 + weight)
-        return cls(value=value, lower=max(0.0, middle - half), upper=min(1.0, middle + half))
+        # Of none or all, rounding may put the share itself outside.
+        lower, upper = np.clip((middle - half, middle + half), 0.0, 1.0)
+        return cls(value=value, lower=min(value, float(lower)), upper=max(value, float(upper)))
 
     @property
     def verdict(self) -> str:

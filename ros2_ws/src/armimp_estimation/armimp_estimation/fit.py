@@ -15,6 +15,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 from typing import TypeVar
 
 import numpy as np
@@ -210,17 +211,17 @@ _NOTICED = 2.0
 _MOST_CUFFS = 8
 """Joints up to which cuffs and reflexes are looked for: it takes time with the third power."""
 _LIKELY, _SOFT = 0.3, 0.2
-"""Assumption: how likely a joint has a reflex or a spring that relaxes, and how likely a soft cuff,
-before the trial."""
-_REFLEX, _REFLEX_DELAY, _MUSCLE = 0.5, 0.04, 30.0
-"""Assumption: velocity gain of a reflex that a joint may have, relative to its B; its delay, s, and
-the corner of its muscle, rad/s, as in Kearney, Stein & Parameswaran (1997)."""
+"""Assumption: how likely an element has a reflex of either kind or a spring that relaxes, and how
+likely a joint has a soft cuff, before the trial."""
+_REFLEX = 0.5
+"""Assumption: velocity gain of a reflex that an element may have, relative to its B."""
+_ARCS = ((0.04, 30.0), (0.03, 50.0), (0.06, 50.0))
+"""Assumption: delays of reflexes, s, and corners of their muscles, rad/s, as in Kearney, Stein &
+Parameswaran (1997), and of those by velocity quicker and later ones, too."""
 _STRETCH, _LEAD = 0.3, 20.0
-"""Assumption: stretch gain of a reflex that a joint may have, relative to its K, and that over its
-velocity gain, 1/s."""
+"""Assumption: stretch gain of a reflex, relative to K, and that over its velocity gain, 1/s."""
 _RELAXED, _RELAXATIONS = 0.4, (0.05, 0.3)
-"""Assumption: stiffness that a joint may have in addition to K and that relaxes, relative to K, and
-with which time constants, s."""
+"""Assumption: stiffness beside K that relaxes, relative to K, and with which time constants, s."""
 _CUFF = 1e-5
 """Assumption: compliance that a cuff between robot and arm may have, rad/(N·m)."""
 _LOW, _FEWEST = 1.0 / 3.0, 8
@@ -611,10 +612,7 @@ class _Elements:
                     square = max(square, soft)
                 for row, of_mbk in enumerate(self.coefficients_of_all):
                     squares[:, row] += square * _apply(of_mbk, terms[row]) ** 2
-            hidden = np.zeros_like(squares)
-            for row, term in self.hidden_terms(plain):
-                hidden[:, row] = np.maximum(hidden[:, row], self._change_by_hidden(term, row))
-            squares += hidden
+            squares += self._change_by_hidden(plain)
         # What rounding leaves is no change.
         least = _ROUNDING * np.abs(plain)
         return np.where(squares > least**2, squares, 0.0)
@@ -624,34 +622,42 @@ class _Elements:
         value, error, _ = self.common_coefficient((1j * Z / self.omega).reshape(self.Z.shape))
         return value / (2.0 * np.pi), error / (2.0 * np.pi)
 
-    def hidden_terms(self, values: FloatArray) -> list[tuple[int, ComplexArray]]:
-        """Reflexes and springs that relax, which joints may have beside M, B and K, (3, elements).
+    def hidden_terms(self, values: FloatArray) -> list[tuple[float, ComplexArray]]:
+        """Reflexes and springs that relax, which there may be beside M, B and K, (3, n²).
 
         Returns
         -------
-        list of (int, ndarray)
-            Row of each and what it adds there, (n_freq,), if it is of the size that is assumed.
+        list of (float, ndarray)
+            How likely each is, and what it adds to the elements if it is of the size that is
+            assumed, (n², n_freq).
         """
-        s, joints = 1j * self.omega, math.isqrt(len(self.Z))
-        if not self.whole or joints > _MOST_CUFFS:
+        if not self.whole or len(self.Z) > _MOST_CUFFS**2:
             return []
-        arc = np.exp(-s * _REFLEX_DELAY) / (1.0 + s / _MUSCLE) ** 2
-        springs = [s * time / (1.0 + s * time) for time in _RELAXATIONS if self.unbiased]
-        return [
-            (row, term)
-            for row in range(0, len(self.Z), joints + 1)
-            for term in (
-                _REFLEX * values[1, row] * s * arc,
-                _STRETCH * values[2, row] * (1.0 + s / _LEAD) * arc,
-                *(_RELAXED * values[2, row] * one for one in springs),
-            )
-        ]
+        s, (_, B, K) = 1j * self.omega, values[:, :, None]
+        arcs = [np.exp(-s * delay) / (1.0 + s / muscle) ** 2 for delay, muscle in _ARCS]
+        found = [(_LIKELY / len(arcs), _REFLEX * B * s * arc) for arc in arcs]
+        found.append((_LIKELY, _STRETCH * K * (1.0 + s / _LEAD) * arcs[0]))
+        times = _RELAXATIONS if self.unbiased else ()
+        return found + [(_LIKELY, _RELAXED * K * s * T / (1.0 + s * T)) for T in times]
 
-    def _change_by_hidden(self, term: ComplexArray, row: int) -> FloatArray:
-        """Squared change of M, B and K, (3,), by a term that the noise may hide."""
-        told, error = self.coefficient_of(term, row)
-        square, _ = hidden_square(told, error, _LIKELY, positive=True)
-        return np.asarray(square * _apply(self.coefficients(row), term) ** 2)
+    def _change_by_hidden(self, values: FloatArray) -> FloatArray:
+        """Squared change of M, B and K, (3, n²), by the term that may do most while noise hides it.
+
+        What acts across joints acts on its own joint, too, which tells whether it is there.
+        """
+        n = math.isqrt(len(self.Z))
+        change = np.zeros_like(values)
+        for (likely, terms), joint in product(self.hidden_terms(values), range(n)):
+            own, evidence = joint * (n + 1), 0.0
+            for row in (own, *(row for row in range(joint, n * n, n) if row != own)):
+                told, error = self.coefficient_of(terms[row], row)
+                square, of_row = hidden_square(
+                    told, error, likely, positive=True, elsewhere=evidence
+                )
+                evidence = of_row if row == own else evidence
+                of_term = square * _apply(self.coefficients(row), terms[row]) ** 2
+                change[:, row] = np.maximum(change[:, row], of_term)
+        return change
 
     def coefficient_of(self, term: ComplexArray, row: int) -> tuple[float, float]:
         """Coefficient of a term (n_freq,) beside M, B and K of an element, and its error."""
@@ -877,10 +883,11 @@ def _with_delay(
     )
     found, covariance = np.zeros(len(terms)), np.eye(len(terms))
     if fits and assumed > 0.0:
-        hidden = problem.hidden_terms(values)
-        alike = np.zeros((len(hidden), *turned.shape), dtype=np.complex128)
-        for place, (row, one) in enumerate(hidden):
-            alike[place, row] = one
+        own = range(0, len(turned), math.isqrt(len(turned)) + 1)
+        every = [term for _, term in problem.hidden_terms(values)]
+        alike = np.zeros((len(every) * len(own), *turned.shape), dtype=np.complex128)
+        for place, (term, row) in enumerate(product(every, own)):
+            alike[place, row] = term[row]
         expected = np.zeros(len(terms) + len(alike))
         expected[0] = 0.0 if refuted else delay / assumed
         found, _ = trial.common_coefficients(terms, expected[: len(terms)])

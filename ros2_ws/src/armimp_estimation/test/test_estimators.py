@@ -251,7 +251,8 @@ def locked(record: TrialRecord) -> TrialRecord:
 
 
 def test_column_of_one_trial_is_that_of_the_whole_estimate_where_joints_are_locked() -> None:
-    data = synthetic_trials(dataclasses.replace(LOOP, voluntary=0.3))
+    # So little noise hides few reflexes.
+    data = synthetic_trials(dataclasses.replace(LOOP, voluntary=0.03))
     data = [dataclasses.replace(trial, record=locked(trial.record)) for trial in data]
     # Without a delay, which each trial alone would tell another way.
     exact = LpmFull(config=dataclasses.replace(LOCAL.config, timing_uncertainty=0.0))
@@ -264,7 +265,7 @@ def test_column_of_one_trial_is_that_of_the_whole_estimate_where_joints_are_lock
             fitted = getattr(whole.mbk, name)[:, k]
             np.testing.assert_allclose(column.values[row], fitted, rtol=5e-3)
             # It takes the mean over all trials of each correlation of bins, and knows of reflexes
-            # that noise may hide, which make errors of the joint's own torque larger, and of cuffs.
+            # that noise may hide, most of all those of the joint itself, and of cuffs.
             errors = getattr(whole, f"{name}_se")[:, k]
             apart = np.arange(len(errors)) != k
             np.testing.assert_allclose(column.errors[row][apart], errors[apart], rtol=0.1)
