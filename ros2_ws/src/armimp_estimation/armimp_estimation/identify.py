@@ -22,7 +22,7 @@ from armimp_estimation.frf import frf_matrix, order_trials
 from armimp_estimation.json_model import JsonModel, Number, Vector
 from armimp_estimation.mbk import MBK
 from armimp_estimation.nonlinearity import judge_linearity
-from armimp_estimation.plausibility import judge_angles
+from armimp_estimation.plausibility import judge_angles, mixed_channels
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.robot_balance import (
     RobotBalance,
@@ -240,6 +240,8 @@ def identify(
             linearity=options.calibration.linearity,
         )
         problems += of_motion
+        if options.calibration.assumed:
+            doubts += mixed_channels(best.fit)
         results = {
             name: one.with_doubts(doubts).with_gains_in_doubt(np.diag(gains))
             for name, one in results.items()

@@ -3,8 +3,9 @@
 A passive arm has a kinetic energy ``½ q̇ᵀ M q̇ > 0`` for any motion, so the symmetric part of M has
 positive eigenvalues. Torques or angles in the wrong order make the elements off the diagonal
 larger than those on it, and a wrong sign makes one on it negative; both show there. And ``M = Mᵀ``,
-unless torques and angles belong to other coordinates, as where one of two angles is absolute, or
-one of two gains is wrong. What all joints have in common, such as a unit, shows in the size alone.
+unless torques and angles belong to other coordinates, as where one of two angles is absolute or
+has a share of the other, or one of two gains is wrong. What all joints have in common, such as a
+unit, shows in the size alone.
 """
 
 from __future__ import annotations
@@ -28,9 +29,12 @@ TURN = 0.9 * 2.0 * np.pi
 """Step between two samples that is none of a joint, but of an encoder that counts in turns, rad."""
 LARGEST_MOTION = 1.5
 """Peak to peak motion beyond which it isn't, rad: linear models end far below."""
-ASYMMETRY = 0.2
-"""Share of ``√(M_ii M_jj)`` by which elements of an inertia off the diagonal may differ."""
+ASYMMETRY = 0.07
+"""Share of ``√(M_ii M_jj)`` by which elements of an inertia off the diagonal may differ, beside
+chance: 0.05 is that of the arm that the paper found."""
 _ERRORS = 5.0
+_UNEVEN = 3.0
+_NOTICED = 2.0
 
 
 def judge_matrices(estimator: str, names: Sequence[str], fit: MBKFit) -> list[Problem]:
@@ -89,7 +93,7 @@ def judge_matrices(estimator: str, names: Sequence[str], fit: MBKFit) -> list[Pr
             )
         )
     M, M_se = matrices["M"]
-    for i, j in np.argwhere(np.triu(uneven(M, M_se, ASYMMETRY))):
+    for i, j in np.argwhere(np.triu(uneven(M, M_se, ASYMMETRY, _UNEVEN))):
         problems.append(
             problem(
                 ProblemCode.UNEVEN_INERTIA,
@@ -102,10 +106,37 @@ def judge_matrices(estimator: str, names: Sequence[str], fit: MBKFit) -> list[Pr
     return problems
 
 
-def uneven(M: FloatArray, errors: FloatArray, share: float) -> BoolArray:
-    """Elements of an inertia that differ from those across by more than a share of √(M_ii M_jj)."""
+def uneven(M: FloatArray, errors: FloatArray, share: float, chance: float = _ERRORS) -> BoolArray:
+    """Elements of an inertia that differ from those across by more than a share of √(M_ii M_jj).
+
+    So many standard errors of that may be chance.
+    """
     size = np.sqrt(np.abs(np.outer(np.diag(M), np.diag(M))))
-    return np.asarray(np.abs(M - M.T) > share * size + _ERRORS * np.hypot(errors, errors.T))
+    return np.asarray(np.abs(M - M.T) > share * size + chance * np.hypot(errors, errors.T))
+
+
+def mixed_channels(fit: MBKFit) -> list[FloatArray]:
+    """Changes of M, B and K if an inertia is uneven as angles or torques show other joints, too.
+
+    An encoder i that shows c times the angle of joint j beside its own takes ``c Z_li`` off each
+    ``Z_lj``, and so ``c M_ii`` off M_ij alone of two elements that are to be alike. A transducer i
+    that shows c times the torque of joint j adds ``c Z_jl`` to each ``Z_il``.
+
+    Returns
+    -------
+    list of ndarray, shape (3, n, n)
+        For each pair of joints, as far as the difference is beyond chance.
+    """
+    matrices = np.stack((fit.mbk.M, fit.mbk.B, fit.mbk.K))
+    M, error = matrices[0], np.hypot(fit.M_se, fit.M_se.T)
+    beyond = np.sqrt(np.maximum((M - M.T) ** 2 - (_NOTICED * error) ** 2, 0.0))
+    changes = []
+    for i, j in np.argwhere(beyond > 0.0):
+        angle, torque = np.zeros((2, *matrices.shape))
+        angle[:, :, j] = beyond[i, j] / M[i, i] * matrices[:, :, i]
+        torque[:, i] = beyond[i, j] / M[j, j] * matrices[:, j]
+        changes += [angle, torque]
+    return changes
 
 
 def least_eigenvalue(matrix: FloatArray, errors: FloatArray) -> tuple[float, float]:
