@@ -125,6 +125,37 @@ def test_an_inertia_that_is_not_symmetric_is_refused() -> None:
     assert uneven.values["other"] == pytest.approx(across[1, 0], rel=0.02)
 
 
+@pytest.mark.parametrize(
+    ("mixed", "share", "valid"),
+    [
+        ("position", -0.2, False),
+        ("position", -0.1, True),
+        ("torque", 0.2, True),
+    ],
+)
+def test_a_channel_that_shows_a_share_of_another_joint_is_refused_or_in_the_errors(
+    mixed: str, share: float, valid: bool
+) -> None:
+    # Of the sign that makes this arm more uneven than it is.
+    mixing = np.array([[1.0, share], [0.0, 1.0]])
+    data = [
+        dataclasses.replace(
+            trial,
+            record=dataclasses.replace(
+                trial.record, **{mixed: mixing @ getattr(trial.record, mixed)}
+            ),
+        )
+        for trial in trials()
+    ]
+    config = dataclasses.replace(CONFIG, calibration=Calibration.undeclared())
+    result = identify(data, ("lpm_full",), config=config)
+    assert result.verdict.impedance is valid
+    fit = result.estimators["lpm_full"].fit
+    for letter in "MBK":
+        error = np.abs(getattr(fit.mbk, letter) - getattr(TWO_JOINT_ARM, letter))
+        assert (error < 2.0 * getattr(fit, f"{letter}_se")).all()
+
+
 def test_angles_and_torques_in_another_order_than_perturbations_are_refused() -> None:
     loop = dataclasses.replace(LOOP, lock_stiffness=3000.0)
     swapped = [
