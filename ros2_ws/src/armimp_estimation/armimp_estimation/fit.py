@@ -224,6 +224,8 @@ _RELAXED, _RELAXATIONS = 0.4, (0.05, 0.3)
 """Assumption: stiffness beside K that relaxes, relative to K, and with which time constants, s."""
 _CUFF = 1e-5
 """Assumption: compliance that a cuff between robot and arm may have, rad/(N·m)."""
+_COUPLED, _CORNERS = 0.1, (0.1, 0.3, 1.0)
+"""Assumption: how likely a torque or an angle passed a high-pass, and with which corners, Hz."""
 _LOW, _FEWEST = 1.0 / 3.0, 8
 _ITERATIONS = 3
 _ORDERS = (2, 3, 4, 5)
@@ -612,7 +614,7 @@ class _Elements:
                     square = max(square, soft)
                 for row, of_mbk in enumerate(self.coefficients_of_all):
                     squares[:, row] += square * _apply(of_mbk, terms[row]) ** 2
-            squares += self._change_by_hidden(plain)
+            squares += self._change_by_hidden(plain) + self._change_by_coupling(Z)
         # What rounding leaves is no change.
         least = _ROUNDING * np.abs(plain)
         return np.where(squares > least**2, squares, 0.0)
@@ -657,6 +659,31 @@ class _Elements:
                 evidence = of_row if row == own else evidence
                 of_term = square * _apply(self.coefficients(row), terms[row]) ** 2
                 change[:, row] = np.maximum(change[:, row], of_term)
+        return change
+
+    def _change_by_coupling(self, Z: ComplexArray) -> FloatArray:
+        """Squared change of M, B and K, (3, n²), by channels whose amplifiers pass nothing slow.
+
+        A high-pass of first order with the corner w takes ``w/(s + w) Z_ij`` off the row of a
+        torque, and adds ``w/s Z_ij`` to the column of an angle. Channels of one rig are alike, so
+        each tells of the others whether there are such.
+        """
+        n, s = len(Z), 1j * self.omega
+        own = np.eye(n, dtype=np.bool_)[:, :, None, None]
+        change = np.zeros((3, n * n))
+        for corner, of_torques in product(_CORNERS, (True, False)):
+            w = 2.0 * np.pi * corner
+            effect = -w / (s + w) * Z if of_torques else w / s * Z
+            channels = own if of_torques else np.swapaxes(own, 1, 2)
+            of_channel = np.where(channels, effect, 0.0).reshape(n, n * n, -1)
+            told = [self.common_coefficient(terms)[:2] for terms in of_channel]
+            evidence = [hidden_square(*one, _COUPLED, positive=True)[1] for one in told]
+            for joint, (terms, one) in enumerate(zip(of_channel, told, strict=True)):
+                others = max(sum(evidence) - evidence[joint], 0.0)
+                square, _ = hidden_square(*one, _COUPLED, positive=True, elsewhere=others)
+                for row, of_mbk in enumerate(self.coefficients_of_all):
+                    of_term = square * _apply(of_mbk, terms[row]) ** 2
+                    change[:, row] = np.maximum(change[:, row], of_term)
         return change
 
     def coefficient_of(self, term: ComplexArray, row: int) -> tuple[float, float]:

@@ -131,6 +131,25 @@ def test_an_unknown_low_pass_of_the_torques_is_put_right_where_noise_hides_low_f
     assert (errors(fit) < 0.4 * truth).all()
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_torque_that_passed_a_high_pass_where_noise_hides_it_is_in_the_standard_errors(
+    seed: int,
+) -> None:
+    s, w = 2j * np.pi * F, 2.0 * np.pi * 0.3
+    passed = np.array([s / (s + w), np.ones_like(s)])[:, None]
+    rng = np.random.default_rng(seed)
+    deviation = np.where(F < 2.0, 3.0, 0.3) * np.ones((2, 2, 1))
+    noise = rng.standard_normal((2, 2, F.size)) + 1j * rng.standard_normal((2, 2, F.size))
+    off = []
+    for share in (passed, 1.0):
+        Z = share * TWO_JOINT_ARM.impedance(F) + np.sqrt(0.5) * deviation * noise
+        fit = fit_mbk(estimate_of(Z, deviation**2))
+        truth = np.stack((TWO_JOINT_ARM.M, TWO_JOINT_ARM.B, TWO_JOINT_ARM.K))
+        assert (np.abs(stacked(fit) - truth) < 3.5 * errors(fit)).all()
+        off.append(fit.B_se[0, 0])
+    assert off[0] > 3.0 * off[1]
+
+
 def test_stiffness_that_relaxes_where_noise_hides_it_is_in_the_standard_errors_of_K() -> None:
     s = 2j * np.pi * F
     spring = np.diag([3.0, 3.0])[:, :, None] * s * 0.3 / (1.0 + s * 0.3)
