@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armimp_common.arrays import ComplexArray, FloatArray
+from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.torque_timing import TorqueReading
 
@@ -39,6 +39,8 @@ _OF_OTHERS, _CHATTER_SEEN = 0.95, 0.2
 """Share of what steps explain from which on commands are of other samples, and of torques, from
 which on that can be seen."""
 _MOTION_EXPLAINS = 0.99
+_SHOWN = 0.5
+"""Power of changes of torques, relative to that of the jumps they should show, at least."""
 _QUICK = (2.0, 3.0, 15.0, 20.0)
 """Where the band begins and ends, and from where to where all of it is looked at, Hz."""
 
@@ -193,7 +195,7 @@ def update_jump(
         torque=np.where(sure[:, None], jump.torque, moved.torque),
         slope=np.where(sure[:, None], jump.slope, moved.slope),
     )
-    told = (sure | (explained > _MOTION_EXPLAINS)).all()
+    told = (sure | (explained > _MOTION_EXPLAINS) & _shows(records, known, moved)).all()
     return jump if told and _is_share_of_inertia(jump.torque) else None
 
 
@@ -230,6 +232,18 @@ def _explained_by_chatter(
     others = [0, *range(2, len(inputs[0]) // n)]
     alone = [regress([rows[n * k : n * (k + 1)] for rows in inputs], outputs)[1] for k in others]
     return regress(inputs, outputs)[1], np.max(alone, axis=0)
+
+
+def _shows(
+    records: Sequence[TrialRecord], reading: TorqueReading, jump: HoldCorrection
+) -> BoolArray:
+    """Whether torques, (n,), change as much as the last steps alone make them jump."""
+    # A filter that angles and torques passed alike takes the jumps, and leaves the motion.
+    jumped, shown = np.zeros((2, records[0].joints))
+    for steps, changes in zip(*_chatter(records, reading), strict=True):
+        jumped += np.sum((jump.torque @ steps[: len(changes)]) ** 2, axis=1)
+        shown += np.sum(changes**2, axis=1)
+    return np.asarray(shown >= _SHOWN * jumped)
 
 
 def _chatter(

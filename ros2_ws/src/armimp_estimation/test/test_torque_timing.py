@@ -8,6 +8,7 @@ import json
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.signal import butter, sosfilt
 
 from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
 from armimp_estimation.fit import fit_mbk
@@ -199,3 +200,18 @@ def test_when_commands_are_of_other_joints_or_samples_expect_none(
         assert record.command is not None
         swapped.append(changed(record.command[::-1]))
     assert update_jump(swapped) is None
+
+
+def test_when_a_filter_took_the_jumps_off_angles_and_torques_alike_expect_none(
+    chattering: list[TrialRecord],
+) -> None:
+    low_pass = butter(2, 15.0, fs=chattering[0].rate, output="sos")
+    filtered = [
+        dataclasses.replace(
+            record,
+            position=sosfilt(low_pass, record.position),
+            torque=sosfilt(low_pass, record.torque),
+        )
+        for record in chattering
+    ]
+    assert update_jump(filtered) is None
