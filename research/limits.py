@@ -10,7 +10,7 @@ from scipy import signal
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import SimulatedExperiment, simulate
 from armimp_bringup.parameters import node_parameters
-from armimp_common.topics import NS_PER_S, PERIOD_NS
+from armimp_common.topics import PERIOD
 from armimp_sim.voluntary import VoluntaryParameters, band_filter
 from research.cells import FloatArray, Levels, Plan, Run
 from research.cramer_rao import (
@@ -88,7 +88,7 @@ def bound_of(
         angle=simulator.sensors.position.resolution, torque=simulator.sensors.torque.resolution
     )
     f, motion = motion_in_band(quiet.records, band)
-    disturbance = power_spectrum(simulator.voluntary, f, PERIOD_NS / NS_PER_S)
+    disturbance = power_spectrum(simulator.voluntary, f, PERIOD)
     samples = quiet.records[0].samples
     covariance = error_covariance(experiment.truth, f, samples, noise, disturbance)
     return cramer_rao_bound(f, motion, covariance)

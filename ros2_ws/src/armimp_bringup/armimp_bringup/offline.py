@@ -17,7 +17,7 @@ from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_common.compiled import compiled_entry
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_common.status import Phase
-from armimp_common.topics import NS_PER_S, PERIOD_NS
+from armimp_common.topics import PERIOD_NS, RATE
 from armimp_control.laws import NO_JOINT
 from armimp_control.laws.law import Controller, packed_size, packed_tick
 from armimp_control.parameters import ControllerParameters
@@ -35,9 +35,6 @@ from armimp_sim.plant import Plant, check_ratio, tick
 from armimp_sim.real_rig import RealRig
 from armimp_sim.simd import Tag
 from armimp_sim.voluntary import ReadingNoise, VoluntaryTorque
-
-RATE = NS_PER_S / PERIOD_NS
-"""Samples per second, Hz."""
 
 
 @compiled_entry

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.status import NOTICE_TICKS, Cause, Phase, StoppingDecision, TrialStatus
-from armimp_common.topics import PERIOD_NS, clock_step
+from armimp_common.topics import PERIOD, PERIOD_NS, clock_step
 from armimp_control.laws.law import Controller
 from armimp_control.parameters import ControllerParameters
 from armimp_control.perturbation import perturbation
 from armimp_control.safety_limiter import Limit, SafetyParameters, SaturationCounter
-from armimp_control.sequence import PERIOD, Segment, Tare, timetable
+from armimp_control.sequence import Segment, Tare, timetable
 
 Reading = tuple[float, ...]
 

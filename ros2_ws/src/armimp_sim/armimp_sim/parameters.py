@@ -9,7 +9,7 @@ from pydantic import Field
 from armimp_common.errors import ConfigurationError
 from armimp_common.realtime import SchedulingParameters
 from armimp_common.schema import Schema
-from armimp_common.topics import NS_PER_S, PERIOD_NS
+from armimp_common.topics import PERIOD
 from armimp_sim import presets
 from armimp_sim.model.arm import CuffParameters, HumanArm, MuscleParameters, ReflexParameters
 from armimp_sim.model.friction import LuGre
@@ -98,6 +98,6 @@ class SimulatorParameters(Schema):
             reflex=self.reflex,
             muscle=self.muscle,
             cuff=self.cuff,
-            period=PERIOD_NS / NS_PER_S,
+            period=PERIOD,
             substeps=self.substeps,
         )

@@ -11,13 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
 from armimp_common.schema import Schema
-from armimp_common.topics import NS_PER_S, PERIOD_NS
+from armimp_common.topics import RATE
 from armimp_sim.model.sensors import SensorParameters
 
 # Of the random streams, which keep these apart from each other and from those of perturbations.
 _VOLUNTARY, _TREMOR, _READINGS = 2, 3, 4
 _BLOCK = 4096
-_NYQUIST = 0.5 * NS_PER_S / PERIOD_NS
+_NYQUIST = 0.5 * RATE
 
 
 class VoluntaryParameters(Schema):
