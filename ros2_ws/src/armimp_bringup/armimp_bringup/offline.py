@@ -30,7 +30,6 @@ from armimp_estimation.mbk import MBK
 from armimp_estimation.metadata import Metadata
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.trial import TrialData, segments_for
-from armimp_sim.model.sensors import Sampling
 from armimp_sim.plant import Plant, check_ratio, tick
 from armimp_sim.real_rig import RealRig
 from armimp_sim.simd import Tag
@@ -188,14 +187,7 @@ def run_segments(
             controller.perturb_joint(NO_JOINT if segment.tare else yielding)
         record = np.empty((3, lanes, n, segment.ticks))
         worst = _run_segment(
-            plant.batch,
-            plant.joint_tag,
-            plant.width_tag,
-            plant.config.substeps,
-            plant.config.step,
-            plant.config.sensors.sampling is Sampling.INTERVAL_MEAN,
-            plant.real,
-            plant.resolutions,
+            *plant.fixed,
             plant.position,
             plant.torque,
             laws,

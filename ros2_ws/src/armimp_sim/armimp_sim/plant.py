@@ -148,6 +148,7 @@ class Plant:
     position : (lanes, n) encoder readings θ, rad
     torque : (lanes, n) torque transducer readings, torque on the arm, N·m
     real : of :mod:`armimp_sim.real_rig`; None where all rigs are ideal
+    fixed : what :func:`tick` takes first, up to the resolutions
     """
 
     def __init__(self, configs: Sequence[PlantConfig]) -> None:
@@ -169,6 +170,16 @@ class Plant:
             [(c.sensors.position.resolution, c.sensors.torque.resolution) for c in configs]
         )
         self.real = real_rig.real_rig(configs)
+        self.fixed = (
+            self.batch,
+            self.joint_tag,
+            self.width_tag,
+            first.substeps,
+            first.step,
+            first.sensors.sampling is Sampling.INTERVAL_MEAN,
+            self.real,
+            self.resolutions,
+        )
         self._at_first = None if self.real is None else [one.copy() for one in self.real]
         self._noise = np.zeros((lanes, 2, n))
         self.position = np.zeros((lanes, n))
@@ -208,21 +219,7 @@ class Plant:
             )
         if noise.shape != self._noise.shape:
             raise ValueError(f"plant: noise {noise.shape} must be {self._noise.shape}")
-        ratio = tick(
-            self.batch,
-            self.joint_tag,
-            self.width_tag,
-            self.config.substeps,
-            self.config.step,
-            self.config.sensors.sampling is Sampling.INTERVAL_MEAN,
-            self.real,
-            self.resolutions,
-            command,
-            voluntary,
-            noise,
-            self.position,
-            self.torque,
-        )
+        ratio = tick(*self.fixed, command, voluntary, noise, self.position, self.torque)
         check_ratio(ratio, self.config.step)
 
     def state(self) -> NDArray[np.float64]:
