@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from armimp_common.errors import ConfigurationError
+from armimp_common.protection import WATCHDOG_PERIODS
 from armimp_common.realtime import SchedulingParameters
 from armimp_common.schema import Schema
 from armimp_common.topics import PERIOD
@@ -17,9 +18,6 @@ from armimp_sim.model.robot import ActuatorParameters, PlanarChain
 from armimp_sim.model.sensors import SensorParameters
 from armimp_sim.plant import PlantConfig
 from armimp_sim.voluntary import VoluntaryParameters
-
-WATCHDOG_TICKS = 5
-"""Periods after which the simulated rig takes the torque away by default."""
 
 
 class SimulatorParameters(Schema):
@@ -32,7 +30,7 @@ class SimulatorParameters(Schema):
     mode: Literal["lockstep", "realtime"] = "lockstep"
     """lockstep: one step for each command received; realtime: one each millisecond."""
     realtime: SchedulingParameters = SchedulingParameters()
-    watchdog_ticks: int = Field(default=WATCHDOG_TICKS, ge=1, le=100)
+    watchdog_ticks: int = Field(default=WATCHDOG_PERIODS, ge=1, le=100)
     """Control periods without a command, or by which commands are behind, after which the drives
     take the torque away in mode realtime."""
     substeps: int = Field(default=100, ge=1)

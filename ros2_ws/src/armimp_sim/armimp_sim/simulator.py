@@ -15,11 +15,11 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.protection import TorqueLatch
+from armimp_common.protection import WATCHDOG_PERIODS, TorqueLatch
 from armimp_common.realtime import Pacer, TimingMeter, wake_up_exactly
 from armimp_common.status import TimingFigures
 from armimp_common.topics import PERIOD_NS
-from armimp_sim.parameters import WATCHDOG_TICKS, SimulatorParameters
+from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import IntegrationError, Plant
 from armimp_sim.voluntary import ReadingNoise, VoluntaryTorque
 
@@ -134,7 +134,7 @@ class RealtimeSimulator:
         send: Callable[[], None],
         pacer: Pacer,
         *,
-        watchdog_ticks: int = WATCHDOG_TICKS,
+        watchdog_ticks: int = WATCHDOG_PERIODS,
     ) -> None:
         self._rig, self._send, self._pacer = rig, send, pacer
         self._patience = watchdog_ticks
