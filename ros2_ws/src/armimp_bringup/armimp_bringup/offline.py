@@ -17,7 +17,7 @@ from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_common.compiled import compiled_entry
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_common.status import Phase
-from armimp_common.topics import PERIOD_NS, RATE
+from armimp_common.topics import PERIOD, PERIOD_NS, RATE
 from armimp_control.laws import NO_JOINT
 from armimp_control.laws.law import Controller, packed_size, packed_tick
 from armimp_control.parameters import ControllerParameters
@@ -163,11 +163,11 @@ def run_segments(
     if any((one.sequence, one.tare) != (first.sequence, first.tare) for one in of_laws):
         raise DataError("offline run: all rigs must have the same trial sequence")
     rigs = [one.simulator for one in experiments]
-    plant = Plant([one.plant_config() for one in rigs])
+    plant = Plant(rigs)
     n, lanes = len(first.joints), len(rigs)
-    if plant.config.joints != n:
+    if len(rigs[0].joints) != n:
         raise ConfigurationError(
-            f"offline run: {plant.config.joints} joints of the plant, {n} of the controller"
+            f"offline run: {len(rigs[0].joints)} joints of the plant, {n} of the controller"
         )
     packed = np.zeros((lanes, packed_size(n)))
     controllers = [
@@ -176,8 +176,7 @@ def run_segments(
     ]
     laws = np.array([controller.config.kind for controller in controllers])
     streams = [
-        VoluntaryTorque(one.voluntary, joints=n, period=plant.config.period, seed=one.seed)
-        for one in rigs
+        VoluntaryTorque(one.voluntary, joints=n, period=PERIOD, seed=one.seed) for one in rigs
     ]
     noises = [ReadingNoise(one.sensors, joints=n, seed=one.seed) for one in rigs]
     trials: list[list[TrialRecord]] = [[] for _ in rigs]
@@ -198,7 +197,7 @@ def run_segments(
             np.stack([one.take(segment.ticks if plant.real else 1) for one in noises], axis=1),
             record,
         )
-        check_ratio(worst, plant.config.step)
+        check_ratio(worst, plant.step)
         for controller in controllers:
             if fault := controller.fault[1]:
                 raise DataError(

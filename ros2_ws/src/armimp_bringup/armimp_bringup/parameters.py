@@ -81,18 +81,18 @@ def _simulator(config: ExperimentConfig) -> SimulatorParameters:
 
 
 def _controller(config: ExperimentConfig, simulator: SimulatorParameters) -> ControllerParameters:
-    plant = simulator.plant_config()
+    simulator.check()
     overrides = {**_time_of(config), **_known_of(simulator), **config.imbic_controller}
     preset = ControllerParameters.preset(
         joints=simulator.joints,
-        posture=plant.arm.theta_0,
-        robot_inertia=plant.robot.mass_matrix(plant.arm.theta_0),
-        arm_inertia=plant.arm.M,
+        posture=simulator.arm.theta_0,
+        robot_inertia=simulator.robot.mass_matrix(simulator.arm.theta_0),
+        arm_inertia=simulator.arm.M,
         perturbation=config.perturbation,
         perturbation_kind=config.perturbation_kind,
         duration=config.duration,
         seed=config.seed,
-        encoder_resolution=plant.sensors.position.resolution,
+        encoder_resolution=simulator.sensors.position.resolution,
         law=_law(config, overrides),
     )
     if config.target_error:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from armimp_common.protection import WATCHDOG_PERIODS, TorqueLatch
 from armimp_common.realtime import Pacer, TimingMeter, wake_up_exactly
 from armimp_common.status import TimingFigures
-from armimp_common.topics import PERIOD_NS
+from armimp_common.topics import PERIOD, PERIOD_NS
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import IntegrationError, Plant
 from armimp_sim.voluntary import ReadingNoise, VoluntaryTorque
@@ -48,21 +48,21 @@ class SimulatedRig(TorqueLatch):
     """
 
     def __init__(self, parameters: SimulatorParameters) -> None:
-        config = parameters.plant_config()
-        super().__init__(config.joints)
-        self._plant = Plant([config])
+        joints = len(parameters.joints)
+        super().__init__(joints)
+        self._plant = Plant([parameters])
         self.position: NDArray[np.float64] = self._plant.position[0]
         self.torque: NDArray[np.float64] = self._plant.torque[0]
         self._voluntary = VoluntaryTorque(
             parameters.voluntary,
-            joints=config.joints,
-            period=config.period,
+            joints=joints,
+            period=PERIOD,
             seed=parameters.seed,
         )
-        self._noise = ReadingNoise(config.sensors, joints=config.joints, seed=parameters.seed)
-        self._command = np.zeros((1, config.joints))
+        self._noise = ReadingNoise(parameters.sensors, joints=joints, seed=parameters.seed)
+        self._command = np.zeros((1, joints))
         self.tick = 0
-        self._compile(config.joints)
+        self._compile(joints)
 
     @property
     def stamp_ns(self) -> int:
