@@ -17,7 +17,7 @@ from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_common.compiled import compiled_entry
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_common.status import Phase
-from armimp_common.topics import PERIOD, PERIOD_NS, RATE
+from armimp_common.topics import PERIOD_NS, RATE
 from armimp_control.laws import NO_JOINT
 from armimp_control.laws.law import Controller, packed_size, packed_tick
 from armimp_control.parameters import ControllerParameters
@@ -33,7 +33,7 @@ from armimp_estimation.trial import TrialData, segments_for
 from armimp_sim.plant import Plant, check_ratio, tick
 from armimp_sim.real_rig import RealRig
 from armimp_sim.simd import Tag
-from armimp_sim.voluntary import ReadingNoise, VoluntaryTorque
+from armimp_sim.voluntary import reading_noise, voluntary_torque
 
 
 @compiled_entry
@@ -175,10 +175,8 @@ def run_segments(
         for one, own in zip(of_laws, packed, strict=True)
     ]
     laws = np.array([controller.config.kind for controller in controllers])
-    streams = [
-        VoluntaryTorque(one.voluntary, joints=n, period=PERIOD, seed=one.seed) for one in rigs
-    ]
-    noises = [ReadingNoise(one.sensors, joints=n, seed=one.seed) for one in rigs]
+    streams = [voluntary_torque(one.voluntary, joints=n, seed=one.seed) for one in rigs]
+    noises = [reading_noise(one.sensors, joints=n, seed=one.seed) for one in rigs]
     trials: list[list[TrialRecord]] = [[] for _ in rigs]
     for segment in segments:
         tau_delta, yielding = signals(segment)

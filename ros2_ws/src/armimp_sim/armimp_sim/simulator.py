@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from armimp_common.protection import WATCHDOG_PERIODS, TorqueLatch
 from armimp_common.realtime import Pacer, TimingMeter, wake_up_exactly
 from armimp_common.status import TimingFigures
-from armimp_common.topics import PERIOD, PERIOD_NS
+from armimp_common.topics import PERIOD_NS
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import IntegrationError, Plant
-from armimp_sim.voluntary import ReadingNoise, VoluntaryTorque
+from armimp_sim.voluntary import reading_noise, voluntary_torque
 
 UNHEARD_TICKS = 100
 """If the first command comes later than that, in periods, what was sent before was not heard."""
@@ -53,13 +53,9 @@ class SimulatedRig(TorqueLatch):
         self._plant = Plant([parameters])
         self.position: NDArray[np.float64] = self._plant.position[0]
         self.torque: NDArray[np.float64] = self._plant.torque[0]
-        self._voluntary = VoluntaryTorque(
-            parameters.voluntary,
-            joints=joints,
-            period=PERIOD,
-            seed=parameters.seed,
-        )
-        self._noise = ReadingNoise(parameters.sensors, joints=joints, seed=parameters.seed)
+        seed = parameters.seed
+        self._voluntary = voluntary_torque(parameters.voluntary, joints=joints, seed=seed)
+        self._noise = reading_noise(parameters.sensors, joints=joints, seed=seed)
         self._command = np.zeros((1, joints))
         self.tick = 0
         self._compile(joints)
