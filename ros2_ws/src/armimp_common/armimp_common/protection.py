@@ -23,6 +23,13 @@ RAMP_PERIODS = 10
 _SPAN = 5
 
 
+def first_bad(values: Sequence[float]) -> int | None:
+    """Index of the first value that is not finite; None if there is none."""
+    if math.isfinite(sum(values)):  # as it is almost always
+        return None
+    return next((i for i, value in enumerate(values) if not math.isfinite(value)), None)
+
+
 class CommandSequence:
     """Checks by their numbers that commands come from one publisher, each of them once.
 

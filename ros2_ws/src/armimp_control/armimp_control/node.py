@@ -19,6 +19,7 @@ from armimp_common.executor import run_node, steady_timer
 from armimp_common.heartbeat import Heartbeat, HeartbeatMonitor, Presence
 from armimp_common.lifecycle import ManagedNode, reported
 from armimp_common.parameters import declare, guard, load, require_unchanged
+from armimp_common.protection import first_bad
 from armimp_common.pubsub import (
     CommandPublisher,
     JointStatePublisher,
@@ -46,7 +47,6 @@ from armimp_control.trial_sequencer import (
     SamplePairs,
     TrialSequencer,
     Watchdog,
-    first_bad,
 )
 
 _WATCHDOG_PERIODS = {"lockstep": 0.02, "realtime": topics.PERIOD}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -314,13 +313,6 @@ class SamplePairs:
                 for old in [stamp for stamp in readings if stamp < stamp_ns]:
                     del readings[old]
         return other
-
-
-def first_bad(values: Sequence[float]) -> int | None:
-    """Index of the first value that is not finite; None if there is none."""
-    if math.isfinite(sum(values)):  # as it is with almost every reading
-        return None
-    return next((i for i, value in enumerate(values) if not math.isfinite(value)), None)
 
 
 class Watchdog:

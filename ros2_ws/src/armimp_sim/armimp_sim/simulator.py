@@ -6,7 +6,6 @@ not.
 
 from __future__ import annotations
 
-import math
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -15,7 +14,7 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.protection import WATCHDOG_PERIODS, TorqueLatch
+from armimp_common.protection import WATCHDOG_PERIODS, TorqueLatch, first_bad
 from armimp_common.realtime import Pacer, TimingMeter, wake_up_exactly
 from armimp_common.status import TimingFigures
 from armimp_common.topics import PERIOD_NS
@@ -77,19 +76,13 @@ class SimulatedRig(TorqueLatch):
         IntegrationError
             If the simulation itself broke down.
         """
-        if not math.isfinite(sum(command)):
-            self._refuse(command)
+        if (bad := first_bad(command)) is not None:
+            self.latch(f"command of joint {bad + 1} is not finite: {command[bad]}")
         self.obey(command)
         self.go_on_fading()
         self._command[0] = self.applied
         self._plant.tick(self._command, self._voluntary.take(1), self._noise.take(1))
         self.tick += 1
-
-    def _refuse(self, command: Sequence[float]) -> None:
-        """Latch the fault of a command that is not finite; a sum may be too large without one."""
-        for joint, value in enumerate(command):
-            if not math.isfinite(value):
-                self.latch(f"command of joint {joint + 1} is not finite: {value}")
 
     def _compile(self, joints: int) -> None:
         """Compile the plant before time matters, and leave its state as it was."""
