@@ -46,8 +46,9 @@ pictures: setup  ## make the pictures of README and docs whose sources have chan
 	@$(BIN)/python scripts/make_pictures.py $(ARGS)
 
 colcon: setup  ## build the workspace with colcon, as a full ROS 2 does, and run all its tests
-	cd ros2_ws && ../$(BIN)/python -m colcon build --symlink-install
-	cd ros2_ws && ../$(BIN)/python -m colcon test --return-code-on-test-failure $(ARGS)
+	cd ros2_ws && ../$(BIN)/python -m colcon build --base-paths src ../examples --symlink-install
+	cd ros2_ws && ../$(BIN)/python -m colcon test --base-paths src ../examples \
+		--return-code-on-test-failure $(ARGS)
 	cd ros2_ws && ../$(BIN)/python -m colcon test-result
 
 lint: setup  ## check style and types only
@@ -67,5 +68,6 @@ sbom: setup  ## write sbom.json, the bill of materials of .venv (CycloneDX)
 
 clean:  ## remove .venv, builds and caches, but no results
 	rm -rf $(VENV) build install log .mypy_cache .ruff_cache .pytest_cache .hypothesis
-	rm -rf ros2_ws/build ros2_ws/install ros2_ws/log ros2_ws/src/*/build ros2_ws/src/*/*.egg-info
-	find ros2_ws tests -type d -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
+	rm -rf ros2_ws/build ros2_ws/install ros2_ws/log
+	rm -rf ros2_ws/src/*/build ros2_ws/src/*/*.egg-info examples/*/build examples/*/*.egg-info
+	find ros2_ws examples tests -type d -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true

@@ -24,7 +24,7 @@ from armimp_bringup.orchestrator import run_experiment
 from armimp_common import qos
 from armimp_common.errors import GraphError
 from armimp_common.executor import Spinner
-from armimp_common.topics import NS_PER_S, PERIOD_NS
+from armimp_common.topics import NS_PER_S, PERIOD
 from armimp_sim.simulator import SimulatedRig
 from benchmarks import ping_pong
 from benchmarks.disturbance import disturbance, loop_times, stolen_time
@@ -128,8 +128,7 @@ def graph_figures(
     limit : smallest speed, times real time
     """
     graph = [tick for one in rounds for tick in one.ticks]
-    period = PERIOD_NS / NS_PER_S
-    speeds = [period / tick for tick in graph]
+    speeds = [PERIOD / tick for tick in graph]
     floor, tick = median(one.bare for one in rounds), median(graph)
     plant = median(one.plant for one in rounds)
     law, codecs, recording = (
@@ -225,9 +224,8 @@ def graph_tick(processes: Processes) -> Experiment:
     # Whether any are lost is measured here, and no reason to measure nothing.
     if not (summary.valid or lost):
         raise GraphError(f"the experiment is not valid: {summary.faults[0]}")
-    period = PERIOD_NS / NS_PER_S
     return Experiment(
-        ticks=[period / trial.rtf for trial in summary.trials],
+        ticks=[PERIOD / trial.rtf for trial in summary.trials],
         plant=mean(steps) / NS_PER_S if steps else None,
         lost=lost,
     )

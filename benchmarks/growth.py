@@ -12,7 +12,7 @@ from armimp_bringup.bench import Measured
 from armimp_bringup.config import load_config
 from armimp_bringup.offline_estimate import estimate_bags
 from armimp_bringup.parameters import node_parameters
-from armimp_common.topics import NS_PER_S, PERIOD_NS
+from armimp_common.topics import RATE
 from armimp_control.trial_sequencer import TrialSequencer
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_sim.simulator import SimulatedRig
@@ -20,7 +20,6 @@ from benchmarks.command_run import COMMAND, run_command
 
 CASES: tuple[tuple[int, float], ...] = ((2, 10.0), (3, 10.0), (7, 10.0), (2, 25.0), (2, 50.0))
 """Joints, and length of each trial in s."""
-_RATE = NS_PER_S / PERIOD_NS
 _REPEATS = 3
 _MB = 1e6
 
@@ -56,7 +55,7 @@ def _case(joints: int, seconds: float, tell: Callable[[str], None]) -> list[Meas
         tell(f"{what}: estimate")
         estimate = _shortest_estimate(bags)
     figures = [
-        ("rate", "ticks per second", _RATE * median(one.rtf for one in run.summary.trials), "1/s"),
+        ("rate", "ticks per second", RATE * median(one.rtf for one in run.summary.trials), "1/s"),
         ("outside", "run outside of its trials", run.outside, "s"),
         ("memory", "largest resident size", run.peaks[COMMAND] / _MB, "MB"),
         ("bag", "bag of a trial", size / len(bags) / _MB, "MB"),

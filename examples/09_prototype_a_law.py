@@ -46,7 +46,7 @@ for share in (0.0, 0.8):
     ratios = []
     for joint in (0, 1):
         law = Law(parameters, share=share)
-        plant = Plant([parameters.simulator.plant_config()])
+        plant = Plant([parameters.simulator])
         tau_delta = np.zeros((SAMPLES, 2))
         tau_delta[:, joint] = perturbation(
             parameters.controller.perturbation,

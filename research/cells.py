@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.study import parse_seeds
 from armimp_common.errors import ConfigurationError
-from armimp_common.topics import NS_PER_S, PERIOD_NS
+from armimp_common.topics import RATE
 from armimp_estimation.spectra import WelchConfig
 from research.decomposition_trials import in_blocks, in_threads
 
@@ -47,7 +47,7 @@ class Plan:
     @property
     def welch(self) -> WelchConfig:
         """Segments and band of every run."""
-        return WelchConfig.for_samples(round(self.base.duration * NS_PER_S / PERIOD_NS))
+        return WelchConfig.for_samples(round(self.base.duration * RATE))
 
     def at(self, levels: Levels) -> ExperimentConfig:
         """Base at these levels."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import simulate
 from armimp_bringup.study import parse_seeds
-from armimp_common.topics import NS_PER_S, PERIOD_NS
+from armimp_common.topics import RATE
 from armimp_estimation.spectra import WelchConfig
 from research.decomposition_figures import decomposition_figures
 from research.decomposition_outcomes import Cell, Outcome
@@ -72,7 +72,7 @@ class _Task:
         else:
             experiments = all_at_once(configs, self.correlation)
         names = JOINT_BY_JOINT if self.correlation is None else (MIMO,)
-        welch = WelchConfig.for_samples(round(self.base.duration * NS_PER_S / PERIOD_NS))
+        welch = WelchConfig.for_samples(round(self.base.duration * RATE))
         return [
             Outcome.of(experiment, run, self.voluntary, self.correlation)
             for experiment in experiments

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from armimp_bringup.offline import SimulatedExperiment
-from armimp_common.topics import NS_PER_S, PERIOD_NS
+from armimp_common.topics import RATE
 from research.cells import LETTERS, FloatArray
 from research.decomposition_statistics import Mean, root_mean_square
 from research.decomposition_trials import (
@@ -88,7 +88,7 @@ class Cell:
     def of(cls, whole: Sequence[Outcome], half: Sequence[Outcome], target: float) -> Cell:
         """From the outcomes of all seeds for whole trials and for their first halves."""
         first = whole[0]
-        n, duration = first.joints, first.samples * PERIOD_NS / NS_PER_S
+        n, duration = first.joints, first.samples / RATE
         errors = np.array([one.errors for one in whole])
         relative = np.array([one.relative for one in whole])
         bias, spread = _over_elements(errors)

@@ -10,7 +10,7 @@ from scipy import signal
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import SimulatedExperiment, simulate
 from armimp_bringup.parameters import node_parameters
-from armimp_common.topics import NS_PER_S, PERIOD_NS
+from armimp_common.topics import RATE
 from armimp_sim.voluntary import VoluntaryParameters, band_filter
 from research.cells import FloatArray, Levels, Plan, Run
 from research.cramer_rao import (
@@ -39,14 +39,13 @@ class LimitsPlan(Plan):
     estimators: tuple[str, ...] = ("lpm_full", "welch_full", "welch_siso")
 
 
-def power_spectrum(config: VoluntaryParameters, f: FloatArray, period: float) -> FloatArray:
+def power_spectrum(config: VoluntaryParameters, f: FloatArray) -> FloatArray:
     """Power of each sample of d by frequency; its mean over all frequencies is the variance.
 
     Parameters
     ----------
     config : VoluntaryParameters
     f : (n_freq,) Hz
-    period : s, between ticks
 
     Returns
     -------
@@ -55,8 +54,8 @@ def power_spectrum(config: VoluntaryParameters, f: FloatArray, period: float) ->
     """
     power = np.zeros_like(f)
     for rms, edges, _ in config.bands():
-        sos, passed = band_filter(edges, period)
-        _, response = signal.freqz_sos(sos, worN=f, fs=1.0 / period)
+        sos, passed = band_filter(edges)
+        _, response = signal.freqz_sos(sos, worN=f, fs=RATE)
         power += np.abs(rms / passed * response) ** 2
     return power
 
@@ -88,7 +87,7 @@ def bound_of(
         angle=simulator.sensors.position.resolution, torque=simulator.sensors.torque.resolution
     )
     f, motion = motion_in_band(quiet.records, band)
-    disturbance = power_spectrum(simulator.voluntary, f, PERIOD_NS / NS_PER_S)
+    disturbance = power_spectrum(simulator.voluntary, f)
     samples = quiet.records[0].samples
     covariance = error_covariance(experiment.truth, f, samples, noise, disturbance)
     return cramer_rao_bound(f, motion, covariance)

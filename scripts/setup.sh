@@ -90,7 +90,7 @@ make_environment() {
 install_packages() {
     # Mode "compat" puts the source folders on the path, where mypy and other tools see them.
     set --
-    for package in ros2_ws/src/armimp*; do
+    for package in ros2_ws/src/armimp* examples/armimp*; do
         set -- "$@" --editable "./$package"
     done
     # setuptools warns at length that this mode will go one day; the version is pinned.
@@ -105,7 +105,7 @@ if command -v flock >/dev/null 2>&1; then
 fi
 
 environment=$({ pwd -P && cat requirements.txt requirements-dev.txt scripts/setup.sh; } | cksum)
-packages=$(cat ros2_ws/src/armimp*/setup.py ros2_ws/src/armimp*/setup.cfg | cksum)
+packages=$(cat ros2_ws/src/armimp*/setup.* examples/armimp*/setup.* | cksum)
 
 stamp() { [ -f "$venv/$1" ] && cat "$venv/$1" || true; }
 

@@ -64,6 +64,6 @@ def test_when_an_import_is_interrupted_expect_one_line(monkeypatch: pytest.Monke
     def compiled_module(*_: object) -> NoReturn:
         raise ImportError("initialization failed") from KeyboardInterrupt()
 
-    monkeypatch.setattr("armimp_bringup.config.load_config", compiled_module)
+    monkeypatch.setattr("armimp_bringup.cli.load_config", compiled_module)
     told = call("run")
     assert (told.status, told.err, told.out) == (130, "armimp: interrupted\n", "")

@@ -19,8 +19,10 @@ from support.graph import PATIENCE
 
 pytestmark = pytest.mark.slow
 
-SOURCES = Path(__file__).resolve().parents[1] / "ros2_ws" / "src"
-PACKAGES = sorted(path.parent.name for path in SOURCES.glob("*/package.xml"))
+ROOT = Path(__file__).resolve().parents[1]
+FOLDERS = (ROOT / "ros2_ws" / "src", ROOT / "examples")
+SOURCES = {path.parent.name: path.parent for one in FOLDERS for path in one.glob("*/package.xml")}
+PACKAGES = sorted(SOURCES)
 EXECUTABLES = {
     "armimp": [],
     "armimp_bringup": ["armimp"],
@@ -62,7 +64,7 @@ class Workspace:
         """Run colcon, whose products stay out of the sources, and return what it says."""
         # By the module, so that the interpreter of this test becomes that of the executables.
         command = [sys.executable, "-m", "colcon", "--log-base", str(self.root / "log"), verb]
-        command += ["--base-paths", str(SOURCES), "--build-base", str(self.root / "build")]
+        command += ["--base-paths", *map(str, FOLDERS), "--build-base", str(self.root / "build")]
         if verb in ("build", "test"):
             command += ["--install-base", str(self.install)]
         done = subprocess.run(
@@ -111,7 +113,7 @@ def test_every_package_is_installed_where_ros_looks(workspace: Workspace, packag
         (package, modules / package),
         *((one, workspace.share(package) / one) for one in SHARED),
     ):
-        assert content(installed) == content(SOURCES / package / folder)
+        assert content(installed) == content(SOURCES[package] / folder)
 
 
 def test_an_installed_node_takes_part_in_the_graph(workspace: Workspace, node: Node) -> None:

@@ -12,8 +12,9 @@ from xml.etree import ElementTree
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-SOURCES = ROOT / "ros2_ws" / "src"
-PACKAGES = sorted(path.name for path in SOURCES.iterdir() if (path / "package.xml").exists())
+FOLDERS = (ROOT / "ros2_ws" / "src", ROOT / "examples")
+SOURCES = {path.parent.name: path.parent for one in FOLDERS for path in one.glob("*/package.xml")}
+PACKAGES = sorted(SOURCES)
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 ROWS = dict(re.findall(r"^\| `(armimp\w*)` \| [^|]+ \| ([^|]+) \|$", PAGE, flags=re.MULTILINE))
 ALLOWED = {package: set(re.findall(r"`(\w+)`", cell)) for package, cell in ROWS.items()}
@@ -56,7 +57,7 @@ WITH_ROS = {
 
 
 def modules(package: str) -> Iterator[tuple[str, Path]]:
-    root = SOURCES / package
+    root = SOURCES[package]
     for path in sorted((root / package).rglob("*.py")):
         name = ".".join(path.relative_to(root).with_suffix("").parts)
         yield name.removesuffix(".__init__"), path
@@ -124,7 +125,7 @@ def test_the_architecture_page_names_every_package_and_no_circle_of_them() -> No
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_a_package_imports_and_declares_what_the_architecture_page_lets_it(package: str) -> None:
-    manifest = ElementTree.parse(SOURCES / package / "package.xml").getroot()
+    manifest = ElementTree.parse(SOURCES[package] / "package.xml").getroot()
     declared = {one.text for kind in ("depend", "exec_depend") for one in manifest.iter(kind)}
     used = set().union(*(imported(path) for _, path in modules(package))) - {package}
     assert used & set(PACKAGES) == declared & set(PACKAGES) == ALLOWED[package]

@@ -13,7 +13,8 @@ from armimp_bringup.offline import simulate
 from armimp_control import presets as control_presets
 from armimp_control.laws.imbic import ImbicConfig
 from armimp_control.laws.law import Controller
-from armimp_sim.plant import Plant, PlantConfig
+from armimp_sim.parameters import SimulatorParameters
+from armimp_sim.plant import Plant
 from support.laws import preset_law
 from support.plants import study_plant
 from support.safety import torque_only
@@ -22,12 +23,16 @@ Array = NDArray[np.float64]
 PERIOD = 1e-3
 
 
-def _law(plant: PlantConfig, internal_model: control_presets.InternalModel = "tde") -> ImbicConfig:
+def _law(
+    plant: SimulatorParameters, internal_model: control_presets.InternalModel = "tde"
+) -> ImbicConfig:
     posture = plant.arm.theta_0
     return preset_law(plant.robot.mass_matrix(posture), posture, internal_model)
 
 
-def _run(plant_config: PlantConfig, law: ImbicConfig, tau_delta: Array, joint: int) -> Array:
+def _run(
+    plant_config: SimulatorParameters, law: ImbicConfig, tau_delta: Array, joint: int
+) -> Array:
     """Deflections, torques on the arm and commands (3, n, N) under ``tau_delta`` (N,)."""
     plant, controller = Plant([plant_config]), Controller(law, safety=torque_only(80.0))
     controller.perturb_joint(joint)
@@ -67,7 +72,10 @@ def test_perturbed_joint_shows_its_target_impedance_in_spite_of_friction(
 
 
 def _shown(
-    plant: PlantConfig, internal_model: control_presets.InternalModel, frequency: float, joint: int
+    plant: SimulatorParameters,
+    internal_model: control_presets.InternalModel,
+    frequency: float,
+    joint: int,
 ) -> tuple[complex, complex]:
     """Impedance of the robot at a frequency (Hz), from a sine, and its target, N·m/rad."""
     law = _law(plant, internal_model)

@@ -148,7 +148,8 @@ NAMED = sorted(
 
 
 def names_in(file: str) -> set[str]:
-    (path,) = (*ROOT.glob(f"tests/{file}"), *ROOT.glob(f"ros2_ws/src/*/test/{file}"))
+    folders = ("tests", "ros2_ws/src/*/test", "examples/*/test")
+    (path,) = (path for folder in folders for path in ROOT.glob(f"{folder}/{file}"))
     tree = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
     return {node.name for node in tree if isinstance(node, ast.FunctionDef)}
 

@@ -138,5 +138,5 @@ def test_the_realistic_rig_can_be_simulated_and_controlled_with_any_number_of_jo
 ) -> None:
     values = {"rig": "realistic", "internal_model": "observer", "joints": joints}
     case = node_parameters(ExperimentConfig.model_validate(values), None)
-    assert case.simulator.plant_config().soft
+    assert case.simulator.soft
     case.controller.check()

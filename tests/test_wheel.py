@@ -44,7 +44,7 @@ def test_the_project_has_the_packages_versions_and_commands_of_the_workspace() -
     version, *_ = re.findall(r'^version = "(.+)"$', project, flags=re.MULTILINE)
     assert all(f"version = {version}\n" in text for text in setups.values())
     scripts = re.findall(r"console_scripts =\n    (\w+) = ([\w.:]+)", "".join(setups.values()))
-    assert len(scripts) == 6
+    assert len(scripts) == 5
     assert {f'{name} = "{function}"' for name, function in scripts} <= set(project.splitlines())
     pins = re.findall(r'^    "(ros-.+)",$', project, flags=re.MULTILINE)
     locked = (ROOT / "requirements.txt").read_text(encoding="utf-8")

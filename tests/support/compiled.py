@@ -52,7 +52,7 @@ def main() -> None:
     run_offline([brief_rig(), brief_rig(seed=2)])
     run_offline([brief_rig(joints=3)])
     still = np.zeros((1, 1))
-    Plant([brief_rig(joints=1).simulator.plant_config()]).tick(still, still)
+    Plant([brief_rig(joints=1).simulator]).tick(still, still)
     arm = sim_presets.human_arm(2)
     inertia = sim_presets.robot(2).mass_matrix(arm.theta_0)
     law = Controller(preset_law(inertia, arm.theta_0), safety=torque_only(80.0))

@@ -7,20 +7,39 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from armimp_common.topics import PERIOD
 from armimp_sim import presets
 from armimp_sim.model.arm import HumanArm
 from armimp_sim.model.friction import LuGre
 from armimp_sim.model.robot import PlanarChain
 from armimp_sim.model.sensors import SensorParameters
-from armimp_sim.plant import PlantConfig
+from armimp_sim.parameters import SimulatorParameters
+from armimp_sim.plant import Plant
 
 Array = NDArray[np.float64]
 
 
-def study_plant(friction: int = 0, **changes: Any) -> PlantConfig:
+def rig(arm: HumanArm, robot: PlanarChain, **parts: Any) -> SimulatorParameters:
+    """A rig of these, and of other parts than none."""
+    parts = {"friction": LuGre(), "sensors": SensorParameters(), **parts}
+    names = presets.JOINT_NAMES[arm.joints]
+    return SimulatorParameters(joints=names, arm=arm, robot=robot, **parts)
+
+
+def changed(plant: SimulatorParameters, **changes: Any) -> SimulatorParameters:
+    """The rig with other parts."""
+    return plant.model_copy(update=changes)
+
+
+def stepwise(plant: SimulatorParameters) -> Plant:
+    """A plant that is sampled after every step of the integration."""
+    return Plant([changed(plant, substeps=1)], PERIOD / plant.substeps)
+
+
+def study_plant(friction: int = 0, **changes: Any) -> SimulatorParameters:
     """The rig of the study with two joints and exact sensors."""
     parts = {"friction": presets.friction(friction, 2), "sensors": presets.sensors(0), **changes}
-    return PlantConfig(arm=presets.human_arm(2), robot=presets.robot(2), **parts)
+    return rig(presets.human_arm(2), presets.robot(2), **parts)
 
 
 def one_joint(
@@ -30,14 +49,13 @@ def one_joint(
     damping: float = 0.0,
     stiffness: float = 0.0,
     **changes: Any,
-) -> PlantConfig:
+) -> SimulatorParameters:
     """One joint, half of whose inertia (kg·m²) is the robot's, about an angle of 0."""
     half = 0.5 * inertia
-    return PlantConfig(
-        arm=HumanArm(posture=(0.0,), inertia=(half,), damping=(damping,), stiffness=(stiffness,)),
-        robot=PlanarChain(lengths=(0.3,), moments=(half,), masses=(0.0,), centres=(0.0,)),
+    return rig(
+        HumanArm(posture=(0.0,), inertia=(half,), damping=(damping,), stiffness=(stiffness,)),
+        PlanarChain(lengths=(0.3,), moments=(half,), masses=(0.0,), centres=(0.0,)),
         friction=law or LuGre(),
-        sensors=SensorParameters(),
         **changes,
     )
 
@@ -54,7 +72,7 @@ def random_chain(n: int, seed: int = 0) -> PlanarChain:
     )
 
 
-def random_plant(n: int, seed: int = 0, **changes: Any) -> PlantConfig:
+def random_plant(n: int, seed: int = 0, **changes: Any) -> SimulatorParameters:
     """A plant in which no two numbers are alike and no matrix is symmetric."""
     random = np.random.default_rng([100 + n, seed])
     parts: dict[str, Any] = {
@@ -73,9 +91,8 @@ def random_plant(n: int, seed: int = 0, **changes: Any) -> PlantConfig:
             sigma_2=tuple(random.uniform(0.05, 0.2, n)),
             stribeck_velocity=tuple(random.uniform(0.01, 0.1, n)),
         ),
-        "sensors": SensorParameters(),
     }
-    return PlantConfig(**{**parts, **changes})
+    return rig(**{**parts, **changes})
 
 
 def coriolis_torque(robot: PlanarChain, theta: Array, velocity: Array) -> Array:
@@ -85,7 +102,7 @@ def coriolis_torque(robot: PlanarChain, theta: Array, velocity: Array) -> Array:
     return np.flip(np.cumsum(np.flip(absolute)))
 
 
-def slopes(config: PlantConfig, state: Array, torque: Array) -> Array:
+def slopes(config: SimulatorParameters, state: Array, torque: Array) -> Array:
     """Derivative of θ, θ̇ and z, (3, n), under torques (n,) of drives less voluntary ones, N·m."""
     theta, v, z = state
     arm, robot = config.arm, config.robot
@@ -106,7 +123,7 @@ def slopes(config: PlantConfig, state: Array, torque: Array) -> Array:
 
 
 def load(
-    config: PlantConfig, state: Array, command: Array, voluntary: Array | float = 0.0
+    config: SimulatorParameters, state: Array, command: Array, voluntary: Array | float = 0.0
 ) -> Array:
     """Torque on the arm (n,), N·m, in a state under commands and voluntary torques (n,), N·m."""
     arm, (theta, velocity, _) = config.arm, state

@@ -22,7 +22,14 @@ import typer
 from pydantic import BaseModel
 from typer.exceptions import TyperException
 
-from armimp_bringup.config import CheckOptions, Declared, ExperimentConfig
+from armimp_bringup.config import (
+    CheckOptions,
+    Declared,
+    ExperimentConfig,
+    checked,
+    load_config,
+    prepare_directory,
+)
 from armimp_bringup.terminal import Display, display, repair_streams, say
 from armimp_common.errors import ArmimpError, ConfigurationError, GraphError, InterruptionError
 from armimp_common.schema import descriptions
@@ -168,16 +175,13 @@ def run(
     """Run the experiment through the node graph: one trial for each joint, then the result."""
     with Display() as display:
         display.phase("starting")
-        from armimp_common.compiled import on_compiling, spare_linear_algebra
-
-        spare_linear_algebra()
-        on_compiling(tell_of_compiling)
-        from armimp_bringup.config import load_config
         from armimp_bringup.orchestrator import run_experiment
         from armimp_bringup.presentation import Stopwatch, present
+        from armimp_common.compiled import on_compiling
         from armimp_common.executor import stop_on_signals
         from armimp_common.status import Phase
 
+        on_compiling(tell_of_compiling)
         settings = load_config(config, options)
         directory = out or _new_directory("run")
         stopwatch = Stopwatch()
@@ -217,7 +221,6 @@ def estimate(
     """Estimate the impedance from bags, one trial for each joint among them."""
     with Display() as display:
         display.phase("starting")
-        from armimp_bringup.config import checked, prepare_directory
         from armimp_bringup.offline_estimate import estimate_bags
         from armimp_bringup.presentation import present
         from armimp_estimation.bags.reader import find_bags
@@ -310,7 +313,6 @@ def reproduce(
     """Reproduce the paper's study: all levels of friction, resolution and perturbation."""
     with Display() as display:
         display.phase("starting")
-        from armimp_bringup.config import load_config
         from armimp_bringup.study import select_conditions
         from armimp_bringup.study.study import chosen_backend, present_verdict, run_study
         from armimp_common.compiled import on_compiling
@@ -351,7 +353,6 @@ def check_driver(
     **options: Any,
 ) -> int:
     """Judge a running driver, or the simulator, against the contract of docs/interfaces.md."""
-    from armimp_bringup.config import checked
     from armimp_bringup.driver_check.command import check_driver as judge_driver
 
     given = {name: value for name, value in options.items() if value is not None}

@@ -18,14 +18,13 @@ from armimp_common.compiled import cache_folder
 from armimp_control.laws.law import Controller
 from armimp_control.perturbation import perturbation
 from armimp_sim.parameters import SimulatorParameters
-from armimp_sim.plant import Plant, PlantConfig, tick
-from armimp_sim.real_rig import real_rig
+from armimp_sim.plant import Plant, tick
 
 
 def compile_ahead(parameters: NodeParameters) -> None:
     """Compile what a run of these parameters calls, unless this machine has compiled it before."""
     folder = cache_folder(tick)
-    if folder is None or (mark := folder / _kind(parameters.simulator.plant_config())).exists():
+    if folder is None or (mark := folder / _kind(parameters.simulator)).exists():
         return
     plant = subprocess.Popen(
         [sys.executable, "-m", __spec__.name, parameters.simulator.model_dump_json()],
@@ -43,10 +42,10 @@ def compile_ahead(parameters: NodeParameters) -> None:
             mark.touch()
 
 
-def _kind(plant: PlantConfig) -> str:
+def _kind(plant: SimulatorParameters) -> str:
     """Name for all plants that have the same types, and so the same machine code."""
     cuff = "-soft" if plant.soft else ""
-    return f"compiled-{'ideal' if real_rig([plant]) is None else 'real'}-{plant.joints}{cuff}"
+    return f"compiled-{'ideal' if plant.ideal else 'real'}-{len(plant.joints)}{cuff}"
 
 
 def _compile_law(parameters: NodeParameters) -> None:
@@ -59,7 +58,7 @@ def _compile_law(parameters: NodeParameters) -> None:
 
 
 def _compile_plant(parameters: SimulatorParameters) -> None:
-    plant = Plant([parameters.plant_config()])
+    plant = Plant([parameters])
     nothing = np.zeros_like(plant.position)
     plant.tick(nothing, nothing)
 

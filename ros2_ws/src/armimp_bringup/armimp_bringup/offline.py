@@ -17,7 +17,7 @@ from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_common.compiled import compiled_entry
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_common.status import Phase
-from armimp_common.topics import NS_PER_S, PERIOD_NS
+from armimp_common.topics import PERIOD_NS, RATE
 from armimp_control.laws import NO_JOINT
 from armimp_control.laws.law import Controller, packed_size, packed_tick
 from armimp_control.parameters import ControllerParameters
@@ -30,14 +30,10 @@ from armimp_estimation.mbk import MBK
 from armimp_estimation.metadata import Metadata
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.trial import TrialData, segments_for
-from armimp_sim.model.sensors import Sampling
 from armimp_sim.plant import Plant, check_ratio, tick
 from armimp_sim.real_rig import RealRig
 from armimp_sim.simd import Tag
-from armimp_sim.voluntary import ReadingNoise, VoluntaryTorque
-
-RATE = NS_PER_S / PERIOD_NS
-"""Samples per second, Hz."""
+from armimp_sim.voluntary import reading_noise, voluntary_torque
 
 
 @compiled_entry
@@ -167,11 +163,11 @@ def run_segments(
     if any((one.sequence, one.tare) != (first.sequence, first.tare) for one in of_laws):
         raise DataError("offline run: all rigs must have the same trial sequence")
     rigs = [one.simulator for one in experiments]
-    plant = Plant([one.plant_config() for one in rigs])
+    plant = Plant(rigs)
     n, lanes = len(first.joints), len(rigs)
-    if plant.config.joints != n:
+    if len(rigs[0].joints) != n:
         raise ConfigurationError(
-            f"offline run: {plant.config.joints} joints of the plant, {n} of the controller"
+            f"offline run: {len(rigs[0].joints)} joints of the plant, {n} of the controller"
         )
     packed = np.zeros((lanes, packed_size(n)))
     controllers = [
@@ -179,11 +175,8 @@ def run_segments(
         for one, own in zip(of_laws, packed, strict=True)
     ]
     laws = np.array([controller.config.kind for controller in controllers])
-    streams = [
-        VoluntaryTorque(one.voluntary, joints=n, period=plant.config.period, seed=one.seed)
-        for one in rigs
-    ]
-    noises = [ReadingNoise(one.sensors, joints=n, seed=one.seed) for one in rigs]
+    streams = [voluntary_torque(one.voluntary, joints=n, seed=one.seed) for one in rigs]
+    noises = [reading_noise(one.sensors, joints=n, seed=one.seed) for one in rigs]
     trials: list[list[TrialRecord]] = [[] for _ in rigs]
     for segment in segments:
         tau_delta, yielding = signals(segment)
@@ -191,14 +184,7 @@ def run_segments(
             controller.perturb_joint(NO_JOINT if segment.tare else yielding)
         record = np.empty((3, lanes, n, segment.ticks))
         worst = _run_segment(
-            plant.batch,
-            plant.joint_tag,
-            plant.width_tag,
-            plant.config.substeps,
-            plant.config.step,
-            plant.config.sensors.sampling is Sampling.INTERVAL_MEAN,
-            plant.real,
-            plant.resolutions,
+            *plant.fixed,
             plant.position,
             plant.torque,
             laws,
@@ -209,7 +195,7 @@ def run_segments(
             np.stack([one.take(segment.ticks if plant.real else 1) for one in noises], axis=1),
             record,
         )
-        check_ratio(worst, plant.config.step)
+        check_ratio(worst, plant.step)
         for controller in controllers:
             if fault := controller.fault[1]:
                 raise DataError(

@@ -146,7 +146,7 @@ def run_experiment(
 def _prepare(directory: Path, parameters: NodeParameters) -> Path:
     """Make the output directory and the file with the parameters in it."""
     prepare_directory(directory)
-    ticks = round(parameters.controller.sequence.duration * topics.NS_PER_S / topics.PERIOD_NS)
+    ticks = round(parameters.controller.sequence.duration * topics.RATE)
     n = len(parameters.simulator.joints)
     require_free_space(directory, n * ticks, n)
     file = directory / PARAMETERS_FILE

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ValidationError
 from armimp_bringup.config import ExperimentConfig, ModelT, Overrides
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import build, dotted, flatten
-from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, NS_PER_S, PERIOD_NS, SIM_NODE
+from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, RATE, SIM_NODE
 from armimp_common.versions import git_revision, versions
 from armimp_control.parameters import ControllerParameters
 from armimp_control.presets import LawName
@@ -81,18 +81,18 @@ def _simulator(config: ExperimentConfig) -> SimulatorParameters:
 
 
 def _controller(config: ExperimentConfig, simulator: SimulatorParameters) -> ControllerParameters:
-    plant = simulator.plant_config()
+    simulator.check()
     overrides = {**_time_of(config), **_known_of(simulator), **config.imbic_controller}
     preset = ControllerParameters.preset(
         joints=simulator.joints,
-        posture=plant.arm.theta_0,
-        robot_inertia=plant.robot.mass_matrix(plant.arm.theta_0),
-        arm_inertia=plant.arm.M,
+        posture=simulator.arm.theta_0,
+        robot_inertia=simulator.robot.mass_matrix(simulator.arm.theta_0),
+        arm_inertia=simulator.arm.M,
         perturbation=config.perturbation,
         perturbation_kind=config.perturbation_kind,
         duration=config.duration,
         seed=config.seed,
-        encoder_resolution=plant.sensors.position.resolution,
+        encoder_resolution=simulator.sensors.position.resolution,
         law=_law(config, overrides),
     )
     if config.target_error:
@@ -147,7 +147,7 @@ def _known_of(simulator: SimulatorParameters) -> Overrides:
     torque, actuators = simulator.sensors.torque, simulator.actuators
     known: Overrides = {
         # Commands that act a fraction of a period late are as bad as those of the next one.
-        "known.command_delay": math.ceil(actuators.delay * NS_PER_S / PERIOD_NS - 1e-6),
+        "known.command_delay": math.ceil(actuators.delay * RATE - 1e-6),
         "known.actuator_lag": actuators.lag,
         "known.torque_delay": torque.delay,
         "known.torque_cutoff": torque.cutoff,

@@ -20,9 +20,8 @@ from rich.table import Table
 from rich.text import Text
 
 from armimp_common.status import Progress as Snapshot
-from armimp_common.topics import NS_PER_S, PERIOD_NS
+from armimp_common.topics import RATE
 
-_RATE = NS_PER_S / PERIOD_NS
 _UNITS = ("kg·m²", "N·m·s/rad", "N·m/rad")
 _REFRESHES = 1.0
 """Per second; each takes some milliseconds from nodes in this process."""
@@ -134,7 +133,7 @@ class Display:
         with self._lock:
             if self._bar is not None:
                 label, _, total, _ = self._bar
-                self._bar = label, total, total, f"{total / _RATE:.1f} s"
+                self._bar = label, total, total, f"{total / RATE:.1f} s"
         self.phase(text)
 
     def close(self) -> None:
@@ -204,8 +203,8 @@ def duration(seconds: float) -> str:
 def describe_trial(snapshot: Snapshot) -> str:
     """How far a trial is, how fast it runs, and the time left of all trials."""
     parts = [
-        f"{snapshot.samples / _RATE:.1f}/{snapshot.planned / _RATE:.1f} s",
-        f"{snapshot.rate / _RATE:.1f}x",
+        f"{snapshot.samples / RATE:.1f}/{snapshot.planned / RATE:.1f} s",
+        f"{snapshot.rate / RATE:.1f}x",
     ]
     if snapshot.rate > 0.0:
         waiting = snapshot.trials - snapshot.trial

@@ -13,7 +13,6 @@ become SIMD code, too.
 from __future__ import annotations
 
 import hashlib
-import importlib
 import os
 import sys
 import tempfile
@@ -85,24 +84,6 @@ class _OnStart(Listener):
 def on_compiling(action: Callable[[], None]) -> None:
     """Have something called whenever a function is compiled, as none was found on disk."""
     register("numba:compile", _OnStart(action))
-
-
-def spare_linear_algebra() -> None:
-    """Do without linear algebra in compiled functions, the import of which takes 0.15 s.
-
-    Only for a process that compiles nothing but what is here: numba then knows no covariances.
-    """
-    blas = "scipy.linalg.cython_blas"
-    if blas in sys.modules:
-        return
-    modules = cast(dict[str, Any], sys.modules)
-    modules[blas] = None  # so that its import fails, which numba allows for
-    try:
-        importlib.import_module("numba.np.arraymath")
-    except ImportError:
-        pass
-    finally:
-        del modules[blas]
 
 
 def source_digest(function: Callable[..., Any]) -> str:

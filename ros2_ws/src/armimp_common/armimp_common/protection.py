@@ -11,6 +11,7 @@ from pydantic import Field
 from armimp_common.cdr import next_number
 from armimp_common.errors import GraphError
 from armimp_common.schema import Schema
+from armimp_common.topics import PERIOD
 
 WATCHDOG_PERIODS = 5
 """Periods without a command, or by which commands are behind, after which the torque is taken away.
@@ -20,6 +21,13 @@ A controller that works through old samples is none any more.
 RAMP_PERIODS = 10
 """Periods in which it then falls to zero: few, as the last command may be a peak of chatter."""
 _SPAN = 5
+
+
+def first_bad(values: Sequence[float]) -> int | None:
+    """Index of the first value that is not finite; None if there is none."""
+    if math.isfinite(sum(values)):  # as it is almost always
+        return None
+    return next((i for i, value in enumerate(values) if not math.isfinite(value)), None)
 
 
 class CommandSequence:
@@ -172,7 +180,7 @@ class Protection(TorqueLatch):
         if not all(abs(angle) <= self._limits.position for angle in angles):
             self.latch(f"position beyond {self._limits.position:g} rad: {list(angles)}")
         first, periods = self._history[0], len(self._history) - 1
-        bound = self._limits.velocity * 1e-3 * periods
+        bound = self._limits.velocity * PERIOD * periods
         if periods and not all(abs(b - a) <= bound for a, b in zip(first, angles, strict=True)):
             self.latch(f"velocity beyond {self._limits.velocity:g} rad/s")
 

@@ -11,6 +11,10 @@ ValueField = Literal["position", "effort"]
 NS_PER_S: Final = 1_000_000_000
 PERIOD_NS: Final = 1_000_000
 """Control and acquisition period (ns)."""
+PERIOD: Final = PERIOD_NS / NS_PER_S
+"""The same (s)."""
+RATE: Final = NS_PER_S / PERIOD_NS
+"""Samples per second (Hz)."""
 
 SIM_NODE: Final = "arm_sim"
 CONTROLLER_NODE: Final = "imbic_controller"

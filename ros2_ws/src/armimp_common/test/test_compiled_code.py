@@ -119,24 +119,3 @@ def test_without_any_folder_to_write_to_functions_are_compiled_all_the_same(
 
 def _refuse(*_: Any, **__: Any) -> None:
     raise PermissionError("read-only")
-
-
-@pytest.mark.slow
-def test_without_linear_algebra_compiled_code_runs_and_scipy_is_there_when_asked_for(
-    tmp_path: Path,
-) -> None:
-    (tmp_path / "probe.py").write_text(
-        "import sys\n"
-        "import numpy as np\n"
-        "from armimp_common.compiled import compiled_entry, spare_linear_algebra\n"
-        "spare_linear_algebra()\n"
-        "@compiled_entry\n"
-        "def total(values):\n"
-        "    return values.sum()\n"
-        "print(total(np.arange(4.0)), 'scipy.linalg' in sys.modules)\n"
-        "import scipy.linalg.cython_blas\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "probe.py"], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
-    assert (done.stdout, done.stderr) == ("6.0 False\n", "")

@@ -19,6 +19,7 @@ from armimp_common.executor import run_node, steady_timer
 from armimp_common.heartbeat import Heartbeat, HeartbeatMonitor, Presence
 from armimp_common.lifecycle import ManagedNode, reported
 from armimp_common.parameters import declare, guard, load, require_unchanged
+from armimp_common.protection import first_bad
 from armimp_common.pubsub import (
     CommandPublisher,
     JointStatePublisher,
@@ -41,16 +42,14 @@ from armimp_common.status import (
 )
 from armimp_control.parameters import ControllerParameters
 from armimp_control.safety_limiter import Limit
-from armimp_control.sequence import PERIOD
 from armimp_control.trial_sequencer import (
     Reading,
     SamplePairs,
     TrialSequencer,
     Watchdog,
-    first_bad,
 )
 
-_WATCHDOG_PERIODS = {"lockstep": 0.02, "realtime": PERIOD}
+_WATCHDOG_PERIODS = {"lockstep": 0.02, "realtime": topics.PERIOD}
 """How often the watchdog is asked (s); on the way down to zero once a period in any mode."""
 _DIAGNOSTICS_TICKS = 1000
 _STOPPED = "emergency stop"
@@ -114,7 +113,7 @@ class ImbicControllerNode(ManagedNode):
         ]
         period = _WATCHDOG_PERIODS[parameters.mode]
         self._timer = steady_timer(self, period, self._on_watchdog, autostart=False)
-        self._ramp = steady_timer(self, PERIOD, self._on_watchdog, autostart=False)
+        self._ramp = steady_timer(self, topics.PERIOD, self._on_watchdog, autostart=False)
         self.own(self._commands.publisher, self._perturbation.publisher, self._trial)
         self.own(self._diagnostics, *self._sensors, self._timer, self._ramp)
         return TransitionCallbackReturn.SUCCESS

@@ -11,6 +11,7 @@ from pydantic import Field
 
 from armimp_common.realtime import SchedulingParameters
 from armimp_common.schema import PositiveVector, Schema, Vector, each, matrix, vector
+from armimp_common.topics import PERIOD
 from armimp_control import presets
 from armimp_control.laws import TargetParameters
 from armimp_control.laws.imbic import ImbicConfig, Observer
@@ -18,7 +19,7 @@ from armimp_control.laws.law import LawConfig
 from armimp_control.laws.pd import PdConfig
 from armimp_control.perturbation import JointPrior, PerturbationKind, PerturbationParameters
 from armimp_control.safety_limiter import SafetyParameters
-from armimp_control.sequence import PERIOD, SequenceParameters, TareParameters
+from armimp_control.sequence import SequenceParameters, TareParameters
 from armimp_control.stability import RigDynamics, check_stability
 
 

@@ -14,10 +14,9 @@ from armimp_common.arrays import ComplexArray
 from armimp_common.compiled import compiled_entry
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import NonNegativeVector, PositiveVector, Schema
-from armimp_common.topics import NS_PER_S, PERIOD_NS
+from armimp_common.topics import RATE
 
 Array = NDArray[np.float64]
-_RATE = NS_PER_S / PERIOD_NS
 _STREAM = 1  # keeps these random streams apart from that of the voluntary torque
 _LINES = 7  # and that of the lines of a multisine, which all trials have in common
 
@@ -82,10 +81,10 @@ class PerturbationParameters(Schema):
     """Largest rms angle that the perturbation may move each joint by, as far as the expected arm
     tells (rad); what would move it more is made smaller; one value for all joints or one for each;
     0: no limit, or, of optimal, the angle of a multisine with this peak."""
-    disturbance_cutoff: float = Field(default=2.0, gt=0.0, le=0.5 * _RATE)
+    disturbance_cutoff: float = Field(default=2.0, gt=0.0, le=0.5 * RATE)
     """Frequency up to which a person is expected to move by intention (Hz); an optimal perturbation
     keeps above it as far as it pays."""
-    cutoff: float = Field(default=15.0, gt=0.0, lt=0.5 * _RATE)
+    cutoff: float = Field(default=15.0, gt=0.0, lt=0.5 * RATE)
     """Cut-off frequency of the perturbation (Hz)."""
     order: int = Field(default=8, ge=1, le=20)
     """Order of the Butterworth low-pass of the noise."""
@@ -134,7 +133,7 @@ def perturbation(
     random = np.random.default_rng(np.random.SeedSequence([seed, _STREAM, trial]))
     if parameters.kind == "noise":
         white = random.uniform(-1.0, 1.0, ticks)
-        coloured = filtered(butterworth(parameters.order, parameters.cutoff, _RATE), white)
+        coloured = filtered(butterworth(parameters.order, parameters.cutoff, RATE), white)
         # In this order, the largest value is the peak exactly.
         signal = coloured / np.max(np.abs(coloured)) * peak
     else:
@@ -143,12 +142,12 @@ def perturbation(
         if prior is None or parameters.kind == "multisine":
             signal = multisine(lines, power, period, random)
         else:
-            f = np.asarray(lines * (_RATE / period), dtype=np.float64)
+            f = np.asarray(lines * (RATE / period), dtype=np.float64)
             limit = limit or prior.rms_angle(f, power)
             cutoff = parameters.disturbance_cutoff
             signal = _optimal(lines, period, random, prior, peak=peak, angle=limit, cutoff=cutoff)
     if prior is not None and limit:
-        f = np.asarray(np.fft.rfftfreq(signal.size, 1.0 / _RATE), dtype=np.float64)
+        f = np.asarray(np.fft.rfftfreq(signal.size, 1.0 / RATE), dtype=np.float64)
         power = 2.0 * np.abs(np.fft.rfft(signal) / signal.size) ** 2
         signal *= min(1.0, limit / prior.rms_angle(f, power))
     repeated: Array = np.resize(signal, ticks)
@@ -166,7 +165,7 @@ def _optimal(
     cutoff: float,
 ) -> Array:
     """One period of a multisine that tells most of the prior, scaled to its peak."""
-    f = np.asarray(lines * (_RATE / period), dtype=np.float64)
+    f = np.asarray(lines * (RATE / period), dtype=np.float64)
     torque = peak / _EXPECTED_CREST
     # Few lines beat, so where the crest factor is high, there have to be more.
     for spread in _SPREADS:
@@ -273,9 +272,9 @@ def multisine_lines(
     period : int
         Samples.
     """
-    periods = max(math.ceil(ticks / (parameters.period * _RATE)), _FEWEST_PERIODS)
-    period = max(ticks // periods, round(_SHORTEST_PERIOD * _RATE))
-    count = max(int((parameters.cutoff * period / _RATE + 1.0) / 2.0), 1)
+    periods = max(math.ceil(ticks / (parameters.period * RATE)), _FEWEST_PERIODS)
+    period = max(ticks // periods, round(_SHORTEST_PERIOD * RATE))
+    count = max(int((parameters.cutoff * period / RATE + 1.0) / 2.0), 1)
     lines = 2 * np.arange(count) + 1
     choice = np.random.default_rng(np.random.SeedSequence([seed, _LINES]))
     groups = count // _GROUP

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
 from armimp_common.sizes import JOINT_SIZES
+from armimp_common.topics import PERIOD
 from armimp_control.perturbation import PerturbationKind, PerturbationParameters
 from armimp_control.safety_limiter import SafetyParameters
-from armimp_control.sequence import PERIOD
 
 LEVELS = (1, 2, 3)
 

@@ -11,10 +11,8 @@ from pydantic import Field, model_validator
 
 from armimp_common.schema import Schema
 from armimp_common.status import Phase
-from armimp_common.topics import NS_PER_S, PERIOD_NS
+from armimp_common.topics import PERIOD
 
-PERIOD = PERIOD_NS / NS_PER_S
-"""Control period L, s."""
 _PARTS = 4
 """Parts of the readings of a tare, whose scatter tells how sure it is."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -12,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.status import NOTICE_TICKS, Cause, Phase, StoppingDecision, TrialStatus
-from armimp_common.topics import PERIOD_NS, clock_step
+from armimp_common.topics import PERIOD, PERIOD_NS, clock_step
 from armimp_control.laws.law import Controller
 from armimp_control.parameters import ControllerParameters
 from armimp_control.perturbation import perturbation
 from armimp_control.safety_limiter import Limit, SafetyParameters, SaturationCounter
-from armimp_control.sequence import PERIOD, Segment, Tare, timetable
+from armimp_control.sequence import Segment, Tare, timetable
 
 Reading = tuple[float, ...]
 
@@ -314,13 +313,6 @@ class SamplePairs:
                 for old in [stamp for stamp in readings if stamp < stamp_ns]:
                     del readings[old]
         return other
-
-
-def first_bad(values: Sequence[float]) -> int | None:
-    """Index of the first value that is not finite; None if there is none."""
-    if math.isfinite(sum(values)):  # as it is with almost every reading
-        return None
-    return next((i for i, value in enumerate(values) if not math.isfinite(value)), None)
 
 
 class Watchdog:

@@ -9,10 +9,10 @@ import pytest
 
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import build, flatten
+from armimp_common.topics import PERIOD
 from armimp_control import presets
 from armimp_control.parameters import ControllerParameters
 from armimp_control.safety_limiter import SafetyParameters
-from armimp_control.sequence import PERIOD
 from support.controller import controller_parameters
 from support.laws import preset_law
 

@@ -2,28 +2,38 @@
 
 from __future__ import annotations
 
+from operator import attrgetter
 from typing import Literal
 
+import numpy as np
 from pydantic import Field
 
+from armimp_common.arrays import FloatArray
 from armimp_common.errors import ConfigurationError
+from armimp_common.protection import WATCHDOG_PERIODS
 from armimp_common.realtime import SchedulingParameters
 from armimp_common.schema import Schema
-from armimp_common.topics import NS_PER_S, PERIOD_NS
+from armimp_common.topics import PERIOD
 from armimp_sim import presets
 from armimp_sim.model.arm import CuffParameters, HumanArm, MuscleParameters, ReflexParameters
 from armimp_sim.model.friction import LuGre
 from armimp_sim.model.robot import ActuatorParameters, PlanarChain
 from armimp_sim.model.sensors import SensorParameters
-from armimp_sim.plant import PlantConfig
 from armimp_sim.voluntary import VoluntaryParameters
 
-WATCHDOG_TICKS = 5
-"""Periods after which the simulated rig takes the torque away by default."""
+RK4_RADIUS = 2.6
+"""|h·λ| up to which explicit RK4 is stable for any λ of a decaying motion; worst are swings with
+ζ = 0.54."""
 
 
 class SimulatorParameters(Schema):
-    """All parameters of the node ``arm_sim``."""
+    """All parameters of the node ``arm_sim``: one arm in one exoskeleton.
+
+    A soft cuff makes a plant of 2n coordinates: first the n joints of the robot, then those of the
+    arm. Its equations are those of a rigid arm on a chain whose outer n links are without mass;
+    arm and cuff are in its inertia, damping and stiffness. What a rigid arm would take from the
+    first n coordinates is then the torque of the cuff, which the transducers measure.
+    """
 
     joints: tuple[str, ...] = Field(min_length=1, max_length=7)
     """Names of the joints, from the shoulder outwards."""
@@ -32,7 +42,7 @@ class SimulatorParameters(Schema):
     mode: Literal["lockstep", "realtime"] = "lockstep"
     """lockstep: one step for each command received; realtime: one each millisecond."""
     realtime: SchedulingParameters = SchedulingParameters()
-    watchdog_ticks: int = Field(default=WATCHDOG_TICKS, ge=1, le=100)
+    watchdog_ticks: int = Field(default=WATCHDOG_PERIODS, ge=1, le=100)
     """Control periods without a command, or by which commands are behind, after which the drives
     take the torque away in mode realtime."""
     substeps: int = Field(default=100, ge=1)
@@ -77,27 +87,94 @@ class SimulatorParameters(Schema):
             **real,
         )
 
-    def plant_config(self) -> PlantConfig:
-        """Everything that the plant needs.
+    @property
+    def soft(self) -> bool:
+        """Whether a cuff lets arm and robot move against each other."""
+        return self.cuff.stiffness > 0.0
+
+    @property
+    def ideal(self) -> bool:
+        """Whether drives and readings are direct, and the arm is M, B and K alone."""
+        person = self.reflex.none and self.muscle.none
+        return person and self.actuators.direct and self.sensors.direct
+
+    def coordinates(self) -> tuple[FloatArray, ...]:
+        """Inertia beside the robot's, damping, stiffness, and coefficients of the chain.
+
+        Each is (n, n), or (2n, 2n) with a soft cuff, in the units of the arm.
+        """
+        arm, chain = self.arm, self.robot.coefficients()
+        if not self.soft:
+            return arm.M, arm.B, arm.K, chain
+        nothing = np.zeros_like(chain)
+
+        def cuffed(value: float, of_arm: FloatArray) -> FloatArray:
+            cuff = value * np.eye(arm.joints)
+            return np.block([[cuff, -cuff], [-cuff, cuff + of_arm]])
+
+        return (
+            cuffed(0.0, arm.M),
+            cuffed(self.cuff.damping, arm.B),
+            cuffed(self.cuff.stiffness, arm.K),
+            np.block([[chain, nothing], [nothing, nothing]]),
+        )
+
+    def mass_matrix(self) -> FloatArray:
+        """Inertia of all coordinates in the posture, kg·m²: of a rigid arm M_r(θ_0) + M_h."""
+        inertia: FloatArray = self.coordinates()[0].copy()
+        n = self.arm.joints
+        inertia[:n, :n] += self.robot.mass_matrix(self.arm.theta_0)
+        return inertia
+
+    def check(self, period: float = PERIOD) -> None:
+        """Check that this is a rig that can be simulated.
+
+        Parameters
+        ----------
+        period : between samples, s
 
         Raises
         ------
         ConfigurationError
-            If a shape or a value is wrong; the message names the parameter.
+            If the numbers of joints disagree, M_r + M_h is not positive definite (symmetric part),
+            or friction at rest or the cuff is too stiff for the step.
         """
-        if self.arm.joints != len(self.joints):
+        n = len(self.joints)
+        for name in ("arm.posture", "robot.lengths"):
+            if len(values := attrgetter(name)(self)) != n:
+                raise ConfigurationError(f"'{name}' has {len(values)} values, needs {n}")
+        for group in ("sensors.position", "sensors.torque", "reflex", "muscle"):
+            for name, values in attrgetter(group)(self):
+                if isinstance(values, tuple) and len(values) not in (1, n):
+                    raise ConfigurationError(
+                        f"'{group}.{name}' has {len(values)} values, needs 1 or {n}"
+                    )
+        mass = self.mass_matrix()
+        smallest = float(np.linalg.eigvalsh(0.5 * (mass + mass.T))[0])
+        if not smallest > 0.0:
             raise ConfigurationError(
-                f"'arm.posture' has {self.arm.joints} values, needs {len(self.joints)}"
+                f"plant: {'M_r and M_h' if self.soft else 'M_r + M_h'} must have a positive "
+                f"definite symmetric part, its smallest eigenvalue is {smallest:.3g} kg·m²"
             )
-        return PlantConfig(
-            arm=self.arm,
-            robot=self.robot,
-            friction=self.friction,
-            sensors=self.sensors,
-            actuators=self.actuators,
-            reflex=self.reflex,
-            muscle=self.muscle,
-            cuff=self.cuff,
-            period=PERIOD_NS / NS_PER_S,
-            substeps=self.substeps,
+        self._check_step(mass, period / self.substeps)
+
+    def _check_step(self, mass: FloatArray, step: float) -> None:
+        """Refuse a step which is unstable for the linear system with all joints stuck."""
+        _, damping, stiffness, _ = (one.copy() for one in self.coordinates())
+        law, robot = self.friction.of_joints(self.arm.joints), np.arange(self.arm.joints)
+        stiffness[robot, robot] += law["sigma_0"]
+        damping[robot, robot] += law["sigma_1"] + law["sigma_2"]
+        inverse = np.linalg.inv(mass)
+        system = np.block(
+            [
+                [np.zeros_like(mass), np.eye(len(mass))],
+                [-inverse @ stiffness, -inverse @ damping],
+            ]
         )
+        largest = float(np.max(np.abs(np.linalg.eigvals(system)))) * step
+        if not largest < RK4_RADIUS:
+            raise ConfigurationError(
+                f"plant: step {step:.3g} s is too long for the "
+                f"{'cuff and the ' if self.soft else ''}stuck joints: "
+                f"|h·λ| = {largest:.3g}, must be below {RK4_RADIUS}"
+            )

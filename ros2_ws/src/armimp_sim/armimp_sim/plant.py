@@ -3,135 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.compiled import compiled_entry
 from armimp_common.errors import ArmimpError, ConfigurationError
+from armimp_common.topics import PERIOD
 from armimp_sim import dynamics, real_rig
-from armimp_sim.model.arm import CuffParameters
-from armimp_sim.model.friction import LuGre
-from armimp_sim.model.robot import PlanarChain
 from armimp_sim.model.sensors import Sampling, quantise
-from armimp_sim.real_rig import RealRig, RigConfig
+from armimp_sim.parameters import SimulatorParameters
+from armimp_sim.real_rig import RealRig
 from armimp_sim.simd import Tag
 
 RK4_LIMIT = 2.7
 """|h·λ| on the real axis up to which explicit RK4 is stable (2.785, with a margin)."""
-RK4_RADIUS = 2.6
-"""|h·λ| up to which it is stable for any λ of a decaying motion; worst are swings with ζ = 0.54."""
 
 
 class IntegrationError(ArmimpError):
     """The explicit integration left its stability region or produced non-finite numbers."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PlantConfig(RigConfig):
-    """One arm in one exoskeleton: what :class:`armimp_sim.real_rig.RigConfig` has, and these.
-
-    A soft cuff makes a plant of 2n coordinates: first the n joints of the robot, then those of the
-    arm. Its equations are those of a rigid arm on a chain whose outer n links are without mass;
-    arm and cuff are in its inertia, damping and stiffness. What a rigid arm would take from the
-    first n coordinates is then the torque of the cuff, which the transducers measure.
-
-    Raises
-    ------
-    ConfigurationError
-        If the numbers of joints disagree, M_r + M_h is not positive definite (symmetric part), or
-        friction at rest or the cuff is too stiff for the step.
-    """
-
-    robot: PlanarChain
-    """With as many joints as the arm."""
-    friction: LuGre = field(default_factory=LuGre)
-    """Of the joints of the robot."""
-    cuff: CuffParameters = field(default_factory=CuffParameters)
-    """Between robot and arm."""
-
-    def __post_init__(self) -> None:
-        n = self.arm.joints
-        if self.robot.joints != n:
-            raise ConfigurationError(f"plant: arm has {n} joints, robot {self.robot.joints}")
-        for where, group in {
-            "sensors: position.": self.sensors.position,
-            "sensors: torque.": self.sensors.torque,
-            "reflex: ": self.reflex,
-            "muscle: ": self.muscle,
-        }.items():
-            for name, values in group:
-                if isinstance(values, tuple) and len(values) not in (1, n):
-                    raise ConfigurationError(
-                        f"{where}{name} has {len(values)} values, needs 1 or {n}"
-                    )
-        if not self.period > 0.0 or self.substeps < 1:
-            raise ConfigurationError(
-                f"plant: period {self.period} s with {self.substeps} substeps is not a step"
-            )
-        mass = self.mass_matrix()
-        smallest = float(np.linalg.eigvalsh(0.5 * (mass + mass.T))[0])
-        if not smallest > 0.0:
-            raise ConfigurationError(
-                f"plant: {'M_r and M_h' if self.soft else 'M_r + M_h'} must have a positive "
-                f"definite symmetric part, its smallest eigenvalue is {smallest:.3g} kg·m²"
-            )
-        self._check_step(mass)
-
-    @property
-    def soft(self) -> bool:
-        """Whether a cuff lets arm and robot move against each other."""
-        return self.cuff.stiffness > 0.0
-
-    def coordinates(self) -> tuple[NDArray[np.float64], ...]:
-        """Inertia beside the robot's, damping, stiffness, and coefficients of the chain.
-
-        Each is (n, n), or (2n, 2n) with a soft cuff, in the units of the arm.
-        """
-        arm, chain = self.arm, self.robot.coefficients()
-        if not self.soft:
-            return arm.M, arm.B, arm.K, chain
-        nothing = np.zeros_like(chain)
-
-        def cuffed(value: float, of_arm: NDArray[np.float64]) -> NDArray[np.float64]:
-            cuff = value * np.eye(self.joints)
-            return np.block([[cuff, -cuff], [-cuff, cuff + of_arm]])
-
-        return (
-            cuffed(0.0, arm.M),
-            cuffed(self.cuff.damping, arm.B),
-            cuffed(self.cuff.stiffness, arm.K),
-            np.block([[chain, nothing], [nothing, nothing]]),
-        )
-
-    def mass_matrix(self) -> NDArray[np.float64]:
-        """Inertia of all coordinates in the posture, kg·m²: of a rigid arm M_r(θ_0) + M_h."""
-        inertia: NDArray[np.float64] = self.coordinates()[0].copy()
-        n = self.joints
-        inertia[:n, :n] += self.robot.mass_matrix(self.arm.theta_0)
-        return inertia
-
-    def _check_step(self, mass: NDArray[np.float64]) -> None:
-        """Refuse a step which is unstable for the linear system with all joints stuck."""
-        _, damping, stiffness, _ = (one.copy() for one in self.coordinates())
-        law, robot = self.friction.of_joints(self.joints), np.arange(self.joints)
-        stiffness[robot, robot] += law["sigma_0"]
-        damping[robot, robot] += law["sigma_1"] + law["sigma_2"]
-        inverse = np.linalg.inv(mass)
-        system = np.block(
-            [
-                [np.zeros_like(mass), np.eye(len(mass))],
-                [-inverse @ stiffness, -inverse @ damping],
-            ]
-        )
-        largest = float(np.max(np.abs(np.linalg.eigvals(system)))) * self.step
-        if not largest < RK4_RADIUS:
-            raise ConfigurationError(
-                f"plant: step {self.step:.3g} s is too long for the "
-                f"{'cuff and the ' if self.soft else ''}stuck joints: "
-                f"|h·λ| = {largest:.3g}, must be below {RK4_RADIUS}"
-            )
 
 
 class Plant:
@@ -141,25 +31,35 @@ class Plant:
 
     Parameters
     ----------
-    configs : one configuration per lane
+    configs : one rig per lane
+    period : between samples, s; commands are held over it
 
     Attributes
     ----------
+    config : the first of them
+    step : of the integration, s
     position : (lanes, n) encoder readings θ, rad
     torque : (lanes, n) torque transducer readings, torque on the arm, N·m
     real : of :mod:`armimp_sim.real_rig`; None where all rigs are ideal
+    fixed : what :func:`tick` takes first, up to the resolutions
+
+    Raises
+    ------
+    ConfigurationError
+        If a lane is no rig that can be simulated, or another kind of rig than the first one.
     """
 
-    def __init__(self, configs: Sequence[PlantConfig]) -> None:
+    def __init__(self, configs: Sequence[SimulatorParameters], period: float = PERIOD) -> None:
         first = configs[0]
         for config in configs:
+            config.check(period)
             if _shared(config) != _shared(first):
                 raise ConfigurationError(
-                    "plant: lanes must agree in joints, period, substeps, sampling, and in having "
-                    "a soft cuff"
+                    "plant: lanes must agree in joints, substeps, sampling, and in having a soft "
+                    "cuff"
                 )
-        self.config = first
-        n, lanes = first.joints, len(configs)
+        self.config, self.step = first, period / first.substeps
+        n, lanes = first.arm.joints, len(configs)
         width = dynamics.width_for(lanes)
         blocks = -(-lanes // width)
         coordinates = n * (1 + first.soft)
@@ -168,7 +68,17 @@ class Plant:
         self.resolutions = np.array(
             [(c.sensors.position.resolution, c.sensors.torque.resolution) for c in configs]
         )
-        self.real = real_rig.real_rig(configs)
+        self.real = real_rig.real_rig(configs, self.step)
+        self.fixed = (
+            self.batch,
+            self.joint_tag,
+            self.width_tag,
+            first.substeps,
+            self.step,
+            first.sensors.sampling is Sampling.INTERVAL_MEAN,
+            self.real,
+            self.resolutions,
+        )
         self._at_first = None if self.real is None else [one.copy() for one in self.real]
         self._noise = np.zeros((lanes, 2, n))
         self.position = np.zeros((lanes, n))
@@ -208,22 +118,8 @@ class Plant:
             )
         if noise.shape != self._noise.shape:
             raise ValueError(f"plant: noise {noise.shape} must be {self._noise.shape}")
-        ratio = tick(
-            self.batch,
-            self.joint_tag,
-            self.width_tag,
-            self.config.substeps,
-            self.config.step,
-            self.config.sensors.sampling is Sampling.INTERVAL_MEAN,
-            self.real,
-            self.resolutions,
-            command,
-            voluntary,
-            noise,
-            self.position,
-            self.torque,
-        )
-        check_ratio(ratio, self.config.step)
+        ratio = tick(*self.fixed, command, voluntary, noise, self.position, self.torque)
+        check_ratio(ratio, self.step)
 
     def state(self) -> NDArray[np.float64]:
         """Exact (θ, v, z) of every lane: (lanes, 3, n), 2n with a soft cuff. A copy."""
@@ -255,14 +151,13 @@ class Plant:
             arguments = self.batch, self.joint_tag, self.width_tag, self.resolutions
             read(*arguments, self.position, self.torque)
         else:
-            step = self.config.step
-            real_rig.settle(self.batch, self.joint_tag, self.width_tag, self.real, step)
-            real_rig.read(self.real, 1, step, self._noise, self.position, self.torque)
+            real_rig.settle(self.batch, self.joint_tag, self.width_tag, self.real, self.step)
+            real_rig.read(self.real, 1, self.step, self._noise, self.position, self.torque)
 
 
-def _shared(config: PlantConfig) -> tuple[object, ...]:
+def _shared(config: SimulatorParameters) -> tuple[object, ...]:
     """What all lanes of a batch must have in common."""
-    return config.joints, config.period, config.substeps, config.sensors.sampling, config.soft
+    return config.arm.joints, config.substeps, config.sensors.sampling, config.soft
 
 
 def check_ratio(ratio: float, step: float) -> None:
@@ -290,9 +185,9 @@ def check_ratio(ratio: float, step: float) -> None:
     )
 
 
-def _pack(config: PlantConfig) -> NDArray[np.float64]:
+def _pack(config: SimulatorParameters) -> NDArray[np.float64]:
     """All rows of one lane, at rest in the posture."""
-    n = config.joints
+    n = config.arm.joints
     inertia, damping, stiffness, chain = config.coordinates()
     vectors = np.zeros((dynamics.VECTORS, len(chain)))
     posture = np.resize(config.arm.theta_0, len(chain))

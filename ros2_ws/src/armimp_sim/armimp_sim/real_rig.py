@@ -11,7 +11,6 @@ nothing of this: with it a plant has twice the coordinates, :mod:`armimp_sim.pla
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -19,9 +18,9 @@ from numpy.typing import NDArray
 
 from armimp_common.compiled import compiled, compiled_entry
 from armimp_sim import dynamics
-from armimp_sim.model.arm import HumanArm, MuscleParameters, ReflexParameters
-from armimp_sim.model.robot import ActuatorParameters
-from armimp_sim.model.sensors import ORDERS, ReadingParameters, SensorParameters, quantise
+from armimp_sim.model.arm import ReflexParameters
+from armimp_sim.model.sensors import ORDERS, ReadingParameters, quantise
+from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.simd import Tag
 
 Floats = NDArray[np.float64]
@@ -56,38 +55,6 @@ _CHANNEL = _LOW_PASS + ORDERS * _WIDE
 _GROWTH = _CHANNELS + 3 * _CHANNEL
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class RigConfig:
-    """Parts of a rig that may be real."""
-
-    arm: HumanArm
-    sensors: SensorParameters
-    actuators: ActuatorParameters = field(default_factory=ActuatorParameters)
-    reflex: ReflexParameters = field(default_factory=ReflexParameters)
-    muscle: MuscleParameters = field(default_factory=MuscleParameters)
-    """What the arm has beside M, B and K."""
-    period: float = 1e-3
-    """Between samples, s; commands are held over it."""
-    substeps: int = 100
-    """RK4 steps per period."""
-
-    @property
-    def joints(self) -> int:
-        """Number of joints n."""
-        return self.arm.joints
-
-    @property
-    def step(self) -> float:
-        """RK4 step h, s."""
-        return self.period / self.substeps
-
-    @property
-    def ideal(self) -> bool:
-        """Whether drives and readings are direct, and the arm is M, B and K alone."""
-        person = self.reflex.none and self.muscle.none
-        return person and self.actuators.direct and self.sensors.direct
-
-
 class RealRig(NamedTuple):
     """L lanes with n joints as compiled code takes them: what they are, and what they remember."""
 
@@ -109,12 +76,14 @@ class RealRig(NamedTuple):
     """(L, 2, n) readings as far as hysteresis lets them follow."""
 
 
-def real_rig(configs: Sequence[RigConfig]) -> RealRig | None:
-    """Numbers of all lanes, without any torque; None if each of them is an ideal rig."""
+def real_rig(configs: Sequence[SimulatorParameters], step: float) -> RealRig | None:
+    """Numbers of all lanes, without any torque, for steps of the integration of this length, s.
+
+    None if each of them is an ideal rig.
+    """
     if all(one.ideal for one in configs):
         return None
-    lanes, n = len(configs), configs[0].joints
-    step, substeps = configs[0].step, configs[0].substeps
+    lanes, n, substeps = len(configs), configs[0].arm.joints, configs[0].substeps
     rows = np.zeros((lanes, n, _GROWTH + n))
     for lane, one in enumerate(configs):
         _fill(rows[lane], one, step)
@@ -146,7 +115,7 @@ def _chain(reading: ReadingParameters) -> tuple[float, ...]:
     return reading.hum, speed, band, reading.limit or np.inf, reading.resolution
 
 
-def _fill(rows: Floats, config: RigConfig, step: float) -> None:
+def _fill(rows: Floats, config: SimulatorParameters, step: float) -> None:
     """Put what a rig is into the rows of its joints."""
     drive, reflex, muscle = config.actuators, config.reflex, config.muscle
     over = step / drive.lag if drive.lag else np.inf

@@ -6,7 +6,6 @@ not.
 
 from __future__ import annotations
 
-import math
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -15,13 +14,13 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.protection import TorqueLatch
+from armimp_common.protection import WATCHDOG_PERIODS, TorqueLatch, first_bad
 from armimp_common.realtime import Pacer, TimingMeter, wake_up_exactly
 from armimp_common.status import TimingFigures
 from armimp_common.topics import PERIOD_NS
-from armimp_sim.parameters import WATCHDOG_TICKS, SimulatorParameters
+from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import IntegrationError, Plant
-from armimp_sim.voluntary import ReadingNoise, VoluntaryTorque
+from armimp_sim.voluntary import reading_noise, voluntary_torque
 
 UNHEARD_TICKS = 100
 """If the first command comes later than that, in periods, what was sent before was not heard."""
@@ -48,21 +47,17 @@ class SimulatedRig(TorqueLatch):
     """
 
     def __init__(self, parameters: SimulatorParameters) -> None:
-        config = parameters.plant_config()
-        super().__init__(config.joints)
-        self._plant = Plant([config])
+        joints = len(parameters.joints)
+        super().__init__(joints)
+        self._plant = Plant([parameters])
         self.position: NDArray[np.float64] = self._plant.position[0]
         self.torque: NDArray[np.float64] = self._plant.torque[0]
-        self._voluntary = VoluntaryTorque(
-            parameters.voluntary,
-            joints=config.joints,
-            period=config.period,
-            seed=parameters.seed,
-        )
-        self._noise = ReadingNoise(config.sensors, joints=config.joints, seed=parameters.seed)
-        self._command = np.zeros((1, config.joints))
+        seed = parameters.seed
+        self._voluntary = voluntary_torque(parameters.voluntary, joints=joints, seed=seed)
+        self._noise = reading_noise(parameters.sensors, joints=joints, seed=seed)
+        self._command = np.zeros((1, joints))
         self.tick = 0
-        self._compile(config.joints)
+        self._compile(joints)
 
     @property
     def stamp_ns(self) -> int:
@@ -81,19 +76,13 @@ class SimulatedRig(TorqueLatch):
         IntegrationError
             If the simulation itself broke down.
         """
-        if not math.isfinite(sum(command)):
-            self._refuse(command)
+        if (bad := first_bad(command)) is not None:
+            self.latch(f"command of joint {bad + 1} is not finite: {command[bad]}")
         self.obey(command)
         self.go_on_fading()
         self._command[0] = self.applied
         self._plant.tick(self._command, self._voluntary.take(1), self._noise.take(1))
         self.tick += 1
-
-    def _refuse(self, command: Sequence[float]) -> None:
-        """Latch the fault of a command that is not finite; a sum may be too large without one."""
-        for joint, value in enumerate(command):
-            if not math.isfinite(value):
-                self.latch(f"command of joint {joint + 1} is not finite: {value}")
 
     def _compile(self, joints: int) -> None:
         """Compile the plant before time matters, and leave its state as it was."""
@@ -134,7 +123,7 @@ class RealtimeSimulator:
         send: Callable[[], None],
         pacer: Pacer,
         *,
-        watchdog_ticks: int = WATCHDOG_TICKS,
+        watchdog_ticks: int = WATCHDOG_PERIODS,
     ) -> None:
         self._rig, self._send, self._pacer = rig, send, pacer
         self._patience = watchdog_ticks

@@ -11,13 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
 from armimp_common.schema import Schema
-from armimp_common.topics import NS_PER_S, PERIOD_NS
+from armimp_common.topics import RATE
 from armimp_sim.model.sensors import SensorParameters
 
 # Of the random streams, which keep these apart from each other and from those of perturbations.
 _VOLUNTARY, _TREMOR, _READINGS = 2, 3, 4
 _BLOCK = 4096
-_NYQUIST = 0.5 * NS_PER_S / PERIOD_NS
+_NYQUIST = 0.5 * RATE
 
 
 class VoluntaryParameters(Schema):
@@ -53,13 +53,13 @@ class VoluntaryParameters(Schema):
 
 
 @functools.lru_cache(maxsize=16)
-def band_filter(edges: tuple[float, ...], period: float) -> tuple[NDArray[np.float64], float]:
+def band_filter(edges: tuple[float, ...]) -> tuple[NDArray[np.float64], float]:
     """Second-order sections, and the rms with which white noise of rms 1 leaves them (Parseval)."""
     # Where nobody asks for this torque, nobody waits for the import, which takes 0.6 s.
     from scipy import signal
 
     kind, at = ("low", edges[0]) if len(edges) == 1 else ("band", edges)
-    sos: NDArray[np.float64] = signal.butter(2, at, kind, fs=1.0 / period, output="sos")
+    sos: NDArray[np.float64] = signal.butter(2, at, kind, fs=RATE, output="sos")
     _, response = signal.freqz_sos(sos, worN=1 << 18)
     return sos, float(np.sqrt(np.mean(np.abs(response) ** 2)))
 
@@ -71,8 +71,7 @@ class NoiseStream:
     ----------
     rms : (columns,)
     seed, stream : of the experiment, and which of its random streams
-    edges, period : of a low-pass (one) or band-pass (two), Hz, for values so far apart, s; none for
-        white noise
+    edges : of a low-pass (one) or band-pass (two), Hz; none for white noise
     """
 
     def __init__(
@@ -82,13 +81,12 @@ class NoiseStream:
         seed: int,
         stream: int,
         edges: tuple[float, ...] = (),
-        period: float = 0.0,
     ) -> None:
         self._rms = np.asarray(rms, dtype=np.float64)
         self._random = np.random.default_rng(np.random.SeedSequence([seed, stream]))
         self._sos: Any = None
         if edges:
-            self._sos, passed = band_filter(edges, period)
+            self._sos, passed = band_filter(edges)
             self._state = np.zeros((self._sos.shape[0], self._rms.size, 2))
             self._rms = self._rms / passed
         self._block = np.zeros((0, self._rms.size))
@@ -116,51 +114,43 @@ class NoiseStream:
         self._block, self._next = noise, 0
 
 
-class VoluntaryTorque:
-    """An endless, reproducible stream of d, one value per joint and tick.
+class Noise:
+    """An endless, reproducible sum of noise streams, an array in each tick.
+
+    Parameters
+    ----------
+    streams : with as many columns as the array has values; without any it is zero
+    shape : of the array
+    """
+
+    def __init__(self, streams: Sequence[NoiseStream], shape: tuple[int, ...]) -> None:
+        self._streams, self._shape = streams, shape
+
+    def take(self, ticks: int) -> NDArray[np.float64]:
+        """Values (ticks, *shape) of the next ticks; independent of how the stream is cut."""
+        shape = (ticks, *self._shape)
+        parts = [one.take(ticks).reshape(shape) for one in self._streams]
+        return np.sum(parts, axis=0) if parts else np.zeros(shape)
+
+
+def voluntary_torque(config: VoluntaryParameters, *, joints: int, seed: int) -> Noise:
+    """Voluntary torque and tremor d (n,), N·m, of a number of joints.
 
     Parameters
     ----------
     config : VoluntaryParameters
     joints : number of joints n
-    period : s, between ticks
     seed : of the experiment, not negative
     """
-
-    def __init__(
-        self, config: VoluntaryParameters, *, joints: int, period: float, seed: int
-    ) -> None:
-        self._joints = joints
-        self._streams = [
-            NoiseStream([rms] * joints, seed=seed, stream=stream, edges=edges, period=period)
-            for rms, edges, stream in config.bands()
-        ]
-
-    def take(self, ticks: int) -> NDArray[np.float64]:
-        """Torque d (ticks, n), N·m, of the next ticks; independent of how the stream is cut."""
-        return _sum([one.take(ticks) for one in self._streams], (ticks, self._joints))
+    streams = [
+        NoiseStream([rms] * joints, seed=seed, stream=stream, edges=edges)
+        for rms, edges, stream in config.bands()
+    ]
+    return Noise(streams, (joints,))
 
 
-class ReadingNoise:
-    """An endless, reproducible stream of the noise on readings of angles and torques.
-
-    Parameters
-    ----------
-    sensors : SensorParameters
-    joints : number of joints n
-    seed : of the experiment, not negative
-    """
-
-    def __init__(self, sensors: SensorParameters, *, joints: int, seed: int) -> None:
-        rms = [sensors.position.noise] * joints + [sensors.torque.noise] * joints
-        self._shape = (2, joints)
-        self._streams = [NoiseStream(rms, seed=seed, stream=_READINGS)] if any(rms) else []
-
-    def take(self, ticks: int) -> NDArray[np.float64]:
-        """Noise (ticks, 2, n), rad and N·m, of the next ticks."""
-        parts = [one.take(ticks).reshape(ticks, *self._shape) for one in self._streams]
-        return _sum(parts, (ticks, *self._shape))
-
-
-def _sum(parts: Sequence[NDArray[np.float64]], shape: tuple[int, ...]) -> NDArray[np.float64]:
-    return np.sum(parts, axis=0) if parts else np.zeros(shape)
+def reading_noise(sensors: SensorParameters, *, joints: int, seed: int) -> Noise:
+    """Noise (2, n) on readings of angles and torques, rad and N·m; arguments as above."""
+    rms = [sensors.position.noise] * joints + [sensors.torque.noise] * joints
+    streams = [NoiseStream(rms, seed=seed, stream=_READINGS)] if any(rms) else []
+    return Noise(streams, (2, joints))

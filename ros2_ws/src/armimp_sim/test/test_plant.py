@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,13 +10,16 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from armimp_common.errors import ArmimpError, ConfigurationError
+from armimp_common.topics import PERIOD
 from armimp_sim import dynamics, presets
 from armimp_sim.model.arm import HumanArm
 from armimp_sim.model.friction import LuGre
 from armimp_sim.model.robot import PlanarChain
 from armimp_sim.model.sensors import ReadingParameters, Sampling, SensorParameters
-from armimp_sim.plant import RK4_RADIUS, IntegrationError, Plant, PlantConfig
+from armimp_sim.parameters import RK4_RADIUS, SimulatorParameters
+from armimp_sim.plant import IntegrationError, Plant
 from support.plants import (
+    changed,
     coriolis_torque,
     load,
     one_joint,
@@ -32,7 +34,7 @@ START = np.array([[1.3, 0.9], [4.0, -7.0], [0.0, 0.0]])
 TORQUE = np.array([1.5, -2.0])
 
 
-def _exact(config: PlantConfig, start: Array, torque: Array, duration: float) -> Array:
+def _exact(config: SimulatorParameters, start: Array, torque: Array, duration: float) -> Array:
     solution = solve_ivp(
         lambda _, state: slopes(config, state.reshape(3, -1), torque).ravel(),
         (0.0, duration),
@@ -51,7 +53,7 @@ def test_error_falls_with_the_fourth_power_of_the_step() -> None:
     exact = _exact(study_plant(), START, TORQUE, period)[:2]
     errors = []
     for substeps in (1, 2, 4, 8):
-        plant = Plant([replace(study_plant(), period=period, substeps=substeps)])
+        plant = Plant([study_plant(substeps=substeps)], period)
         plant.set_state(START[None])
         plant.tick(TORQUE[None], np.zeros((1, 2)))
         errors.append(np.max(np.abs(plant.state()[0, :2] - exact)))
@@ -69,7 +71,7 @@ def test_trajectory_agrees_with_scipy(friction: int) -> None:
     for torque, ticks in ((TORQUE, 60), (np.array([-25.0, 15.0]), 80), (np.zeros(2), 60)):
         for _ in range(ticks):
             plant.tick(torque[None], np.zeros((1, 2)))
-        expected = _exact(config, expected, torque, ticks * config.period)
+        expected = _exact(config, expected, torque, ticks * PERIOD)
         state = plant.state()[0]
         assert state[0] == pytest.approx(expected[0], abs=1e-8)
         assert state[1] == pytest.approx(expected[1], abs=1e-6)
@@ -80,17 +82,19 @@ def test_trajectory_agrees_with_scipy(friction: int) -> None:
 
 def test_coarsest_accepted_step_is_stable_and_no_step_beyond_the_limit_is_accepted() -> None:
     law = LuGre(coulomb=(2.0,), static=(2.5,), sigma_0=(2000.0,), sigma_1=(1000.0,))
-    config = replace(study_plant(), friction=law)
+    config = changed(study_plant(), friction=law)
     fastest = 1000.0 / np.min(np.linalg.eigvals(config.mass_matrix()).real)  # σ1 over inertia
     accepted = []
     for substeps in range(4, 40):
+        coarser = changed(config, substeps=substeps)
         try:
-            accepted.append(replace(config, substeps=substeps))
+            coarser.check()
+            accepted.append(coarser)
         except ConfigurationError:
-            assert fastest * config.period / substeps > 0.98 * RK4_RADIUS
+            assert fastest * PERIOD / substeps > 0.98 * RK4_RADIUS
     coarsest = accepted[0]
     assert 4 < coarsest.substeps < 39
-    assert fastest * coarsest.step < RK4_RADIUS
+    assert fastest * PERIOD / coarsest.substeps < RK4_RADIUS
     plant = Plant([coarsest])
     for _ in range(100):
         plant.tick(np.full((1, 2), 0.1), np.zeros((1, 2)))
@@ -99,7 +103,7 @@ def test_coarsest_accepted_step_is_stable_and_no_step_beyond_the_limit_is_accept
 
 def _sliding(speed: float) -> Plant:
     config = study_plant(3)
-    plant = Plant([replace(config, substeps=10)])
+    plant = Plant([changed(config, substeps=10)])
     state = np.zeros((1, 3, 2))
     state[0, 0], state[0, 1, 1] = config.arm.theta_0, speed
     plant.set_state(state)
@@ -213,7 +217,7 @@ def test_at_constant_speed_friction_is_the_steady_state_law(speed: float, direct
 TICKS = 40
 
 
-def _config(n: int, lane: int) -> PlantConfig:
+def _config(n: int, lane: int) -> SimulatorParameters:
     """Another arm, robot, friction and resolution in every lane."""
     resolutions = (ReadingParameters(resolution=scale * lane) for scale in (1e-5, 1e-3))
     position, torque = resolutions
@@ -257,9 +261,8 @@ def test_lanes_that_disagree_in_time_or_shape_are_refused() -> None:
     one = _config(2, 1)
     for other in (
         _config(3, 1),
-        replace(one, substeps=21),
-        replace(one, period=2e-3),
-        replace(one, sensors=one.sensors.model_copy(update={"sampling": Sampling.INTERVAL_MEAN})),
+        changed(one, substeps=21),
+        changed(one, sensors=one.sensors.model_copy(update={"sampling": Sampling.INTERVAL_MEAN})),
     ):
         with pytest.raises(ConfigurationError, match="lanes must agree"):
             Plant([one, other])
@@ -290,4 +293,4 @@ def test_plant_whose_inertia_is_not_positive_definite_is_refused() -> None:
     arm = presets.human_arm(2).model_copy(update={"inertia": (0.187, 0.9, 0.9, 0.060)})
     smallest = np.min(np.linalg.eigvalsh(presets.robot(2).mass_matrix(arm.theta_0) + arm.M))
     with pytest.raises(ConfigurationError, match=f"smallest eigenvalue is {smallest:.3g} kg·m²"):
-        replace(study_plant(), arm=arm)
+        changed(study_plant(), arm=arm).check()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
@@ -17,8 +16,9 @@ from armimp_sim.model.arm import CuffParameters, HumanArm, MuscleParameters, Ref
 from armimp_sim.model.friction import LuGre
 from armimp_sim.model.robot import ActuatorParameters, PlanarChain
 from armimp_sim.model.sensors import ReadingParameters, Sampling, SensorParameters
-from armimp_sim.plant import Plant, PlantConfig
-from support.plants import load, study_plant
+from armimp_sim.parameters import SimulatorParameters
+from armimp_sim.plant import Plant
+from support.plants import changed, load, rig, stepwise, study_plant
 
 Array = NDArray[np.float64]
 SUBSTEPS = 20
@@ -31,13 +31,15 @@ def config(
     *,
     parts: Mapping[str, Any] = MappingProxyType({}),
     **torque: Any,
-) -> PlantConfig:
+) -> SimulatorParameters:
     """The rig of the study without resolution, with this transducer and other parts."""
     sensors = SensorParameters(sampling=sampling, torque=ReadingParameters(**torque))
     return study_plant(1, sensors=sensors, substeps=SUBSTEPS, **parts)
 
 
-def run(plants: PlantConfig | list[PlantConfig], commands: Array = COMMANDS) -> tuple[Array, Array]:
+def run(
+    plants: SimulatorParameters | list[SimulatorParameters], commands: Array = COMMANDS
+) -> tuple[Array, Array]:
     """States and torque readings of each tick: (ticks, [lanes,] ...)."""
     configs = plants if isinstance(plants, list) else [plants]
     plant = Plant(configs)
@@ -55,7 +57,7 @@ def run(plants: PlantConfig | list[PlantConfig], commands: Array = COMMANDS) -> 
 def within(commands: Array = COMMANDS) -> tuple[Array, Array]:
     """Torque on the arm at the start and the end of every step of the integration, (steps, 2)."""
     plain = config()
-    fine = Plant([replace(plain, period=plain.step, substeps=1)])
+    fine = stepwise(plain)
     starts, ends = [], []
     for command in commands:
         for _ in range(SUBSTEPS):
@@ -108,7 +110,7 @@ def test_a_drive_that_lags_follows_the_command_exponentially() -> None:
     drive, torque = ActuatorParameters(bandwidth=40.0), np.array([1.0, -0.5])
     lag = drive.lag
     arm = presets.human_arm(2)
-    free = replace(
+    free = changed(
         config(parts={"actuators": drive}),
         arm=arm.model_copy(update={"damping": (0.0,) * 4, "stiffness": (0.0,) * 4}),
         friction=LuGre(),
@@ -148,27 +150,26 @@ def test_lanes_with_different_imperfections_give_the_bits_that_they_give_alone()
 
 
 SINGLE = presets.human_arm(1)
-ONE = PlantConfig(
-    arm=HumanArm(
+ONE = rig(
+    HumanArm(
         posture=SINGLE.posture * 2,
         inertia=(*SINGLE.inertia, 0.0, 0.0, *SINGLE.inertia),
         damping=(*SINGLE.damping, 0.0, 0.0, *SINGLE.damping),
         stiffness=(*SINGLE.stiffness, 0.0, 0.0, *SINGLE.stiffness),
     ),
-    robot=PlanarChain(
+    PlanarChain(
         lengths=(0.0, 0.0),
         moments=(*presets.robot(1).moments, 1e-12),
         masses=(0.0, 0.0),
         centres=(0.0, 0.0),
     ),
-    sensors=SensorParameters(),
     substeps=SUBSTEPS,
 )
 """One joint without friction, which is linear: all of it has closed forms. The other one rests."""
 PUSHES = np.repeat(np.random.default_rng(7).uniform(-4.0, 4.0, (30, 1)), 10, axis=0) * [1.0, 0.0]
 
 
-def torques(plant: PlantConfig) -> tuple[Array, Array, Array, Array]:
+def torques(plant: SimulatorParameters) -> tuple[Array, Array, Array, Array]:
     """Angle from the posture, velocity, torque of the drive and what the arm has beside M, B, K.
 
     Of one joint at each tick, from states and readings by the equations of motion.
@@ -187,13 +188,8 @@ def torques(plant: PlantConfig) -> tuple[Array, Array, Array, Array]:
 
 def test_behind_a_cuff_the_transducers_feel_arm_and_cuff_in_series() -> None:
     k, b = 1e4, 20.0
-    soft = PlantConfig(
-        arm=SINGLE,
-        robot=presets.robot(1),
-        sensors=SensorParameters(),
-        substeps=SUBSTEPS,
-        cuff=CuffParameters(stiffness=k, damping=b),
-    )
+    cuff = CuffParameters(stiffness=k, damping=b)
+    soft = rig(SINGLE, presets.robot(1), substeps=SUBSTEPS, cuff=cuff)
     M, B, K = SINGLE.inertia[0], SINGLE.damping[0], SINGLE.stiffness[0]
     robot = soft.robot.moments[0]
     system = [
@@ -222,7 +218,7 @@ def test_a_reflex_is_a_delayed_muscle_driven_by_velocity_and_stretch() -> None:
     reflex = ReflexParameters(
         velocity_gain=(0.4,), stretch_gain=(3.0,), delay=0.0303, muscle=40.0, damping_ratio=0.7
     )
-    q, v, _, extra = torques(replace(ONE, reflex=reflex))
+    q, v, _, extra = torques(changed(ONE, reflex=reflex))
     t = 1e-3 * np.arange(1, len(q) + 1)
     excited = np.interp(t - reflex.delay, np.append(0.0, t), np.append(0.0, 0.4 * v + 3.0 * q))
     muscle = ([40.0**2], [1.0, 2.0 * 0.7 * 40.0, 40.0**2])
@@ -251,7 +247,7 @@ def played(q: Array, reach: float) -> Array:
     ],
 )
 def test_muscles_depart_from_a_constant_stiffness(muscle: Any, expected: Any) -> None:
-    q, _, _, extra = torques(replace(ONE, muscle=MuscleParameters(**muscle)))
+    q, _, _, extra = torques(changed(ONE, muscle=MuscleParameters(**muscle)))
     torque = expected(q, 1e-3 * np.arange(1, len(q) + 1))
     assert extra == pytest.approx(torque, abs=2e-3 * np.max(np.abs(torque)) + 1e-9)
     assert np.max(np.abs(torque)) > 0.02
@@ -259,7 +255,7 @@ def test_muscles_depart_from_a_constant_stiffness(muscle: Any, expected: Any) ->
 
 def test_torque_of_a_drive_has_ripple_and_cogging_by_the_angle() -> None:
     drive = ActuatorParameters(ripple=0.05, ripple_cycles=10.0, cogging=0.2, cogging_cycles=50.0)
-    q, _, torque, _ = torques(replace(ONE, actuators=drive))
+    q, _, torque, _ = torques(changed(ONE, actuators=drive))
     angle = q + ONE.arm.posture[0]
     expected = PUSHES[:, 0] * (1.0 + 0.05 * np.sin(10.0 * angle)) + 0.2 * np.sin(50.0 * angle)
     assert torque == pytest.approx(expected, abs=1e-9)
@@ -269,7 +265,7 @@ def test_commands_act_late_by_whole_and_parts_of_periods_and_up_to_the_limit_of_
     drive = ActuatorParameters(delay=0.00135, limit=3.0)
     states, _ = run(config(parts={"actuators": drive}))
     plain = config()
-    fine = Plant([replace(plain, period=plain.step, substeps=1)])
+    fine = stepwise(plain)
     late = np.repeat(np.clip(COMMANDS, -3.0, 3.0), SUBSTEPS, axis=0)
     late = np.concatenate([np.zeros((27, 2)), late])[: len(late)]
     expected = []

@@ -8,21 +8,21 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from armimp_common.protection import RAMP_PERIODS
+from armimp_common.protection import RAMP_PERIODS, WATCHDOG_PERIODS
 from armimp_common.realtime import Pacer
 from armimp_common.topics import PERIOD_NS
-from armimp_sim.parameters import WATCHDOG_TICKS, SimulatorParameters
+from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.simulator import UNHEARD_TICKS, RealtimeSimulator, SimulatedRig
 
 PARAMETERS = SimulatorParameters.preset()
 Command = tuple[float, ...]
-SILENCE = f"no command for {WATCHDOG_TICKS} ticks"
+SILENCE = f"no command for {WATCHDOG_PERIODS} ticks"
 
 
 class Bench:
     """A paced rig without its thread, on a clock that is moved by hand."""
 
-    def __init__(self, watchdog_ticks: int = WATCHDOG_TICKS) -> None:
+    def __init__(self, watchdog_ticks: int = WATCHDOG_PERIODS) -> None:
         self.ns = 10**12
         self.tick = 0
         self.rig = SimulatedRig(PARAMETERS)
@@ -105,10 +105,10 @@ class TestWatchdog:
         self, bench: Bench
     ) -> None:
         bench.command(10.0, -20.0)
-        bench.next(WATCHDOG_TICKS)
+        bench.next(WATCHDOG_PERIODS)
         assert not bench.rig.fault
         applied = []
-        for _ in range(WATCHDOG_TICKS + 50):
+        for _ in range(WATCHDOG_PERIODS + 50):
             bench.next()
             applied.append(bench.rig.applied)
         assert bench.rig.fault == SILENCE
@@ -137,7 +137,7 @@ class TestWatchdog:
 
     @pytest.mark.parametrize(
         ("again", "unheard"),
-        [(False, UNHEARD_TICKS), (False, 1000), (True, WATCHDOG_TICKS), (True, 200)],
+        [(False, UNHEARD_TICKS), (False, 1000), (True, WATCHDOG_PERIODS), (True, 200)],
     )
     def test_samples_that_nobody_was_there_to_answer_are_owed_by_nobody(
         self, bench: Bench, again: bool, unheard: int
@@ -160,10 +160,10 @@ class TestWatchdog:
         assert bench.paced.figures().latency_p99 == pytest.approx(300e-6, rel=0.021)
         # And it is noticed, as always, when such a controller falls behind.
         for _ in range(2):
-            bench.next(WATCHDOG_TICKS - 1)
+            bench.next(WATCHDOG_PERIODS - 1)
             bench.command(7.0, 7.0)
         bench.next()
-        assert bench.rig.fault == f"commands are more than {WATCHDOG_TICKS} ticks behind"
+        assert bench.rig.fault == f"commands are more than {WATCHDOG_PERIODS} ticks behind"
 
 
 class TestThread:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.integrate import trapezoid
@@ -11,7 +9,7 @@ from scipy.integrate import trapezoid
 from armimp_sim import presets
 from armimp_sim.model.sensors import Sampling
 from armimp_sim.plant import Plant
-from support.plants import load, study_plant
+from support.plants import load, stepwise, study_plant
 
 
 @pytest.mark.parametrize("level", [1, 2, 3])
@@ -49,8 +47,7 @@ def test_torque_before_update_is_that_under_the_command_still_in_force() -> None
 
 def test_interval_mean_torque_is_the_mean_over_the_substeps() -> None:
     coarse = study_plant(sensors=presets.sensors(0, Sampling.INTERVAL_MEAN))
-    fine = replace(coarse, period=coarse.step, substeps=1)
-    plant, watcher = Plant([coarse]), Plant([fine])
+    plant, watcher = Plant([coarse]), stepwise(coarse)
     commands = np.random.default_rng(6).uniform(-5.0, 5.0, (10, 2))
     last = np.zeros(2)
     for command in commands:

@@ -10,7 +10,6 @@ from armimp_common.sizes import JOINT_SIZES
 from armimp_sim import presets
 from armimp_sim.model.sensors import Sampling
 from armimp_sim.parameters import SimulatorParameters
-from armimp_sim.plant import PlantConfig
 
 
 def test_arm_is_that_of_table_one() -> None:
@@ -77,10 +76,9 @@ def _total(joints: int, deflection: Array | None = None) -> Array:
 @pytest.mark.parametrize("friction", presets.LEVELS)
 def test_every_number_of_joints_makes_a_plant_at_every_level(joints: int, friction: int) -> None:
     parameters = SimulatorParameters.preset(joints=joints, friction=friction)
-    config = parameters.plant_config()
-    assert isinstance(config, PlantConfig)
-    assert config.joints == joints == len(set(parameters.joints))
-    assert config.step == pytest.approx(1e-5)
+    parameters.check()
+    assert joints == len(set(parameters.joints))
+    assert parameters.substeps == 100
 
 
 @pytest.mark.parametrize("joints", ALL)

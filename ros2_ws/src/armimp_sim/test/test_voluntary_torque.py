@@ -7,14 +7,14 @@ import pytest
 from scipy import signal
 
 from armimp_sim.model.sensors import ReadingParameters, SensorParameters
-from armimp_sim.voluntary import ReadingNoise, VoluntaryParameters, VoluntaryTorque
+from armimp_sim.voluntary import Noise, VoluntaryParameters, reading_noise, voluntary_torque
 
 PERIOD = 1e-3
 
 
-def _stream(*, rms: float = 0.5, cutoff: float = 20.0, seed: int = 1) -> VoluntaryTorque:
+def _stream(*, rms: float = 0.5, cutoff: float = 20.0, seed: int = 1) -> Noise:
     config = VoluntaryParameters(rms=rms, cutoff=cutoff)
-    return VoluntaryTorque(config, joints=2, period=PERIOD, seed=seed)
+    return voluntary_torque(config, joints=2, seed=seed)
 
 
 @pytest.mark.parametrize(("cutoff", "tolerance"), [(2.0, 0.10), (20.0, 0.03), (300.0, 0.02)])
@@ -46,10 +46,10 @@ def test_stream_does_not_depend_on_how_it_is_cut(cuts: list[int]) -> None:
 
 def test_tremor_fills_its_band_beside_the_voluntary_torque() -> None:
     config = VoluntaryParameters(rms=0.3, cutoff=2.0, tremor=0.1)
-    both = VoluntaryTorque(config, joints=2, period=PERIOD, seed=3).take(300_000)
-    alone = VoluntaryTorque(
-        config.model_copy(update={"tremor": 0.0}), joints=2, period=PERIOD, seed=3
-    ).take(300_000)
+    both = voluntary_torque(config, joints=2, seed=3).take(300_000)
+    alone = voluntary_torque(config.model_copy(update={"tremor": 0.0}), joints=2, seed=3).take(
+        300_000
+    )
     tremor = both - alone
     assert np.sqrt(np.mean(tremor**2, axis=0)) == pytest.approx([0.1, 0.1], rel=0.03)
     f, density = signal.welch(tremor[:, 0], fs=1.0 / PERIOD, nperseg=4096)
@@ -60,8 +60,8 @@ def test_noise_of_readings_is_white_and_does_not_depend_on_how_it_is_cut() -> No
     sensors = SensorParameters(
         position=ReadingParameters(noise=1e-4), torque=ReadingParameters(noise=0.01)
     )
-    whole = ReadingNoise(sensors, joints=2, seed=3).take(50_000)
-    stream = ReadingNoise(sensors, joints=2, seed=3)
+    whole = reading_noise(sensors, joints=2, seed=3).take(50_000)
+    stream = reading_noise(sensors, joints=2, seed=3)
     assert np.array_equal(np.concatenate([stream.take(4097), stream.take(903)]), whole[:5000])
     for kind, rms in enumerate((1e-4, 0.01)):
         assert whole[:, kind].std(axis=0) == pytest.approx([rms, rms], rel=0.02)

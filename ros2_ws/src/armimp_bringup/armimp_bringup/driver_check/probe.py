@@ -24,7 +24,7 @@ from armimp_common import topics
 from armimp_common.errors import GraphError
 from armimp_common.executor import stop_on_signals
 from armimp_common.lifecycle import LifecycleManager
-from armimp_common.topics import NS_PER_S, PERIOD_NS
+from armimp_common.topics import RATE
 
 _PATIENCE, _LONG = 10.0, 60.0
 _LISTEN, _LATER, _SILENCE = 0.5, 0.2, 3.0
@@ -177,7 +177,7 @@ class _Probe:
             first = node.samples
             node.wait(lambda: False, duration)
             return first
-        node.play([(round(duration * NS_PER_S / PERIOD_NS), node.zero)])
+        node.play([(round(duration * RATE), node.zero)])
         node.answer()
         last = -1
         while node.playing and node.samples > last:

@@ -21,16 +21,15 @@ from armimp_bringup.driver_check import (
 )
 from armimp_common import topics
 from armimp_common.realtime import LATE_NS
-from armimp_common.topics import COMMANDS, JOINT_STATES, NS_PER_S, PERIOD_NS, VALUE_FIELD
+from armimp_common.topics import COMMANDS, JOINT_STATES, NS_PER_S, PERIOD_NS, RATE, VALUE_FIELD
 
 # Limits that the interfaces page does not state are chosen.
 _LEAST = 100  # samples without which nothing is judged
 _JUMP = 0.1  # rad in one period, so 100 rad/s: chosen
 _CLOCK = 2e-4  # relative error of the mean step of stamps, which the estimator allows
-_RATE = 0.005  # relative error of the rate by the wall clock: chosen
+_RATE_ERROR = 0.005  # relative error of the rate by the wall clock: chosen
 _LATE = LATE_NS / NS_PER_S
 _LATE_SHARE = 0.01  # as in a valid run
-_NOMINAL = NS_PER_S / PERIOD_NS
 
 _USUAL = 0.35  # share of the usual motion that counts as one: chosen
 _REACTION = 3  # periods from a command to its first effect: chosen
@@ -192,7 +191,7 @@ def _judge_pace(topic: str, messages: Sequence[Message]) -> Iterator[Finding]:
     length = float(np.median(since[-part:]) - np.median(since[:part]))
     period = length / max(since.size - part, 1)
     rate = 1.0 / period if period > 0.0 else 0.0
-    good, limit = abs(rate / _NOMINAL - 1.0) <= _RATE, f"{_NOMINAL:g} Hz ± {100 * _RATE:g} %"
+    good, limit = abs(rate / RATE - 1.0) <= _RATE_ERROR, f"{RATE:g} Hz ± {100 * _RATE_ERROR:g} %"
     yield _judged(f"{topic}: rate", good, f"{rate:.1f} Hz", limit)
     offset = since - period * np.arange(since.size)
     delay = offset - np.median(offset)

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from armimp_common.schema import PositiveVector, Schema, Vector
-from armimp_common.topics import NS_PER_S, PERIOD_NS
+from armimp_common.topics import PERIOD, RATE
 
-_PERIOD = PERIOD_NS / NS_PER_S
 MOST_DELAY = 20
 """Control periods by which commands may be known to act late, at most."""
 
@@ -74,9 +73,7 @@ class TargetParameters(Schema):
     lock_dither: float = Field(default=0.0, ge=0.0, lt=0.01)
     """Amplitude of each of two sines that locked joints make against the bias of their encoders
     (rad)."""
-    lock_dither_frequency: float = Field(
-        default=35.0, gt=0.0, lt=0.5 * NS_PER_S / PERIOD_NS / SECOND_TONE
-    )
+    lock_dither_frequency: float = Field(default=35.0, gt=0.0, lt=0.5 * RATE / SECOND_TONE)
     """Frequency of the first of two sines that locked joints make, above the band of the
     perturbation (Hz)."""
 
@@ -87,7 +84,7 @@ class TargetLaw:
 
     target: TargetParameters
     """Target impedance, of n joints."""
-    period: float = _PERIOD
+    period: float = PERIOD
     """L, s."""
 
     @property
