@@ -8,8 +8,6 @@ from dataclasses import dataclass
 
 from armimp_bringup.cli import main
 
-_NOTES = ("note: ", "armimp: note: ", "armimp: refused: ", "trial ")
-
 
 @dataclass(frozen=True, kw_only=True)
 class Told:
@@ -18,12 +16,6 @@ class Told:
     status: int
     out: str
     err: str
-
-    @property
-    def complaints(self) -> list[str]:
-        """Lines of standard error, without progress and notes, which are no complaints."""
-        lines = self.err.split("\n")[:-1]
-        return [line for line in lines if not line.startswith(_NOTES)]
 
 
 def call(*arguments: str) -> Told:
@@ -42,13 +34,4 @@ def refused(*arguments: str) -> Told:
     assert told.err.count("\n") == 1, told
     assert len(told.err.splitlines()) == 1, told
     assert told.out == "", told
-    return told
-
-
-def behaved(*arguments: str) -> Told:
-    """Run a command on data that may be bad: each of its complaints must be one line of its own."""
-    told = call(*arguments)
-    assert told.status in (0, 1, 2), told
-    assert bool(told.complaints) == (told.status != 0), told
-    assert all(line.startswith("armimp: ") for line in told.complaints), told
     return told

@@ -12,7 +12,7 @@ from armimp_estimation.estimators.direct import Direct
 from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.estimators.lpm import LpmConfig, LpmFull, unresolved
 from armimp_estimation.estimators.welch import WelchFull, WelchSiso
-from armimp_estimation.fit import MBKFit, fit_mbk
+from armimp_estimation.fit import fit_mbk
 from armimp_estimation.frf import stands_out
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
@@ -24,8 +24,10 @@ from support.synthetic_trials import (
     THREE_JOINT_ARM,
     TWO_JOINT_ARM,
     WELCH,
+    errors_of,
     relative_error,
     share_within,
+    stacked,
     synthetic_trials,
 )
 
@@ -190,10 +192,6 @@ def with_records(data: list[TrialData], **changes: object) -> list[TrialData]:
     ]
 
 
-def stacked(fit: MBKFit) -> FloatArray:
-    return np.stack((fit.mbk.M, fit.mbk.B, fit.mbk.K))
-
-
 def test_a_delay_of_all_torques_is_corrected() -> None:
     delayed = []
     for trial in synthetic_trials():
@@ -201,18 +199,16 @@ def test_a_delay_of_all_torques_is_corrected() -> None:
         late = np.exp(-1j * np.pi * np.fft.rfftfreq(samples))  # half a sample
         torque = np.fft.irfft(np.fft.rfft(trial.record.torque, axis=1) * late, samples, axis=1)
         delayed += with_records([trial], torque=torque)
-    arm = TWO_JOINT_ARM
-    truth = np.stack((arm.M, arm.B, arm.K))
+    truth = stacked(TWO_JOINT_ARM)
     told = LpmConfig(reading=TorqueReading(timing=TorqueTiming.INTERVAL_MEAN))
-    corrected = stacked(fit_mbk(LpmFull(config=told).estimate(delayed)))
+    corrected = stacked(fit_mbk(LpmFull(config=told).estimate(delayed)).mbk)
     np.testing.assert_allclose(corrected, truth, rtol=0.005)
     fit = fit_mbk(LpmFull().estimate(delayed))
     assert fit.delay is not None
     assert fit.delay.delay == pytest.approx(0.004, rel=0.02)
-    errors = np.stack((fit.M_se, fit.B_se, fit.K_se))
-    assert (np.abs(stacked(fit) - truth) < 3.5 * errors).all()
+    assert (np.abs(stacked(fit.mbk) - truth) < 3.5 * errors_of(fit)).all()
     raw = dataclasses.replace(LOCAL.estimate(delayed), delay_uncertainty=None)
-    assert (stacked(fit_mbk(raw))[1] > 1.2 * arm.B).all()
+    assert (fit_mbk(raw).mbk.B > 1.2 * TWO_JOINT_ARM.B).all()
 
 
 def test_motion_that_an_encoder_misses_is_that_of_a_spring_or_a_damper() -> None:

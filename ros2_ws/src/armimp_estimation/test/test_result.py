@@ -36,7 +36,14 @@ from armimp_estimation.trial import TrialData, segments_for
 from armimp_estimation.verdict import Verdict
 from support.streams import changed, record
 from support.synthetic_bags import Message, recorded_arm
-from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, part_of, synthetic_trial
+from support.synthetic_trials import (
+    TWO_JOINT_ARM,
+    WELCH,
+    SyntheticConfig,
+    part_of,
+    synthetic_trial,
+    synthetic_trials,
+)
 
 RECORDING = recorded_arm()
 NAMES = RECORDING.records[0].joint_names
@@ -256,11 +263,10 @@ def test_trials_that_lost_samples_are_refused_or_estimated_from_their_intact_par
 
 
 def test_segments_of_all_parts_are_averaged_and_none_spans_a_gap() -> None:
-    config = WelchConfig(segment=1024, overlap=768)
     complete = RECORDING.records[0]
     parts = [part_of(complete, *ends) for ends in ((0, 3000), (3100, 3600), (4000, 9000))]
-    data = TrialData.of(*parts, welch=config)
-    alone = [TrialData.of(one, welch=config).spectra for one in parts[::2]]
+    data = TrialData.of(*parts, welch=WELCH)
+    alone = [TrialData.of(one, welch=WELCH).spectra for one in parts[::2]]
     counts = [8, 16]
     assert [one.segments for one in alone] == counts
     mean = sum(one.matrix * one.segments for one in alone) / sum(counts)
@@ -364,12 +370,8 @@ def test_the_report_has_a_timing_part_for_a_run_in_real_time_only() -> None:
 
 @pytest.fixture(scope="module")
 def identification() -> Identification:
-    config = IdentifyConfig(welch=WelchConfig(segment=1024, overlap=768))
-    loop = SyntheticConfig(rate=125.0, samples=6144, torque_noise=0.02)
-    data = [
-        TrialData.of(synthetic_trial(TWO_JOINT_ARM, joint, loop, 1), welch=config.welch)
-        for joint in range(2)
-    ]
+    data = synthetic_trials(SyntheticConfig(rate=125.0, samples=6144, torque_noise=0.02))
+    config = IdentifyConfig(welch=WELCH)
     return identify(data, ["welch_siso", "welch_full"], TWO_JOINT_ARM, config)
 
 
