@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from types import SimpleNamespace
 from typing import Any, TypeAlias, TypeVar
 
 import pytest
@@ -13,6 +14,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from pydantic import BaseModel
 from rclpy.context import Context
 from rclpy.duration import Duration
+from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
@@ -22,6 +24,7 @@ from armimp_bringup.graph import DomainClaim
 from armimp_common import qos, topics
 from armimp_common.errors import MalformedMessageError
 from armimp_common.executor import Spinner
+from armimp_common.heartbeat import HeartbeatMonitor
 from armimp_common.pubsub import (
     JointStatePublisher,
     subscribe_commands,
@@ -134,6 +137,25 @@ def overrides(model: BaseModel, changes: Mapping[str, Value] | None = None) -> l
     """Return the ``parameter_overrides`` that give a node the values of a schema."""
     values = {**flatten(model), **(changes or {})}
     return [Parameter(name, value=value) for name, value in values.items()]
+
+
+def assert_locked_while_active(node: LifecycleNode, name: str, value: Value, why: str) -> None:
+    """Check that an active node refuses another value of a parameter, and takes it afterwards."""
+    change, before = Parameter(name, value=value), node.get_parameter(name).value
+    (result,) = node.set_parameters([change])
+    assert not result.successful
+    assert result.reason == f"{name} cannot be changed now: {why}"
+    assert node.get_parameter(name).value == before
+    node.trigger_deactivate()
+    (result,) = node.set_parameters([change])
+    assert result.successful
+
+
+def report(monitor: HeartbeatMonitor, *, alive: int, silent: int) -> None:
+    """Tell what the middleware would of the heartbeat of a node in another process."""
+    # The binding of the event cannot be made by hand, but has the same attributes.
+    event: Any = SimpleNamespace(alive_count=alive, not_alive_count=silent)
+    monitor._on_event(event)
 
 
 def set_clock(node: Node, step: float) -> None:

@@ -5,8 +5,6 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 from rclpy.node import Node
@@ -14,7 +12,7 @@ from rclpy.node import Node
 from armimp_common import qos
 from armimp_common.executor import Spinner
 from armimp_common.heartbeat import Heartbeat, HeartbeatMonitor, Presence
-from support.graph import eventually
+from support.graph import eventually, report
 
 OTHER = """
 from armimp_common.heartbeat import Heartbeat
@@ -111,9 +109,7 @@ def test_when_the_lease_of_a_node_of_the_same_process_runs_out_expect_it_to_stay
 ) -> None:
     sign = Heartbeat(node, "other")
     eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
-    # The binding of the event cannot be made by hand, but has the same attributes.
-    run_out: Any = SimpleNamespace(alive_count=0, not_alive_count=1)
-    watch._on_event(run_out)
+    report(watch, alive=0, silent=1)
     assert watch.presence is Presence.ALIVE
 
     node.destroy_publisher(sign.publisher)

@@ -6,10 +6,8 @@ from rclpy.node import Node
 
 from armimp_common import qos, topics
 from armimp_common.executor import Spinner
-from armimp_common.schema import Value
 from armimp_common.status import NOTICE_TICKS, Phase, StoppingDecision, status_message
-from armimp_control.node import ImbicControllerNode
-from support.controller import NAMES, POSTURE, SUCCESS, controller_parameters
+from support.controller import NAMES, POSTURE, active_controller, controller_parameters
 from support.graph import HandedClock, Launch, ScriptedDriver, a_moment, eventually
 
 SETTLE, PERTURB, REST = 50, 600, 50
@@ -30,11 +28,7 @@ class World:
         self.spinner = spinner
         self.driver = driver = ScriptedDriver(node, NAMES)
         self.judge = node.create_publisher(DiagnosticStatus, topics.STOPPING, qos.LATCHED)
-        changes: dict[str, Value] = {"sequence.may_end_early": True}
-        controller: ImbicControllerNode = launch(ImbicControllerNode, PARAMETERS, changes)
-        assert controller.trigger_configure() is SUCCESS
-        assert controller.trigger_activate() is SUCCESS
-        driver.wait_for_controller()
+        controller = active_controller(launch, driver, PARAMETERS, {"sequence.may_end_early": True})
         eventually(spinner, lambda: self.judge.get_subscription_count() == 1, "who is judged")
         driver.feed(POSTURE, ticks=SETTLE + 1)
         driver.await_phase(Phase.PERTURB, spinner)

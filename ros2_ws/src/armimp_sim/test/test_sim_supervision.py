@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import pytest
 from rclpy.node import Node
 from std_msgs.msg import UInt64
@@ -18,7 +16,7 @@ from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import IntegrationError
 from armimp_sim.simulator import RealtimeSimulator
 from support.controller import ScriptedController
-from support.graph import Launch, a_moment, eventually
+from support.graph import Launch, a_moment, eventually, report
 
 
 class Surroundings(ScriptedController):
@@ -34,10 +32,6 @@ class Surroundings(ScriptedController):
     def applied(self) -> tuple[float, ...]:
         assert self.simulator.limiter is not None
         return self.simulator.limiter.applied
-
-    def heard(self, watch: HeartbeatMonitor, *, alive: int, silent: int) -> None:
-        """Have the simulator hear from another process what the middleware would report."""
-        watch._on_event(SimpleNamespace(alive_count=alive, not_alive_count=silent))
 
 
 @pytest.fixture
@@ -66,17 +60,17 @@ def test_when_the_controller_is_lost_expect_zero_torque_and_a_fault(
     around: Surroundings, alive: int, silent: int
 ) -> None:
     around.command(5.0, -5.0)
-    around.heard(around.simulator.controller, alive=1, silent=0)
+    report(around.simulator.controller, alive=1, silent=0)
     assert around.applied == (5.0, -5.0)
 
-    around.heard(around.simulator.controller, alive=alive, silent=silent)
+    report(around.simulator.controller, alive=alive, silent=silent)
 
     assert around.applied == (0.0, 0.0)
     message, applied = around.await_fault()
     assert message.startswith("imbic_controller ")
     assert applied == "0.0 0.0"
     # It may come back, but not by itself under torque.
-    around.heard(around.simulator.controller, alive=1, silent=0)
+    report(around.simulator.controller, alive=1, silent=0)
     around.command(5.0, -5.0)
     assert around.applied == (0.0, 0.0)
 
@@ -85,7 +79,7 @@ def with_recorder(around: Surroundings) -> HeartbeatMonitor:
     around.received.publish(UInt64(data=0))
     eventually(around.spinner, lambda: around.simulator._flow.recorded, "the recorder")
     watch = around.simulator._recorder
-    around.heard(watch, alive=1, silent=0)
+    report(watch, alive=1, silent=0)
     around.command(5.0, -5.0)
     return watch
 
@@ -96,11 +90,11 @@ def test_when_the_recorder_is_silent_expect_time_to_stand_still_until_it_is_back
     watch = with_recorder(around)
     before = around.count
 
-    around.heard(watch, alive=0, silent=1)
+    report(watch, alive=0, silent=1)
     around.commands.publish((5.0, -5.0))
     a_moment(around.spinner)
     assert around.count == before
-    around.heard(watch, alive=1, silent=0)
+    report(watch, alive=1, silent=0)
     eventually(around.spinner, lambda: around.count == before + 1, "the sample held back")
 
     assert around.faults == []
@@ -109,9 +103,9 @@ def test_when_the_recorder_is_silent_expect_time_to_stand_still_until_it_is_back
 def test_when_the_recorder_is_dead_expect_zero_torque_and_a_fault(around: Surroundings) -> None:
     watch = with_recorder(around)
 
-    around.heard(watch, alive=0, silent=1)
+    report(watch, alive=0, silent=1)
     around.commands.publish((5.0, -5.0))
-    around.heard(watch, alive=0, silent=0)
+    report(watch, alive=0, silent=0)
     around.command(5.0, -5.0)
 
     assert around.applied == (0.0, 0.0)
@@ -122,8 +116,8 @@ def test_when_a_recorder_takes_leave_or_there_was_none_expect_no_fault(
     around: Surroundings,
 ) -> None:
     watch = around.simulator._recorder
-    around.heard(watch, alive=1, silent=0)
-    around.heard(watch, alive=0, silent=0)
+    report(watch, alive=1, silent=0)
+    report(watch, alive=0, silent=0)
     around.command(5.0, -5.0)
     assert around.applied == (5.0, -5.0)
 
@@ -131,8 +125,8 @@ def test_when_a_recorder_takes_leave_or_there_was_none_expect_no_fault(
     eventually(around.spinner, lambda: around.simulator._flow.recorded, "the recorder")
     around.received.publish(UInt64(data=topics.RECORDER_GONE))
     eventually(around.spinner, lambda: not around.simulator._flow.recorded, "its leave")
-    around.heard(watch, alive=1, silent=0)
-    around.heard(watch, alive=0, silent=0)
+    report(watch, alive=1, silent=0)
+    report(watch, alive=0, silent=0)
     around.command(5.0, -5.0)
     assert around.applied == (5.0, -5.0)
 
