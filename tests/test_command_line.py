@@ -22,8 +22,8 @@ import pytest
 from armimp_bringup.cli import main
 from armimp_bringup.config import ExperimentConfig
 from armimp_common.topics import TRIAL
-from armimp_estimation.bags import BagWriter, read_bag
-from support.bag_files import iterate_messages
+from armimp_estimation.bags import read_bag
+from support.bag_files import iterate_messages, write_bag
 from support.processes import processes_of
 
 ROWS = 24
@@ -152,12 +152,8 @@ def test_a_recording_without_trial_statuses_is_replayed_too(
 ) -> None:
     copies = []
     for bag in bags(experiment):
-        copy = tmp_path / Path(bag).name
-        with BagWriter(copy, metadata={}) as writer:
-            for topic, time_ns, raw in iterate_messages(Path(bag)):
-                if topic != TRIAL:
-                    writer.write(topic, raw, time_ns)
-        copies.append(str(copy))
+        untold = (one for one in iterate_messages(Path(bag)) if one[0] != TRIAL)
+        copies.append(str(write_bag(tmp_path / Path(bag).name, untold, {})))
     capfd.readouterr()
 
     assert main(["estimate", *copies, "--json"]) == 0

@@ -61,16 +61,10 @@ Array = NDArray[np.float64]
 ALL = range(1, 8)
 
 
-def _inertia(joints: int, deflection: Array | None = None) -> tuple[Array, Array]:
-    """M_r, at a deflection from the posture, and M_h."""
+def inertia_of(joints: int) -> Array:
+    """Of robot and arm in the posture."""
     arm = presets.human_arm(joints)
-    away = np.zeros(joints) if deflection is None else deflection
-    return presets.robot(joints).mass_matrix(arm.theta_0 + away), arm.M
-
-
-def _total(joints: int, deflection: Array | None = None) -> Array:
-    robot, arm = _inertia(joints, deflection)
-    return robot + arm
+    return presets.robot(joints).mass_matrix(arm.theta_0) + arm.M
 
 
 @pytest.mark.parametrize("joints", ALL)
@@ -85,8 +79,8 @@ def test_every_number_of_joints_makes_a_plant_at_every_level(joints: int, fricti
 
 @pytest.mark.parametrize("joints", ALL)
 def test_sizes_of_joints_are_inertias_to_the_power_of_three_fifths(joints: int) -> None:
-    inertia = np.diag(_total(joints))
-    shoulder = _total(2)[0, 0] if joints == 1 else inertia[0]
+    inertia = np.diag(inertia_of(joints))
+    shoulder = inertia_of(2)[0, 0] if joints == 1 else inertia[0]
     rule, sizes = (inertia / shoulder) ** 0.6, JOINT_SIZES[joints]
     # Shoulder and elbow of the paper have the ratio of its Table III instead.
     paper = {1: (0.6,), 2: (1.0, 0.6), 3: (1.0, 0.6)}.get(joints, ())
