@@ -89,35 +89,6 @@ def test_configuration_file_decides_what_options_leave_open(
     assert config["arm_sim"]["voluntary.rms"] == 0.2
 
 
-@pytest.mark.parametrize(
-    ("options", "complaint"),
-    [
-        (("--only", "friction=7"), "--only 'friction=7': 'friction=7' is not one of friction"),
-        (("--seeds", "1:"), "--seeds '1:': '1:' is neither a seed nor a range"),
-        (("--workers", "0"), "--workers must be at least 1, got 0"),
-        (("--workers", "two"), "Invalid value for '--workers'"),
-        (("--workers", "2", "--scheduler", "tcp://x:1"), "--workers is for threads"),
-        (("--joints", "9"), "joints"),
-        (("--duration", "1"), "duration"),
-        (("--estimator", "guess"), "there is no 'guess', only welch_siso"),
-        (("--config", "nowhere.yaml"), "nowhere.yaml: No such file or directory"),
-    ],
-)
-def test_wrong_usage_exits_with_2_and_one_line_and_leaves_nothing_behind(
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    options: tuple[str, ...],
-    complaint: str,
-) -> None:
-    assert _reproduce(tmp_path / "out", *options) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    (line,) = told.err.splitlines()
-    assert line.startswith("armimp: ")
-    assert complaint in line
-    assert not (tmp_path / "out").exists()
-
-
 def test_time_left_follows_from_what_was_done_since_the_start() -> None:
     assert describe(0, 48, 3.0, things="conditions") == "0 of 48 conditions"
     assert describe(12, 48, 10.0, things="conditions") == "12 of 48 conditions, 30 s left"
