@@ -10,7 +10,6 @@ import struct
 import subprocess
 import sys
 import termios
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,7 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_common.topics import TRIAL
 from armimp_estimation.bags import read_bag
 from support.bag_files import iterate_messages, write_bag
-from support.processes import processes_of
+from support.processes import processes_of, wait_until
 
 ROWS = 24
 PROGRAM = """
@@ -188,11 +187,9 @@ def test_when_interrupted_expect_closed_bags_exit_status_1_and_no_process_left(
     command += ["--processes", processes]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         bag = out / "bags" / "trial_1_joint_1"
-        deadline = time.monotonic() + 60.0
-        while not any(bag.glob("*.mcap")) or next(bag.glob("*.mcap")).stat().st_size < 300_000:
-            assert process.poll() is None
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
+        wait_until(
+            lambda: any(file.stat().st_size >= 300_000 for file in bag.glob("*.mcap")), "a bag"
+        )
         process.send_signal(signal.SIGINT)
         _, error = process.communicate(timeout=60.0)
     assert process.returncode == 1

@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable
 from typing import ClassVar, TypeAlias
 
@@ -21,6 +20,7 @@ from armimp_sim.node import ArmSimNode
 from support import defective_driver
 from support.defective_driver import DeafStop, Strong, Stubborn
 from support.graph import PATIENCE
+from support.processes import wait_until
 
 JOINTS = ("shoulder", "elbow")
 SIMULATOR = ["-m", "armimp_sim.node"]
@@ -118,26 +118,6 @@ def test_when_there_is_nothing_to_check_expect_one_line_and_status_one(
     assert said.count("\n") == 1
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (["--joint", "elbow", "--joint", "elbow"], "names are not distinct"),
-        (["--torque", "-1"], "parameter 'torque' = -1.0"),
-        (["--torque", "21"], "parameter 'torque' = 21.0: input should be less than or equal to 20"),
-        (["--most-motion", "nan"], "parameter 'most_motion' = nan"),
-        (["--move"], "--move: there is nobody to ask; --yes says that it is safe"),
-        (["--duration", "0"], "parameter 'duration' = 0.0"),
-    ],
-)
-def test_wrong_options_end_in_one_line(
-    options: list[str], words: str, capfd: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["check-driver", *options]) == 2
-    said = capfd.readouterr().err
-    assert words in said
-    assert said.count("\n") == 1
-
-
 @pytest.mark.parametrize(("answer", "allowed"), [("yes\n", True), ("y\n", False), ("", False)])
 def test_before_anything_moves_somebody_is_asked_and_only_yes_is_one(
     answer: str,
@@ -194,7 +174,4 @@ def test_when_it_is_interrupted_under_torque_expect_zero_torque_to_be_commanded_
     assert process.returncode == 130, said
     assert said.count("\n") == 1
     # The last ones may still be on their way; nothing is sent any more.
-    deadline = time.monotonic() + PATIENCE
-    while Listening.heard[-5:] != [(0.0, 0.0)] * 5 and time.monotonic() < deadline:
-        time.sleep(0.01)
-    assert Listening.heard[-5:] == [(0.0, 0.0)] * 5
+    wait_until(lambda: Listening.heard[-5:] == [(0.0, 0.0)] * 5, "zero torque, five times")

@@ -1,6 +1,9 @@
 """Fixtures and helpers for tests with real nodes over real DDS, each in a domain of its own."""
 
+import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -116,6 +119,36 @@ def spinner(node: Node) -> Iterator[Spinner]:
     """What spins the plain node, and further ones that are added."""
     with Spinner([node]) as spinner:
         yield spinner
+
+
+OTHER = """
+from armimp_common import qos
+from armimp_common.executor import run_node
+from armimp_common.heartbeat import Heartbeat
+from rclpy.node import Node
+from std_msgs.msg import String
+
+def make(*, context):
+    node = Node("other", context=context)
+    node.sign = Heartbeat(node, "other")
+    publisher = node.create_publisher(String, "answer", qos.SAMPLE)
+    node.create_subscription(String, "question", publisher.publish, qos.SAMPLE)
+    return node
+
+raise SystemExit(run_node(make, ["other"]))
+"""
+
+
+@pytest.fixture
+def other(domain_id: int) -> Iterator[subprocess.Popen[bytes]]:
+    """A node in a process of its own, with a heartbeat, which answers questions by themselves."""
+    # They find each other with the middleware's own defaults, which are slow.
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(domain_id)}
+    environment.pop("FASTRTPS_DEFAULT_PROFILES_FILE", None)
+    process = subprocess.Popen([sys.executable, "-c", OTHER], env=environment)
+    yield process
+    process.kill()
+    process.wait()
 
 
 def eventually(

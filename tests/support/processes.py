@@ -1,10 +1,31 @@
-"""Processes of this machine by their command line, for tests that stop or kill them."""
+"""Processes of this machine: run, found by their command line, waited for."""
 
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
+
+
+def run_python(*arguments: str, **options: Any) -> str:
+    """Run Python in a process of its own, which must succeed, and return what it printed."""
+    command = [sys.executable, *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, **options)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return str(done.stdout)
+
+
+def wait_until(condition: Callable[[], bool], what: str, patience: float = 120.0) -> None:
+    """Wait for what another process or thread does."""
+    deadline = time.monotonic() + patience
+    while not condition():
+        assert time.monotonic() < deadline, f"did not happen within {patience} s: {what}"
+        time.sleep(0.005)
 
 
 def processes_of(*words: str | Path) -> list[int]:

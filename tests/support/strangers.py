@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -37,6 +36,7 @@ from armimp_common.status import (
 from armimp_estimation.node import RESULT_NAME
 from armimp_estimation.summary import Summary
 from support.graph import joined
+from support.processes import wait_until
 
 PATIENCE = 20.0
 BASE: dict[str, Any] = {"duration": 2.0}
@@ -72,10 +72,11 @@ Act = Callable[[Stranger], object]
 
 def heard(publisher: Any, listeners: int = 1) -> None:
     """Wait until a publisher is matched; discovery needs nobody who spins."""
-    end = time.monotonic() + PATIENCE
-    while publisher.get_subscription_count() < listeners:
-        assert time.monotonic() < end, f"nobody hears {publisher.topic_name}"
-        time.sleep(0.002)
+    wait_until(
+        lambda: bool(publisher.get_subscription_count() >= listeners),
+        f"somebody hears {publisher.topic_name}",
+        PATIENCE,
+    )
 
 
 def command(torque: float, number: int, times: int = 1, *, leave: bool = False) -> Act:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import socket
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -29,6 +27,7 @@ from armimp_common.status import (
     status_message,
 )
 from support.graph import eventually
+from support.processes import run_python
 
 VARIABLES = (
     "ROS_AUTOMATIC_DISCOVERY_RANGE",
@@ -91,15 +90,9 @@ def test_when_the_process_was_in_a_graph_before_expect_it_to_find_the_local_host
         monkeypatch.delenv(name, raising=False)
 
     with DomainClaim() as claim:
-        done = subprocess.run(
-            [sys.executable, "-c", OPEN_BEFORE.format(domain=claim.domain_id)],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        printed = run_python("-c", OPEN_BEFORE.format(domain=claim.domain_id))
 
-    assert done.returncode == 0, done.stderr
-    ports, variable = done.stdout.splitlines()
+    ports, variable = printed.splitlines()
     domain, *found = (int(port) for port in ports.split()[1:])
     # The port of a domain for multicast; its others follow.
     assert found
@@ -127,9 +120,7 @@ def test_nothing_is_shared_in_memory_which_a_killed_process_could_leave_locked(
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", reach)
 
-    maps = subprocess.run(
-        [sys.executable, "-c", IN_A_GRAPH], capture_output=True, text=True, check=True
-    ).stdout
+    maps = run_python("-c", IN_A_GRAPH)
 
     assert "libfastrtps" in maps
     assert "/dev/shm/fastrtps" not in maps

@@ -1,11 +1,8 @@
 """Mutual discovery: what is published after the wait arrives; who does not answer is named."""
 
-import os
 import signal
 import subprocess
-import sys
 import threading
-from collections.abc import Iterator
 from functools import partial
 
 import pytest
@@ -19,33 +16,6 @@ from armimp_common.pubsub import wait_until_known_to, wait_until_matched
 from support.graph import PATIENCE, eventually
 
 ROUNDS = 20
-OTHER = """
-from armimp_common import qos
-from armimp_common.heartbeat import Heartbeat
-from armimp_common.executor import run_node
-from rclpy.node import Node
-from std_msgs.msg import String
-
-def make(*, context):
-    node = Node("other", context=context)
-    node.sign = Heartbeat(node, "other")
-    publisher = node.create_publisher(String, "answer", qos.SAMPLE)
-    node.create_subscription(String, "question", publisher.publish, qos.SAMPLE)
-    return node
-
-raise SystemExit(run_node(make, ["other"]))
-"""
-
-
-@pytest.fixture
-def other(domain_id: int) -> "Iterator[subprocess.Popen[bytes]]":
-    # They find each other with the middleware's own defaults, which are slow.
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(domain_id)}
-    environment.pop("FASTRTPS_DEFAULT_PROFILES_FILE", None)
-    process = subprocess.Popen([sys.executable, "-c", OTHER], env=environment)
-    yield process
-    process.kill()
-    process.wait()
 
 
 def test_what_a_known_publisher_sends_from_now_on_arrives(

@@ -22,6 +22,7 @@ from armimp_common.executor import (
     stop_on_signals,
 )
 from support.graph import PATIENCE
+from support.processes import run_python
 
 
 def deadline(seconds: float = PATIENCE) -> Callable[[], bool]:
@@ -215,14 +216,7 @@ def test_a_node_shares_no_memory_unless_the_user_wants_it(
     }
     choice = {} if chosen is None else {"FASTDDS_BUILTIN_TRANSPORTS": chosen}
 
-    done = subprocess.run(
-        [sys.executable, "-c", WATCHED],
-        capture_output=True,
-        text=True,
-        check=False,
-        env=kept | choice | {"ROS_DOMAIN_ID": str(domain_id)},
-    )
+    maps = run_python("-c", WATCHED, env=kept | choice | {"ROS_DOMAIN_ID": str(domain_id)})
 
-    assert done.returncode == 0, done.stderr
-    assert "libfastrtps" in done.stdout
-    assert ("/dev/shm/fastrtps" in done.stdout) == shared
+    assert "libfastrtps" in maps
+    assert ("/dev/shm/fastrtps" in maps) == shared

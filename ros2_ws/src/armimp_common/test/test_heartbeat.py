@@ -2,9 +2,6 @@
 
 import signal
 import subprocess
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 import pytest
 from rclpy.node import Node
@@ -13,29 +10,6 @@ from armimp_common import qos
 from armimp_common.executor import Spinner
 from armimp_common.heartbeat import Heartbeat, HeartbeatMonitor, Presence
 from support.graph import eventually, report
-
-OTHER = """
-from armimp_common.heartbeat import Heartbeat
-from armimp_common.executor import run_node
-from rclpy.node import Node
-
-def make(*, context):
-    node = Node("other", context=context)
-    node.sign = Heartbeat(node, "other")
-    return node
-
-raise SystemExit(run_node(make, ["other"]))
-"""
-
-
-@contextmanager
-def other_process() -> "Iterator[subprocess.Popen[bytes]]":
-    process = subprocess.Popen([sys.executable, "-c", OTHER])
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.wait()
 
 
 def introduced(watch: HeartbeatMonitor, changes: list[Presence]) -> bool:
@@ -92,14 +66,16 @@ def test_what_is_known_follows_from_numbers_of_publishers_and_a_look_at_the_proc
 
 
 def test_when_a_process_is_stopped_for_a_moment_expect_it_stalled_and_alive_again(
-    watch: HeartbeatMonitor, spinner: Spinner, changes: list[Presence]
+    watch: HeartbeatMonitor,
+    spinner: Spinner,
+    changes: list[Presence],
+    other: "subprocess.Popen[bytes]",
 ) -> None:
-    with other_process() as process:
-        eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
-        process.send_signal(signal.SIGSTOP)
-        eventually(spinner, lambda: changes[-1] is Presence.STALLED, "silence")
-        process.send_signal(signal.SIGCONT)
-        eventually(spinner, lambda: changes[-1] is Presence.ALIVE, "a sign of life")
+    eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
+    other.send_signal(signal.SIGSTOP)
+    eventually(spinner, lambda: changes[-1] is Presence.STALLED, "silence")
+    other.send_signal(signal.SIGCONT)
+    eventually(spinner, lambda: changes[-1] is Presence.ALIVE, "a sign of life")
 
     assert watch.presence is Presence.ALIVE
 

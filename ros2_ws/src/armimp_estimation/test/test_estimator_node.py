@@ -1,7 +1,6 @@
 """The estimator node over real DDS, fed by a script: results, faults, parameters, life cycle."""
 
 import math
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cached_property, partial
 from pathlib import Path
@@ -36,6 +35,7 @@ from support.graph import (
     overrides,
     report,
 )
+from support.processes import wait_until
 from support.streams import changed
 from support.synthetic_bags import Message, synthetic_recording
 
@@ -88,11 +88,11 @@ class Script:
         self.echoes += 1
 
     def wait_for_estimator(self) -> None:
-        deadline = time.monotonic() + PATIENCE
         # One subscription of each topic is the echo.
-        while any(pub.get_subscription_count() < 2 for pub in self.publishers.values()):
-            assert time.monotonic() < deadline
-            time.sleep(0.005)
+        publishers = self.publishers.values()
+        wait_until(
+            lambda: all(one.get_subscription_count() >= 2 for one in publishers), "who listens"
+        )
         assert not wait_until_matched(self.node, subscriptions=self.people, timeout_s=PATIENCE)
 
     def play(self, spinner: Spinner, messages: Iterable[Message]) -> None:
