@@ -24,7 +24,7 @@ from armimp_sim.node import ArmSimNode
 from benchmarks.ping_pong import PingNode
 from support.fault_figures import Figures
 from support.graph import CLOCK_STEPS
-from support.priority import permitted_priority
+from support.processes import permitted_priority
 from support.runs import FinishedRun
 from support.stalls import StallWitness
 
@@ -182,7 +182,6 @@ def test_when_the_clock_is_set_in_lockstep_expect_the_same_bits(
 @stepped
 def test_when_the_rig_falls_silent_after_the_clock_was_set_expect_zero_torque_in_time(
     wall_clock: Path,
-    witness: StallWitness,
     tmp_path: Path,
     figures: Figures,
     target: str,
@@ -197,7 +196,10 @@ def test_when_the_rig_falls_silent_after_the_clock_was_set_expect_zero_torque_in
         "arm_sim": {"watchdog_ticks": PATIENCE},
     }
     log = tmp_path / "log"
-    status = attack(tmp_path, wall_clock, target, step, config, CLOCK_TICK="50", RIG_LOG=str(log))
+    with StallWitness(tmp_path / "stalls") as witness:
+        status = attack(
+            tmp_path, wall_clock, target, step, config, CLOCK_TICK="50", RIG_LOG=str(log)
+        )
 
     assert status == 1
     problems = read_summary(tmp_path / "out" / "summary.json").problems

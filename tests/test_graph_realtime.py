@@ -24,8 +24,7 @@ from armimp_common.topics import (
 )
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.summary import Summary
-from support.priority import permitted_priority
-from support.processes import processes_of
+from support.processes import permitted_priority, processes_of
 
 SECONDS = 2.0
 PATIENCE = 100

@@ -14,9 +14,8 @@ from armimp_control import presets as control_presets
 from armimp_control.laws.imbic import ImbicConfig
 from armimp_control.laws.law import Controller
 from armimp_sim.plant import Plant, PlantConfig
-from support.laws import preset_law
+from support.laws import preset_law, torque_only
 from support.plants import study_plant
-from support.safety import torque_only
 
 Array = NDArray[np.float64]
 PERIOD = 1e-3

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,9 @@ from armimp_sim.model.arm import HumanArm
 from armimp_sim.model.friction import LuGre
 from armimp_sim.model.robot import PlanarChain
 from armimp_sim.model.sensors import SensorParameters
+from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import PlantConfig
+from armimp_sim.simulator import SimulatedRig
 
 Array = NDArray[np.float64]
 
@@ -40,6 +43,24 @@ def one_joint(
         sensors=SensorParameters(),
         **changes,
     )
+
+
+def some_commands(ticks: int) -> list[tuple[float, ...]]:
+    """Random commands for two joints, N·m."""
+    return [tuple(row) for row in np.random.default_rng(5).uniform(-20, 20, (ticks, 2)).tolist()]
+
+
+def in_lockstep(
+    commands: Iterable[Sequence[float]],
+) -> list[tuple[int, tuple[float, ...], tuple[float, ...]]]:
+    """Stamps, angles and torques that the preset rig reads before and after each command."""
+    rig = SimulatedRig(SimulatorParameters.preset())
+    samples = []
+    for command in (None, *commands):
+        if command is not None:
+            rig.step(command)
+        samples.append((rig.stamp_ns, tuple(rig.position.tolist()), tuple(rig.torque.tolist())))
+    return samples
 
 
 def random_chain(n: int, seed: int = 0) -> PlanarChain:

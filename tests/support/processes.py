@@ -1,4 +1,4 @@
-"""Processes of this machine: run, found by their command line, waited for."""
+"""Processes of this machine: run, found by their command line, waited for, their precedence."""
 
 from __future__ import annotations
 
@@ -10,6 +10,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
+
+from armimp_common.errors import ConfigurationError
+from armimp_common.realtime import require_precedence
+
+PRIORITY = 30
 
 
 def run_python(*arguments: str, **options: Any) -> str:
@@ -37,3 +42,12 @@ def processes_of(*words: str | Path) -> list[int]:
                 command = (entry / "cmdline").read_bytes().decode(errors="replace")
                 found += [int(entry.name)] if all(str(one) in command for one in words) else []
     return found
+
+
+def permitted_priority() -> int:
+    """Return a SCHED_FIFO priority if this user may have one, else 0."""
+    try:
+        require_precedence(PRIORITY)
+    except ConfigurationError:
+        return 0
+    return PRIORITY

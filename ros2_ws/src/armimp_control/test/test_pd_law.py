@@ -14,7 +14,7 @@ from armimp_control.laws.law import Controller
 from armimp_control.laws.pd import PdConfig
 from armimp_control.parameters import ControllerParameters
 from support.controller import controller_parameters
-from support.safety import torque_only, within_torque
+from support.laws import torque_only, within_torque
 
 PERIOD = 1e-3
 

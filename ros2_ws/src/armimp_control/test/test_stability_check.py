@@ -14,13 +14,9 @@ from armimp_control.laws import NO_JOINT
 from armimp_control.laws.imbic import ImbicConfig
 from armimp_control.laws.law import Controller
 from armimp_control.stability import RigDynamics, check_stability, spectral_radius
-from support.laws import preset_law
-from support.safety import torque_only
+from support.laws import ARM, POSTURE, ROBOT, preset_law, torque_only
 
 Array = NDArray[np.float64]
-ROBOT = np.array([[0.3543, 0.1909], [0.1909, 0.1800]])
-ARM = np.array([[0.187, 0.084], [0.079, 0.060]])
-POSTURE = np.array([1.0945, 1.3484])
 
 
 def _config(*, model: float = 1.0, target: float = 1.0) -> ImbicConfig:
@@ -132,8 +128,7 @@ def test_the_law_of_the_study_bears_the_delays_that_the_documents_say(
 
 
 def test_the_default_is_accepted_without_a_warning_and_tde_with_one_of_late_commands() -> None:
-    default = preset_law(ROBOT, POSTURE)
-    assert check_stability(default, robot_inertia=ROBOT, arm_inertia=ARM) == ()
+    assert check_stability(DEFAULT, robot_inertia=ROBOT, arm_inertia=ARM) == ()
     (warning,) = check_stability(_config(), robot_inertia=ROBOT, arm_inertia=ARM)
     assert "commands that act 1 ms later" in warning
     assert warning.endswith("while all joints are locked")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ from armimp_common.realtime import Pacer
 from armimp_common.topics import PERIOD_NS
 from armimp_sim.parameters import WATCHDOG_TICKS, SimulatorParameters
 from armimp_sim.simulator import UNHEARD_TICKS, RealtimeSimulator, SimulatedRig
+from support.plants import in_lockstep, some_commands
 
 PARAMETERS = SimulatorParameters.preset()
 Command = tuple[float, ...]
@@ -33,7 +33,9 @@ class Bench:
         self.paced.begin()
 
     def send(self) -> None:
-        self.sent.append((self.rig.stamp_ns, *readings(self.rig)))
+        rig = self.rig
+        sample = rig.stamp_ns, tuple(rig.position.tolist()), tuple(rig.torque.tolist())
+        self.sent.append(sample)
 
     def command(self, *command: float, after_us: int = 300) -> None:
         """Give a command so long after the deadline of the present sample."""
@@ -50,23 +52,6 @@ class Bench:
     @property
     def missed(self) -> int:
         return self.paced.figures().missed
-
-
-def readings(rig: SimulatedRig) -> tuple[Command, Command]:
-    return tuple(rig.position.tolist()), tuple(rig.torque.tolist())
-
-
-def in_lockstep(commands: Sequence[Command]) -> list[tuple[int, Command, Command]]:
-    rig = SimulatedRig(PARAMETERS)
-    samples = [(rig.stamp_ns, *readings(rig))]
-    for command in commands:
-        rig.step(command)
-        samples.append((rig.stamp_ns, *readings(rig)))
-    return samples
-
-
-def some_commands(ticks: int) -> list[Command]:
-    return [tuple(row) for row in np.random.default_rng(5).uniform(-20, 20, (ticks, 2)).tolist()]
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 
-import numpy as np
 import pytest
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
@@ -16,26 +15,9 @@ from armimp_common.status import to_ns
 from armimp_common.topics import CLOCK, PERIOD_NS
 from armimp_sim.node import ArmSimNode
 from armimp_sim.parameters import SimulatorParameters
-from armimp_sim.simulator import SimulatedRig
-from support.controller import Sample, ScriptedController
+from support.controller import ScriptedController
 from support.graph import PATIENCE, Launch, a_moment, assert_locked_while_active, eventually
-
-PARAMETERS = SimulatorParameters.preset()
-
-
-def some_commands(ticks: int) -> list[tuple[float, ...]]:
-    return [tuple(row) for row in np.random.default_rng(5).uniform(-20, 20, (ticks, 2)).tolist()]
-
-
-def expected_samples(commands: Sequence[Sequence[float]]) -> tuple[list[Sample], list[Sample]]:
-    rig = SimulatedRig(PARAMETERS)
-    positions: list[Sample] = [(0, tuple(rig.position.tolist()))]
-    torques: list[Sample] = [(0, tuple(rig.torque.tolist()))]
-    for command in commands:
-        rig.step(command)
-        positions.append((rig.stamp_ns, tuple(rig.position.tolist())))
-        torques.append((rig.stamp_ns, tuple(rig.torque.tolist())))
-    return positions, torques
+from support.plants import in_lockstep, some_commands
 
 
 class World(ScriptedController):
@@ -43,7 +25,7 @@ class World(ScriptedController):
 
     def __init__(self, node: Node, spinner: Spinner, launch: Launch) -> None:
         super().__init__(node, spinner)
-        self.simulator: ArmSimNode = launch(ArmSimNode, PARAMETERS)
+        self.simulator: ArmSimNode = launch(ArmSimNode, SimulatorParameters.preset())
         self.bring_up(self.simulator)
         self.await_samples(1)
 
@@ -106,9 +88,9 @@ def test_when_a_command_is_no_good_expect_zero_torque_the_same_tick_and_an_error
     world.await_fault(reason)
     a_moment(world.spinner)
 
-    positions, torques = expected_samples([*commands, *[(0.0, 0.0)] * 11])
-    assert world.positions == positions
-    assert world.torques == torques
+    expected = in_lockstep([*commands, *[(0.0, 0.0)] * 11])
+    assert world.positions == [(stamp, angles) for stamp, angles, _ in expected]
+    assert world.torques == [(stamp, torques) for stamp, _, torques in expected]
     assert len(set(world.faults)) == 1
 
 
