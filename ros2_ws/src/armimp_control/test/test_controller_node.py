@@ -1,4 +1,4 @@
-"""The controller node over real DDS: answers, faults, watchdog, parameters, life cycle."""
+"""The controller node over real DDS: answers, faults, watchdog, parameters, life, early ends."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -13,7 +13,15 @@ from sensor_msgs.msg import JointState
 from armimp_common import qos, topics
 from armimp_common.executor import Spinner
 from armimp_common.schema import Value
-from armimp_common.status import Level, Phase, to_time, values_of
+from armimp_common.status import (
+    NOTICE_TICKS,
+    Level,
+    Phase,
+    StoppingDecision,
+    status_message,
+    to_time,
+    values_of,
+)
 from armimp_common.topics import PERIOD_NS
 from armimp_control.node import ImbicControllerNode
 from armimp_control.safety_limiter import SafetyParameters
@@ -271,3 +279,73 @@ def test_when_ended_during_a_trial_expect_zero_torque_and_an_abort(world: World,
     getattr(world.start(), how)()
     world.await_abort()
     assert world.driver.commands[60:] == [ZERO]
+
+
+# --- Decisions on the end of a trial: in lockstep samples wait for them -------------------------
+
+
+LONG = 600
+JUDGED = 20
+END = JUDGED + NOTICE_TICKS
+ANNOUNCED = StoppingDecision(trial=1, samples=0, enough=False, due=JUDGED, bound=0.02)
+ENOUGH = StoppingDecision(trial=1, samples=JUDGED, enough=True, due=None, bound=0.02, largest=0.01)
+NOT_YET = StoppingDecision(
+    trial=1, samples=JUDGED, enough=False, due=None, bound=0.02, largest=0.03
+)
+
+
+class Judged:
+    """A controller in its first perturbation, which knows of a decision to come, and its judge."""
+
+    def __init__(self, node: Node, spinner: Spinner, launch: Launch) -> None:
+        self.spinner = spinner
+        self.driver = driver = ScriptedDriver(node, NAMES)
+        self.judge = node.create_publisher(DiagnosticStatus, topics.STOPPING, qos.LATCHED)
+        parameters = controller_parameters(SETTLE, LONG, REST)
+        controller = active_controller(launch, driver, parameters, {"sequence.may_end_early": True})
+        eventually(spinner, lambda: self.judge.get_subscription_count() == 1, "who is judged")
+        driver.feed(POSTURE, ticks=SETTLE + 1)
+        driver.await_phase(Phase.PERTURB, spinner)
+        self.judge.publish(status_message(ANNOUNCED))
+        sequencer = controller._sequencer
+        assert sequencer is not None
+        eventually(spinner, lambda: sequencer._due is not None, "the decision to come is known")
+
+    def feed_up_to_the_decision(self) -> None:
+        """Feed all samples before that on which the decision decides, and then that one."""
+        self.driver.feed(POSTURE, ticks=END - 1)
+        self.driver.await_answers(self.spinner)
+        self.driver.feed(POSTURE)
+        a_moment(self.spinner)
+        assert len(self.driver.commands) == len(self.driver.perturbations) == SETTLE + END
+
+
+@pytest.fixture
+def judged(node: Node, spinner: Spinner, launch: Launch, clock: HandedClock) -> Judged:
+    return Judged(node, spinner, launch)
+
+
+@pytest.mark.parametrize(("decision", "ticks"), [(ENOUGH, END), (NOT_YET, LONG)])
+def test_in_lockstep_the_sample_on_which_a_decision_decides_is_answered_after_it(
+    judged: Judged, decision: StoppingDecision, ticks: int
+) -> None:
+    judged.feed_up_to_the_decision()
+
+    judged.judge.publish(status_message(decision))
+    judged.driver.await_answers(judged.spinner)
+    judged.driver.feed(POSTURE, ticks=LONG)
+    rest = judged.driver.await_phase(Phase.REST, judged.spinner)
+
+    assert (rest.tick, rest.ticks, rest.valid) == (SETTLE + ticks, ticks, True)
+
+
+def test_when_an_announced_decision_does_not_come_expect_the_end_with_that_reason(
+    judged: Judged, clock: HandedClock
+) -> None:
+    judged.feed_up_to_the_decision()
+    clock.now += 60.0
+
+    aborted = judged.driver.await_phase(Phase.ABORTED, judged.spinner)
+
+    assert aborted.reason == "the estimator does not say whether the trial is over"
+    eventually(judged.spinner, lambda: judged.driver.commands[-1] == (0.0, 0.0), "zero torque")

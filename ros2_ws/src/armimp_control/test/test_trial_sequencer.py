@@ -20,7 +20,7 @@ from armimp_control.parameters import ControllerParameters
 from armimp_control.perturbation import perturbation
 from armimp_control.safety_limiter import Limit, SafetyParameters
 from armimp_control.sequence import SequenceParameters, TareParameters, timetable
-from armimp_control.trial_sequencer import SamplePairs, TrialSequencer
+from armimp_control.trial_sequencer import SamplePairs, TrialSequencer, Watchdog
 from support.controller import POSTURE, controller_parameters, wobble
 from support.streams import changed
 
@@ -426,3 +426,55 @@ def test_a_tare_beyond_its_limits_ends_the_experiment_before_anything_is_perturb
     bench.run(SETTLE + 10, OFFSET)
     assert not bench.experiment.tau_delta.any()
     assert bench.experiment.at_rest
+
+
+# --- The watchdog over samples ------------------------------------------------------------------
+
+
+def _watchdog(*, ticks: int = 5, ramp: float = 0.05, slowest: float = 1e-3) -> Watchdog:
+    config = SafetyParameters(watchdog_ticks=ticks, ramp_time=ramp)
+    return Watchdog(config, slowest_tick=slowest)
+
+
+def test_after_the_patience_the_ramp_keeps_pace_with_the_clock() -> None:
+    watchdog = _watchdog()
+    watchdog.feed(10.0)
+    assert not watchdog.expired(10.0049)
+    assert watchdog.expired(10.0051)
+    assert [watchdog.ticks_due(now) for now in (10.0051, 10.0052, 10.0071, 10.0301)] == [
+        *(1, 0, 2, 23)
+    ]
+    assert watchdog.ticks_due(1e6) == 24
+    assert watchdog.ticks_due(1e6 + 1.0) == 0
+
+
+def test_sample_that_comes_back_ends_the_waiting() -> None:
+    watchdog = _watchdog()
+    watchdog.feed(0.0)
+    assert watchdog.ticks_due(0.0201) == 16
+    watchdog.feed(0.020)
+    assert not watchdog.expired(0.0249)
+    assert watchdog.ticks_due(0.0261) == 2
+
+
+@pytest.mark.parametrize("nonsense", [float("nan"), float("inf")])
+def test_clock_that_tells_nonsense_makes_the_whole_ramp_due(nonsense: float) -> None:
+    watchdog = _watchdog()
+    watchdog.feed(0.0)
+    assert watchdog.expired(nonsense)
+    assert watchdog.ticks_due(nonsense) == 50
+
+
+def test_longest_allowed_setting_is_over_within_two_hundred_milliseconds() -> None:
+    watchdog = _watchdog(ticks=100, ramp=0.05)
+    watchdog.feed(0.0)
+    assert watchdog.ticks_due(0.2) == 50
+
+
+def test_by_default_a_rig_in_lockstep_may_be_silent_for_almost_five_seconds() -> None:
+    safety = SafetyParameters()
+    watchdog = _watchdog(ticks=safety.watchdog_ticks, slowest=safety.slowest_tick)
+    watchdog.feed(100.0)
+
+    assert not watchdog.expired(104.99)
+    assert watchdog.expired(105.0)
