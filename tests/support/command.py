@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import io
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from armimp_bringup.cli import main
@@ -35,3 +39,25 @@ def refused(*arguments: str) -> Told:
     assert len(told.err.splitlines()) == 1, told
     assert told.out == "", told
     return told
+
+
+@contextlib.contextmanager
+def program(*arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """Run a command in a process of its own, which is over at the end."""
+    command = [sys.executable, "-m", "armimp_bringup.cli", *arguments]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def interrupted(
+    process: subprocess.Popen[str], status: int, number: signal.Signals = signal.SIGINT
+) -> list[str]:
+    """Send a signal to a command, which must end with this status; what it says from then on."""
+    process.send_signal(number)
+    _, error = process.communicate(timeout=60.0)
+    assert process.returncode == status, error
+    assert "Traceback" not in error
+    return error.splitlines()
