@@ -191,3 +191,30 @@ def test_figures_3_and_4_group_by_every_factor_and_reach_from_worst_to_best(tabl
     np.testing.assert_allclose(container.lines[0].get_ydata()[2], np.mean(values))
     segment = container.lines[2][0].get_segments()[2]
     np.testing.assert_allclose(segment[:, 1], [values.min(), values.max()])
+
+
+# --- The targets of accuracy, where they are hardest to meet ------------------------------------
+
+
+HARDEST = ["friction=0+3,resolution=0+3,perturbation=1", "friction=1,resolution=2,perturbation=2"]
+"""The weakest perturbation beside most friction, coarsest sensors, both or none; and the middle."""
+
+COARSEST = "friction=3,resolution=3,perturbation=3"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("base", "only", "seeds"),
+    [
+        ({}, HARDEST, "0"),
+        ({"joints": 3}, [COARSEST], "0"),
+        ({"perturbation_kind": "multisine"}, [COARSEST], "0:4"),
+    ],
+)
+def test_every_target_is_met_by_both_estimators(
+    base: dict[str, object], only: list[str], seeds: str, tmp_path: Path
+) -> None:
+    conditions = select_conditions(only, seeds)
+    config = ExperimentConfig.model_validate(base)
+    verdict = run_study(config, conditions, tmp_path / "study", Threads(2), figures=False)
+    assert verdict.failures() == []
