@@ -28,7 +28,6 @@ from armimp_common.status import (
     Level,
     Phase,
     StoppingDecision,
-    TrialStatus,
     make_array,
     make_status,
     status_message,
@@ -37,6 +36,7 @@ from armimp_estimation.node import RESULT_NAME
 from armimp_estimation.summary import Summary
 from support.graph import joined
 from support.processes import wait_until
+from support.streams import trial_status
 
 PATIENCE = 20.0
 BASE: dict[str, Any] = {"duration": 2.0}
@@ -110,24 +110,6 @@ def messages(topic: str, *contents: Any) -> Act:
     return act
 
 
-def status(**changes: Any) -> DiagnosticStatus:
-    """Make a status of the first trial that is not the controller's."""
-    values: dict[str, Any] = {
-        "phase": Phase.PERTURB,
-        "trial": 1,
-        "trials": 2,
-        "joint": 0,
-        "joint_name": "shoulder",
-        "tick": 500,
-        "start_ns": 500_000_000,
-        "ticks": 2000,
-        "seed": 1,
-        "valid": True,
-        **changes,
-    }
-    return status_message(TrialStatus(**values))
-
-
 def decision(trial: int) -> DiagnosticStatus:
     """Make a decision that a trial may end."""
     made = StoppingDecision(trial=trial, samples=1000, enough=True, due=None, bound=0.5)
@@ -178,8 +160,8 @@ ACTS: dict[str, Act] = {
     "next number": command(0.0, -1, leave=True),
     "wrong numbers": command(0.3, 4_000_000_000, 20),
     "decision": messages(topics.STOPPING, decision(1), decision(2)),
-    "shorter trial": messages(topics.TRIAL, status(ticks=1500)),
-    "all is over": messages(topics.TRIAL, status(phase=Phase.DONE, trial=2)),
+    "shorter trial": messages(topics.TRIAL, status_message(trial_status(ticks=1500))),
+    "all is over": messages(topics.TRIAL, status_message(trial_status(phase=Phase.DONE, trial=2))),
     "result": messages(
         topics.RESULT, make_status(RESULT_NAME, Level.OK, "valid", {"valid": "true"})
     ),

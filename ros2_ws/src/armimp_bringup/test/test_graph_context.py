@@ -21,13 +21,13 @@ from armimp_common.status import (
     Phase,
     Progress,
     TimingFigures,
-    TrialStatus,
     make_array,
     make_status,
     status_message,
 )
 from support.graph import eventually
 from support.processes import run_python
+from support.streams import trial_status
 
 VARIABLES = (
     "ROS_AUTOMATIC_DISCOVERY_RANGE",
@@ -192,21 +192,6 @@ def _taken(claim: DomainClaim, domain_id: int) -> bool:
 # --- What the orchestrator hears of an experiment, and until when -------------------------------
 
 
-STATUS = TrialStatus(
-    phase=Phase.ABORTED,
-    trial=1,
-    trials=2,
-    joint=0,
-    joint_name="shoulder",
-    tick=0,
-    start_ns=None,
-    ticks=10_000,
-    seed=1,
-    valid=False,
-    reason="emergency stop",
-)
-
-
 @pytest.mark.parametrize("told_before", [False, True])
 def test_timing_counts_up_to_an_abort_and_faults_are_heard_after_it(told_before: bool) -> None:
     with GraphContext() as graph:
@@ -226,7 +211,8 @@ def test_timing_counts_up_to_an_abort_and_faults_are_heard_after_it(told_before:
             if told_before:
                 report(1000)
                 eventually(spinner, lambda: len(supervisor.faults) == 1, "the first fault")
-            trial.publish(status_message(STATUS))
+            aborted = trial_status(phase=Phase.ABORTED, valid=False, reason="emergency stop")
+            trial.publish(status_message(aborted))
             eventually(spinner, lambda: supervisor.finished, "the end")
             for ticks in (1600, 1700):
                 report(ticks)
