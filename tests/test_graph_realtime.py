@@ -10,7 +10,6 @@ import os
 import signal
 import time
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -35,16 +34,6 @@ MODULES = {SIM_NODE: "armimp_sim.node", CONTROLLER_NODE: "armimp_control.node"}
 pytestmark = pytest.mark.usefixtures("environment")
 
 
-def config(**options: Any) -> ExperimentConfig:
-    return ExperimentConfig.model_validate(
-        {
-            "mode": "realtime",
-            "duration": SECONDS,
-            **options,
-        }
-    )
-
-
 def assert_verdict_fits(summary: Summary) -> None:
     """Not valid if and only if there is a problem, one for each limit that is exceeded."""
     assert summary.valid is (not summary.faults)
@@ -55,7 +44,9 @@ def assert_verdict_fits(summary: Summary) -> None:
 
 def patient() -> ExperimentConfig:
     """With precedence where that is permitted, and watchdogs that wait for as long as they may."""
-    return config(
+    return ExperimentConfig(
+        mode="realtime",
+        duration=SECONDS,
         priority=permitted_priority(),
         arm_sim={"watchdog_ticks": PATIENCE},
         imbic_controller={"safety.watchdog_ticks": PATIENCE},

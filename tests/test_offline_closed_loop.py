@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import run_offline, simulate
-from armimp_bringup.parameters import NodeParameters, node_parameters
+from armimp_bringup.parameters import node_parameters
 from armimp_control import presets as control_presets
 from armimp_control.laws.imbic import ImbicConfig
 from armimp_control.laws.law import Controller
@@ -202,41 +201,29 @@ def test_ramp_of_fifty_milliseconds_pushes_on_with_a_peak_of_chatter_if_the_law_
 # --- A joint that is far from its posture by the time it gets locked ----------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
-class Person:
-    """A run in which the first joint is far from its posture when the second trial locks it."""
-
-    seed: int
-    duration: float
-    voluntary: float
-
-    def rig(self, approach: float, internal_model: str = "observer") -> NodeParameters:
-        config = ExperimentConfig(
-            friction=3,
-            resolution=3,
-            perturbation=3,
-            seed=self.seed,
-            duration=self.duration,
-            arm_sim={"voluntary.rms": self.voluntary, "substeps": 20},
-            imbic_controller={
-                "target.lock_approach": approach,
-                "law.internal_model": internal_model,
-            },
-        )
-        return node_parameters(config, None)
-
-
-# At 0.037 rad, for which a target that jumps asks for about the torque limit: M̄ ω² times that.
-AT_THE_LIMIT = Person(seed=119, duration=50.0, voluntary=0.3)
-# At −0.069 rad.
-BEYOND_IT = Person(seed=0, duration=20.0, voluntary=1.0)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("person", [AT_THE_LIMIT, BEYOND_IT])
-def test_joint_is_locked_from_afar_without_a_clip_and_held_in_its_posture(person: Person) -> None:
-    default = node_parameters(ExperimentConfig(), None).controller.target.lock_approach
-    rig = person.rig(default)
+@pytest.mark.parametrize(
+    ("seed", "duration", "voluntary"),
+    [
+        # At 0.037 rad: a target that jumps asks for about the torque limit, M̄ ω² times that.
+        (119, 50.0, 0.3),
+        # At −0.069 rad.
+        (0, 20.0, 1.0),
+    ],
+    ids=["at the limit", "beyond it"],
+)
+def test_joint_is_locked_from_afar_without_a_clip_and_held_in_its_posture(
+    seed: int, duration: float, voluntary: float
+) -> None:
+    config = ExperimentConfig(
+        friction=3,
+        resolution=3,
+        perturbation=3,
+        seed=seed,
+        duration=duration,
+        arm_sim={"voluntary.rms": voluntary, "substeps": 20},
+    )
+    rig = node_parameters(config, None)
     first, second = run_offline([rig])[0]
     for trial in (first, second):
         assert trial.command is not None

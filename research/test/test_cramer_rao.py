@@ -31,8 +31,8 @@ ONE_JOINT = MBK(M=np.array([[0.2]]), B=np.array([[0.6]]), K=np.array([[8.0]]))
 NOISE = SensorNoise(angle=2e-5, torque=5e-3)
 
 
-def motion(joints: int, trials: int, seed: int = 3) -> tuple[FloatArray, ComplexArray]:
-    random = np.random.default_rng(seed)
+def motion(joints: int, trials: int) -> tuple[FloatArray, ComplexArray]:
+    random = np.random.default_rng(3)
     f = 0.122 * np.arange(1, 120, dtype=np.float64)
     parts = random.standard_normal((2, trials, joints, f.size))
     theta: ComplexArray = parts[0] + 1j * parts[1]

@@ -31,7 +31,7 @@ Sample = tuple[int, tuple[float, ...]]
 
 
 def controller_parameters(
-    *ticks: int, seed: int = 1, law: Any = "observer", **groups: Any
+    *ticks: int, law: Any = "observer", **groups: Any
 ) -> ControllerParameters:
     """Parameters for robot and arm of the study."""
     preset = ControllerParameters.preset(
@@ -39,7 +39,7 @@ def controller_parameters(
         posture=np.array(POSTURE),
         robot_inertia=np.array([[0.354, 0.191], [0.191, 0.180]]),
         arm_inertia=np.array([[0.187, 0.084], [0.079, 0.060]]),
-        seed=seed,
+        seed=1,
         law=law,
     )
     if ticks:

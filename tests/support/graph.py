@@ -151,18 +151,16 @@ def other(domain_id: int) -> Iterator[subprocess.Popen[bytes]]:
     process.wait()
 
 
-def eventually(
-    spinner: Spinner, condition: Callable[[], bool], what: str, patience: float = PATIENCE
-) -> None:
+def eventually(spinner: Spinner, condition: Callable[[], bool], what: str) -> None:
     """Spin until a condition is met."""
-    end = time.monotonic() + patience
+    end = time.monotonic() + PATIENCE
     spinner.spin(lambda: condition() or time.monotonic() > end, period=0.01)
-    assert condition(), f"did not happen within {patience} s: {what}"
+    assert condition(), f"did not happen within {PATIENCE} s: {what}"
 
 
-def a_moment(spinner: Spinner, seconds: float = MOMENT) -> None:
+def a_moment(spinner: Spinner) -> None:
     """Spin for a moment, in which something could happen that must not."""
-    end = time.monotonic() + seconds
+    end = time.monotonic() + MOMENT
     spinner.spin(lambda: time.monotonic() > end, period=0.05)
 
 

@@ -26,22 +26,15 @@ def study_plant(friction: int = 0, **changes: Any) -> PlantConfig:
     return PlantConfig(arm=presets.human_arm(2), robot=presets.robot(2), **parts)
 
 
-def one_joint(
-    law: LuGre | None = None,
-    *,
-    inertia: float,
-    damping: float = 0.0,
-    stiffness: float = 0.0,
-    **changes: Any,
-) -> PlantConfig:
-    """One joint, half of whose inertia (kg·m²) is the robot's, about an angle of 0."""
+def one_joint(law: LuGre, *, inertia: float, damping: float, substeps: int) -> PlantConfig:
+    """One joint without stiffness, half of whose inertia (kg·m²) is the robot's."""
     half = 0.5 * inertia
     return PlantConfig(
-        arm=HumanArm(posture=(0.0,), inertia=(half,), damping=(damping,), stiffness=(stiffness,)),
+        arm=HumanArm(posture=(0.0,), inertia=(half,), damping=(damping,), stiffness=(0.0,)),
         robot=PlanarChain(lengths=(0.3,), moments=(half,), masses=(0.0,), centres=(0.0,)),
-        friction=law or LuGre(),
+        friction=law,
         sensors=SensorParameters(),
-        **changes,
+        substeps=substeps,
     )
 
 

@@ -11,7 +11,6 @@ from armimp_bringup.driver_check import (
     Call,
     Ending,
     Endpoint,
-    Finding,
     Message,
     Moves,
     Outcome,
@@ -131,10 +130,6 @@ def failed(record: Record) -> list[str]:
 
 def unsure(record: Record) -> set[str]:
     return set(with_outcome(judge(record), Outcome.INCONCLUSIVE))
-
-
-def found(record: Record, check: str) -> Finding:
-    return {finding.check: finding for finding in judge(record)}[check]
 
 
 def test_a_sound_driver_passes(sound: Record) -> None:
@@ -274,7 +269,8 @@ def test_wrong_signs_and_orders_are_told_apart(
     assert stale is not None
     record = moved(sound, pushes=pushes, stale=stale._replace(ended=pushes[0]))
     assert failed(record) == named
-    assert words in found(record, "torque: joint and sign").figure
+    figures = {one.check: one.figure for one in judge(record)}
+    assert words in figures["torque: joint and sign"]
 
 
 def test_services_that_are_missing_or_silent_and_a_second_publisher_are_named(

@@ -101,11 +101,6 @@ def test_a_directory_that_holds_something_is_refused_and_left_alone(study: Path)
 # --- report ------------------------------------------------------------------------------------
 
 
-def _words(page: str) -> str:
-    text = page.split("<main", 1)[1].split("<script>", 1)[0]
-    return re.sub(r"\s+", " ", html.unescape(re.sub("<[^>]*>", " ", text)))
-
-
 def test_report_is_written_without_figures_and_says_how_far_each_missed_target_is(
     study: Path, entries: Sequence[StudyEntry], table: Table
 ) -> None:
@@ -113,7 +108,8 @@ def test_report_is_written_without_figures_and_says_how_far_each_missed_target_i
     assert len(page) < 8_000_000
     assert not list(study.glob("*.png"))
     assert not re.findall("(?:src|href)=[\"']?https?:", page.split("<script", 1)[0])
-    words = _words(page)
+    text = page.split("<main", 1)[1].split("<script>", 1)[0]
+    words = re.sub(r"\s+", " ", html.unescape(re.sub("<[^>]*>", " ", text)))
     for part in ("Worst value in each condition", "1, 2"):
         assert part in words
     missed = [one for one in judge(entries, table).worst if one.met is False]

@@ -1,6 +1,5 @@
 """Lifecycle manager: nodes of this process and of others, refusals, failures, silence."""
 
-import time
 from collections.abc import Iterator
 
 import pytest
@@ -17,14 +16,12 @@ from support.graph import PATIENCE
 
 
 class Managed(ManagedNode):
-    def __init__(self, name: str, *, context: Context, namespace: str = "") -> None:
-        super().__init__(name, context=context, namespace=namespace)
+    def __init__(self, name: str, *, context: Context) -> None:
+        super().__init__(name, context=context)
         self.fault: Exception | None = None
-        self.delay = 0.0
 
     @reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        time.sleep(self.delay)
         if self.fault is not None:
             raise self.fault
         return TransitionCallbackReturn.SUCCESS

@@ -21,7 +21,6 @@ from armimp_control.safety_limiter import (
     WINDOW,
     Action,
     Limit,
-    SafetyParameters,
     SaturationCounter,
     check_sample,
     continue_ramp,
@@ -40,8 +39,8 @@ BAD = [np.nan, np.inf, -np.inf]
 class SafetyLimiter:
     """A limiter of its own, fed tick by tick."""
 
-    def __init__(self, joints: int = 2, *, config: SafetyParameters = WIDE, **limits: Any) -> None:
-        self.rules = config.model_copy(update=limits).rules(np.zeros(joints), PERIOD)
+    def __init__(self, joints: int = 2, **limits: Any) -> None:
+        self.rules = WIDE.model_copy(update=limits).rules(np.zeros(joints), PERIOD)
         self.memory = np.zeros((LIMITER_ROWS, joints))
         self.journal = np.zeros(JOURNAL)
         self.command = np.zeros(joints)

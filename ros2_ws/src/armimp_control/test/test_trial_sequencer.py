@@ -431,8 +431,8 @@ def test_a_tare_beyond_its_limits_ends_the_experiment_before_anything_is_perturb
 # --- The watchdog over samples ------------------------------------------------------------------
 
 
-def _watchdog(*, ticks: int = 5, ramp: float = 0.05, slowest: float = 1e-3) -> Watchdog:
-    config = SafetyParameters(watchdog_ticks=ticks, ramp_time=ramp)
+def _watchdog(*, ticks: int = 5, slowest: float = 1e-3) -> Watchdog:
+    config = SafetyParameters(watchdog_ticks=ticks, ramp_time=0.05)
     return Watchdog(config, slowest_tick=slowest)
 
 
@@ -466,7 +466,7 @@ def test_clock_that_tells_nonsense_makes_the_whole_ramp_due(nonsense: float) -> 
 
 
 def test_longest_allowed_setting_is_over_within_two_hundred_milliseconds() -> None:
-    watchdog = _watchdog(ticks=100, ramp=0.05)
+    watchdog = _watchdog(ticks=100)
     watchdog.feed(0.0)
     assert watchdog.ticks_due(0.2) == 50
 

@@ -134,8 +134,8 @@ class Desk:
         self.made.append(self.estimator)
         self.spinner.add_node(self.estimator)
 
-    def bring_up(self, changes: Mapping[str, Value] | None = None) -> None:
-        self.make(changes)
+    def bring_up(self) -> None:
+        self.make()
         self.activate()
 
     def activate(self) -> None:

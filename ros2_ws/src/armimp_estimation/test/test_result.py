@@ -60,15 +60,6 @@ METADATA = {
 NOISE = problem(ProblemCode.STALLED, seconds=30.0)
 
 
-def without(
-    messages: Iterable[Message], topic: str, trial: int, ticks: Iterable[int]
-) -> list[Message]:
-    """The messages without those of a topic in some ticks of a trial."""
-    start_ns = RECORDING.records[trial - 1].start_ns
-    lost = {start_ns + tick * PERIOD_NS for tick in ticks}
-    return [(t, time, raw) for t, time, raw in messages if t != topic or time not in lost]
-
-
 def recorded(
     messages: Iterable[Message] = RECORDING.messages, directory: Path | None = None
 ) -> list[Trial]:
@@ -86,7 +77,8 @@ def recorded(
 
 
 LIVE = recorded()
-GAP = without(RECORDING.messages, JOINT_STATES, 2, range(4000, 4037))
+LOST = {RECORDING.records[1].start_ns + tick * PERIOD_NS for tick in range(4000, 4037)}
+GAP = [one for one in RECORDING.messages if one[0] != JOINT_STATES or one[1] not in LOST]
 
 
 def result_of(
@@ -95,7 +87,6 @@ def result_of(
     problems: Sequence[Problem] = (),
     *,
     allow_gaps: bool = False,
-    most_excluded: float = 0.05,
 ) -> Result:
     return conclude(
         trials,
@@ -103,7 +94,6 @@ def result_of(
         joint_names=("shoulder", "elbow"),
         estimators=ESTIMATORS,
         allow_gaps=allow_gaps,
-        most_excluded=most_excluded,
         problems=problems,
     )
 
@@ -417,14 +407,10 @@ def test_files_hold_the_result_and_are_never_overwritten(tmp_path: Path) -> None
         write_summary(tmp_path / "nowhere" / "summary.json", complete().summary)
 
 
-def curves_of(identification: Identification) -> dict[str, ImpedanceCurve]:
-    return {name: ImpedanceCurve.of(one) for name, one in identification.estimators.items()}
-
-
 def test_curves_come_back_bit_by_bit_each_with_its_own_frequencies(
     identification: Identification, tmp_path: Path
 ) -> None:
-    curves = curves_of(identification)
+    curves = {name: ImpedanceCurve.of(one) for name, one in identification.estimators.items()}
     curves["fine"] = replace(curves["welch_siso"], name="fine", f=curves["welch_siso"].f + 1.0)
     for name in ("one", "two"):
         write_frf(tmp_path / f"{name}.npz", curves)

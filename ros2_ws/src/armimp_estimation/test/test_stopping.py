@@ -35,8 +35,8 @@ def column(error: float) -> FittedColumn:
     )
 
 
-def rule(planned: int = 50_000, least: float = 20.0) -> StoppingRule:
-    return StoppingRule(BOUND, least, trial=2, planned=planned, rate=1000.0)
+def rule(planned: int = 50_000) -> StoppingRule:
+    return StoppingRule(BOUND, 20.0, trial=2, planned=planned, rate=1000.0)
 
 
 def decisions(

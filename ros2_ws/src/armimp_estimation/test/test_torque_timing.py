@@ -15,7 +15,6 @@ from scipy import signal
 from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
 from armimp_estimation.fit import fit_mbk
 from armimp_estimation.hold_correction import update_jump
-from armimp_estimation.mbk import MBK
 from armimp_estimation.metadata import Metadata
 from armimp_estimation.parameters import EstimatorParameters, TorqueParameters
 from armimp_estimation.record import TrialRecord
@@ -145,11 +144,6 @@ def test_what_sampling_folds_back_is_the_sum_over_the_images(reading: TorqueRead
     np.testing.assert_allclose(bend, images(reading, 2), atol=1e-6)
 
 
-def fitted(records: list[TrialRecord], reading: TorqueReading) -> MBK:
-    data = [TrialData.of(record, reading=reading) for record in records]
-    return fit_mbk(LpmFull(config=LpmConfig(reading=reading)).estimate(data)).mbk
-
-
 @latest
 def test_jumps_are_found_behind_delay_and_filter(reading: TorqueReading) -> None:
     jump = update_jump([rig_record(joint, reading) for joint in range(2)], reading)
@@ -160,7 +154,9 @@ def test_jumps_are_found_behind_delay_and_filter(reading: TorqueReading) -> None
 @latest
 def test_known_delay_and_filter_leave_no_error_and_unknown_ones_do(reading: TorqueReading) -> None:
     records = [rig_record(joint, reading) for joint in range(2)]
-    told = worst_errors(fitted(records, reading), ARM)
+    known = [TrialData.of(record, reading=reading) for record in records]
+    estimate = LpmFull(config=LpmConfig(reading=reading)).estimate(known)
+    told = worst_errors(fit_mbk(estimate).mbk, ARM)
     assert told["M"] < 0.002
     assert told["B"] < 0.005
     assert told["K"] < 0.015

@@ -53,12 +53,12 @@ def run(plants: PlantConfig | list[PlantConfig], commands: Array = COMMANDS) -> 
     return np.array(states)[:, 0], np.array(torques)[:, 0]
 
 
-def within(commands: Array = COMMANDS) -> tuple[Array, Array]:
+def within() -> tuple[Array, Array]:
     """Torque on the arm at the start and the end of every step of the integration, (steps, 2)."""
     plain = config()
     fine = Plant([replace(plain, period=plain.step, substeps=1)])
     starts, ends = [], []
-    for command in commands:
+    for command in COMMANDS:
         for _ in range(SUBSTEPS):
             # The reading without any time passing: under the new command, before the step.
             starts.append(load(plain, fine.state()[0], command))

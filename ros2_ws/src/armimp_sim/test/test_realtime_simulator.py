@@ -22,13 +22,13 @@ SILENCE = f"no command for {WATCHDOG_TICKS} ticks"
 class Bench:
     """A paced rig without its thread, on a clock that is moved by hand."""
 
-    def __init__(self, watchdog_ticks: int = WATCHDOG_TICKS) -> None:
+    def __init__(self) -> None:
         self.ns = 10**12
         self.tick = 0
         self.rig = SimulatedRig(PARAMETERS)
         self.sent: list[tuple[int, Command, Command]] = []
         pacer = Pacer(PERIOD_NS, now=lambda: self.ns, sleep=lambda _: None)
-        self.paced = RealtimeSimulator(self.rig, self.send, pacer, watchdog_ticks=watchdog_ticks)
+        self.paced = RealtimeSimulator(self.rig, self.send, pacer, watchdog_ticks=WATCHDOG_TICKS)
         self.start_ns = self.ns
         self.paced.begin()
 
@@ -42,11 +42,11 @@ class Bench:
         self.ns = self.start_ns + self.tick * PERIOD_NS + after_us * 1000
         self.paced.command(command)
 
-    def next(self, ticks: int = 1, *, late_us: int = 0) -> None:
+    def next(self, ticks: int = 1) -> None:
         """Let deadlines come."""
         for _ in range(ticks):
             self.tick += 1
-            self.ns = max(self.ns, self.start_ns + self.tick * PERIOD_NS + late_us * 1000)
+            self.ns = max(self.ns, self.start_ns + self.tick * PERIOD_NS)
             self.paced.advance(self.tick)
 
     @property
