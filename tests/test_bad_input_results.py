@@ -44,15 +44,6 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "study.json"
 
 
-def with_value(result: dict[str, Any], path: tuple[str | int, ...], value: object) -> bytes:
-    spoiled = copy.deepcopy(result)
-    place: Any = spoiled
-    for key in path[:-1]:
-        place = place[key]
-    place[path[-1]] = value
-    return json.dumps([spoiled]).encode()
-
-
 MATRIX = [[1.0, 2.0], [3.0]]
 
 
@@ -75,7 +66,12 @@ MATRIX = [[1.0, 2.0], [3.0]]
 def test_a_wrong_value_in_a_result_is_named(
     path: tuple[str | int, ...], value: object, words: str, result: dict[str, Any], file: Path
 ) -> None:
-    file.write_bytes(with_value(result, path, value))
+    spoiled = copy.deepcopy(result)
+    place: Any = spoiled
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = value
+    file.write_text(json.dumps([spoiled]))
     told = reason_against(read_study, file)
     assert told.startswith(f"{file}: ")
     assert words in told

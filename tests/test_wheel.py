@@ -18,13 +18,6 @@ SOURCES = ROOT / "ros2_ws" / "src"
 PACKAGES = sorted(path.parent.name for path in SOURCES.glob("*/package.xml"))
 
 
-def lines() -> str:
-    """The program in the README."""
-    page = (ROOT / "README.md").read_text(encoding="utf-8")
-    (program,) = re.findall(r"^```python\n(.*?)^```$", page, flags=re.MULTILINE | re.DOTALL)
-    return str(program)
-
-
 def test_the_project_has_the_packages_versions_and_commands_of_the_workspace() -> None:
     project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     setups = {one: (SOURCES / one / "setup.cfg").read_text(encoding="utf-8") for one in PACKAGES}
@@ -75,7 +68,9 @@ def test_the_wheel_identifies_an_arm_in_an_empty_environment(tmp_path: Path) -> 
     run(python, "-m", "pip", "-qq", "install", str(wheel))
 
     assert "rclpy" not in run(python, "-m", "pip", "list")
-    assert run(python, "-c", lines()).splitlines()[-1] == "valid"
+    page = (ROOT / "README.md").read_text(encoding="utf-8")
+    (program,) = re.findall(r"^```python\n(.*?)^```$", page, flags=re.MULTILINE | re.DOTALL)
+    assert run(python, "-c", program).splitlines()[-1] == "valid"
     command = [str(tmp_path / "empty" / "bin" / "armimp"), "run"]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -73,18 +73,18 @@ def wobble(ticks: int) -> list[tuple[tuple[float, ...], tuple[float, ...]]]:
 class ScriptedController:
     """Stands for controller, recorder and people: commands a rig, and keeps what comes back."""
 
-    def __init__(self, node: Node, spinner: Spinner, names: Sequence[str] = NAMES) -> None:
+    def __init__(self, node: Node, spinner: Spinner) -> None:
         self.node, self.spinner = node, spinner
         self.answer: tuple[float, ...] | None = None
         self.diagnostics: list[DiagnosticStatus] = []
         self.positions: list[Sample] = []
         self.torques: list[Sample] = []
         self.samples = {JOINT_STATES: self.positions, TORQUE_SENSORS: self.torques}
-        self.commands = CommandPublisher(node, topics.COMMANDS, len(names))
+        self.commands = CommandPublisher(node, topics.COMMANDS, len(NAMES))
         self.received = node.create_publisher(UInt64, topics.RECEIVED, qos.LATCHED)
         self.subscriptions = [
             subscribe_joint_states(
-                node, topic, names, VALUE_FIELD[topic], partial(self.on_sample, topic), raised
+                node, topic, NAMES, VALUE_FIELD[topic], partial(self.on_sample, topic), raised
             )
             for topic in self.samples
         ]

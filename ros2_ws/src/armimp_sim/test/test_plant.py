@@ -173,14 +173,6 @@ LAW = presets.friction(3, 1)
 VELOCITIES = [0.002, 0.005, 0.01, 0.03, 0.5, 3.0]
 
 
-def _load(plant: Plant, torques: Array) -> tuple[float, float, float]:
-    """Apply torques tick by tick and return θ, v and z."""
-    for torque in torques:
-        plant.tick(np.array([[torque]]), np.zeros((1, 1)))
-    theta, velocity, bristle = plant.state()[0, :, 0]
-    return float(theta), float(velocity), float(bristle)
-
-
 @pytest.mark.parametrize("direction", [-1.0, 1.0])
 @pytest.mark.parametrize("speed", VELOCITIES)
 def test_at_constant_speed_friction_is_the_steady_state_law(speed: float, direction: float) -> None:
@@ -189,7 +181,9 @@ def test_at_constant_speed_friction_is_the_steady_state_law(speed: float, direct
     plant = Plant([one_joint(LAW, inertia=1.0, damping=damping, substeps=20)])
     level = 2.0 + 0.5 * np.exp(-((speed / 0.01) ** 2))
     friction = level * direction + 0.2 * velocity  # g(v)·sign(v) + σ2 v
-    _, reached, bristle = _load(plant, np.full(20_000, friction + damping * velocity))
+    for _ in range(20_000):
+        plant.tick(np.array([[friction + damping * velocity]]), np.zeros((1, 1)))
+    _, reached, bristle = plant.state()[0, :, 0]
     assert reached == pytest.approx(velocity, rel=1e-6)
     assert bristle == pytest.approx(direction * level / 2000.0, rel=1e-4)
 
