@@ -9,7 +9,6 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -26,7 +25,6 @@ from armimp_estimation.summary import SUMMARY_FILE, read_summary
 from support.browser import Browser
 from support.graph import PATIENCE, hosted
 from support.runs import FinishedRun, Run
-from support.stalls import StallWitness
 
 
 @pytest.fixture(scope="session")
@@ -40,17 +38,7 @@ def environment() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def run(environment: None, tmp_path_factory: pytest.TempPathFactory) -> Run:
-    def run_short(**options: Any) -> FinishedRun:
-        config = ExperimentConfig.model_validate({"duration": 2.0, **options})
-        directory = tmp_path_factory.mktemp("run") / "out"
-        return FinishedRun(directory=directory, summary=run_experiment(config, directory).summary)
-
-    return run_short
-
-
-@pytest.fixture(scope="session")
-def shared_run(environment: None, tmp_path_factory: pytest.TempPathFactory) -> Run:
-    """As `run`, but made once for all workers that ask for the same."""
+    """Runs a short experiment, once for all workers that ask for the same."""
     base = tmp_path_factory.getbasetemp()
     base = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
 
@@ -67,21 +55,21 @@ def shared_run(environment: None, tmp_path_factory: pytest.TempPathFactory) -> R
 
 
 @pytest.fixture(scope="session")
-def composed(shared_run: Run) -> FinishedRun:
+def composed(run: Run) -> FinishedRun:
     """The default experiment, but short, in one process."""
-    return shared_run()
+    return run()
 
 
 @pytest.fixture(scope="session")
-def separate(shared_run: Run) -> FinishedRun:
+def separate(run: Run) -> FinishedRun:
     """The same in one process for each node."""
-    return shared_run(processes="separate")
+    return run(processes="separate")
 
 
 @pytest.fixture(scope="session")
-def other_seed(shared_run: Run) -> FinishedRun:
+def other_seed(run: Run) -> FinishedRun:
     """The default experiment, but short, with another seed."""
-    return shared_run(seed=2)
+    return run(seed=2)
 
 
 @pytest.fixture(scope="session")
@@ -102,13 +90,6 @@ def driver_domain(environment: None, monkeypatch: pytest.MonkeyPatch) -> int:
     with DomainClaim() as claim:
         monkeypatch.setenv("ROS_DOMAIN_ID", str(claim.domain_id))
         return claim.domain_id
-
-
-@pytest.fixture
-def witness(tmp_path: Path) -> Iterator[StallWitness]:
-    """Measures stalls of the machine during the test."""
-    with StallWitness(tmp_path / "stalls") as witness:
-        yield witness
 
 
 @pytest.fixture

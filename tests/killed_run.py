@@ -29,6 +29,7 @@ from armimp_bringup.orchestrator import Supervisor
 from armimp_common.lifecycle import LifecycleManager, TransitionName
 from armimp_common.status import values_of
 from armimp_common.topics import SUPERVISOR_NODE
+from support.processes import wait_until
 
 PATIENCE = 180.0
 MOVING = "moving"
@@ -84,10 +85,7 @@ class Killer:
 
 
 def _await(file: Path) -> None:
-    deadline = time.monotonic() + PATIENCE
-    while not file.exists():
-        assert time.monotonic() < deadline, f"no {file.name} of the witness"
-        time.sleep(0.01)
+    wait_until(file.exists, f"{file.name} of the witness", PATIENCE)
 
 
 def install(killer: Killer) -> None:

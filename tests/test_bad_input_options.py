@@ -4,7 +4,10 @@ from pathlib import Path
 
 import pytest
 
+from armimp_common import topics
+from support.bag_files import write_bag, write_foreign
 from support.command import refused
+from support.synthetic_bags import recorded_arm
 
 LONG = "a" * 300
 
@@ -21,65 +24,82 @@ def directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return here
 
 
-@pytest.mark.parametrize(
-    ("option", "value", "quoted"),
-    [
-        ("--friction", "7", "'friction' = 7"),
-        ("--friction", "3\n4", "--friction"),
-        ("--duration", "nan", "'duration' = nan"),
-        ("--duration", "1e300", "'duration' = 1e+300"),
-        ("--duration", "ten", "--duration"),
-        ("--seed", "9" * 30, "'seed' = 9999"),
-        ("--joints", "9", "'joints' = 9: input should be 1, 2, 3, 4, 5, 6 or 7"),
-        ("--duration", "1", "'duration' = 1.0"),
-        ("--processes", "many", "many"),
-        ("--config", "nowhere.yaml", "nowhere.yaml"),
-        ("--estimator", "foo", "'foo'"),
-        ("--estimator", "a\nb", r"'a\nb'"),
-        ("--mode", "warp", '"warp"'),
-        ("--config", ".", ".: Is a directory"),
-        ("--config", "/proc/self/mem", "/proc/self/mem: Input/output error"),
-        ("--config", LONG * 20, "File name too long"),
-        ("--out", "../file/x", "../file/x: cannot be made: Not a directory"),
-        ("--out", "../full", "../full: is not empty"),
-        ("--out", "/proc/here", "/proc/here: cannot be made"),
-        ("--out", LONG, f"{LONG}: cannot be made: File name too long"),
-        ("--colour", "red", "--colour"),
-        ("--target-error", "2", '= "2": is no share such as 2% or 0.02; did you mean 2%?'),
-        *(
-            ("--target-error", text, f'"{text}": is no share')
-            for text in ("0", "100%", "-1%", "nan", "two")
-        ),
-    ],
-)
-def test_a_wrong_value_of_run_ends_in_one_line_with_the_value(
-    directory: Path, option: str, value: str, quoted: str
-) -> None:
-    told = refused("run", option, value)
-    assert told.status == 2
-    assert quoted in told.err
-    made = [path for path in directory.rglob("*") if path.is_file()]
-    assert not made
+OF_RUN = [
+    ("--friction", "7", "'friction' = 7"),
+    ("--friction", "3\n4", "--friction"),
+    ("--duration", "nan", "'duration' = nan"),
+    ("--duration", "1e300", "'duration' = 1e+300"),
+    ("--duration", "ten", "--duration"),
+    ("--seed", "9" * 30, "'seed' = 9999"),
+    ("--joints", "9", "'joints' = 9: input should be 1, 2, 3, 4, 5, 6 or 7"),
+    ("--duration", "1", "'duration' = 1.0"),
+    ("--processes", "many", "many"),
+    ("--config", "nowhere.yaml", "nowhere.yaml"),
+    ("--estimator", "foo", "'foo'"),
+    ("--estimator", "a\nb", r"'a\nb'"),
+    ("--mode", "warp", '"warp"'),
+    ("--config", ".", ".: Is a directory"),
+    ("--config", "/proc/self/mem", "/proc/self/mem: Input/output error"),
+    ("--config", LONG * 20, "File name too long"),
+    ("--out", "../file/x", "../file/x: cannot be made: Not a directory"),
+    ("--out", "../full", "../full: is not empty"),
+    ("--out", "/proc/here", "/proc/here: cannot be made"),
+    ("--out", LONG, f"{LONG}: cannot be made: File name too long"),
+    ("--colour", "red", "--colour"),
+    ("--target-error", "2", '= "2": is no share such as 2% or 0.02; did you mean 2%?'),
+    *(
+        ("--target-error", text, f'"{text}": is no share')
+        for text in ("0", "100%", "-1%", "nan", "two")
+    ),
+]
+OF_OTHERS: list[tuple[tuple[str, ...], int, str]] = [
+    (("estimate", __file__), 1, "neither an MCAP nor an SQLite3 file"),
+    (("replay", __file__), 1, "neither an MCAP nor an SQLite3 file"),
+    (("estimate", str(Path(__file__).parent)), 1, "is not a bag"),
+    (("run", "--frition", "2"), 2, "--friction"),
+    (("estimat", "nowhere"), 2, "Did you mean 'estimate'"),
+    (("estimate",), 2, "bags"),
+    (("frobnicate",), 2, "frobnicate"),
+    (("bench", "guess"), 2, "there is no benchmark 'guess', only speed, jitter"),
+    *(
+        (("check-driver", *options), 2, words)
+        for options, words in (
+            (("--joint", "elbow", "--joint", "elbow"), "names are not distinct"),
+            (("--torque", "-1"), "parameter 'torque' = -1.0"),
+            (("--torque", "21"), "'torque' = 21.0: input should be less than or equal to 20"),
+            (("--most-motion", "nan"), "parameter 'most_motion' = nan"),
+            (("--move",), "--move: there is nobody to ask; --yes says that it is safe"),
+            (("--duration", "0"), "parameter 'duration' = 0.0"),
+        )
+    ),
+    *(
+        (("reproduce", *options), 2, words)
+        for options, words in (
+            (("--only", "friction=7"), "--only 'friction=7': 'friction=7' is not one of friction"),
+            (("--seeds", "1:"), "--seeds '1:': '1:' is neither a seed nor a range"),
+            (("--workers", "0"), "--workers must be at least 1, got 0"),
+            (("--workers", "two"), "Invalid value for '--workers'"),
+            (("--workers", "2", "--scheduler", "tcp://x:1"), "--workers is for threads"),
+            (("--joints", "9"), "joints"),
+            (("--duration", "1"), "duration"),
+            (("--estimator", "guess"), "there is no 'guess', only welch_siso"),
+            (("--config", "nowhere.yaml"), "nowhere.yaml: No such file or directory"),
+        )
+    ),
+]
+WRONG_USE = [*((("run", option, value), 2, words) for option, value, words in OF_RUN), *OF_OTHERS]
 
 
 @pytest.mark.parametrize(
-    ("arguments", "status", "words"),
-    [
-        (["estimate", __file__], 1, "neither an MCAP nor an SQLite3 file"),
-        (["replay", __file__], 1, "neither an MCAP nor an SQLite3 file"),
-        (["estimate", str(Path(__file__).parent)], 1, "is not a bag"),
-        (["run", "--frition", "2"], 2, "--friction"),
-        (["estimat", "nowhere"], 2, "Did you mean 'estimate'"),
-        (["estimate"], 2, "bags"),
-        (["frobnicate"], 2, "frobnicate"),
-    ],
+    ("arguments", "status", "words"), WRONG_USE, ids=[" ".join(one)[:60] for one, *_ in WRONG_USE]
 )
-def test_what_is_no_bag_or_no_command_is_named(
-    arguments: list[str], status: int, words: str
+def test_wrong_use_of_a_command_ends_in_one_line_that_names_it_and_leaves_nothing(
+    directory: Path, arguments: tuple[str, ...], status: int, words: str
 ) -> None:
     told = refused(*arguments)
     assert told.status == status
     assert words in told.err
+    assert list(directory.iterdir()) == []
 
 
 @pytest.mark.parametrize("name", ["nowhere", "no\nwhere", "\x1b[31mred", "a\u2028b"])
@@ -180,3 +200,44 @@ def test_a_wrong_value_is_named(text: str, config: Path) -> None:
 @pytest.mark.parametrize("text", ["arm_sim: &a {b: *a}", "&a {arm_sim: *a}", "estimators: &a [*a]"])
 def test_a_file_that_contains_itself_is_refused(text: str, config: Path) -> None:
     assert "cannot be read as YAML: the alias *a is not allowed" in complaint(config, text)
+
+
+# --- Bags of a wrong kind -----------------------------------------------------------------------
+
+
+MESSAGES = recorded_arm(1800).messages
+TYPES = dict(topics.MESSAGE_TYPES)
+
+
+@pytest.mark.parametrize("command", ["estimate", "replay"])
+@pytest.mark.parametrize(
+    ("topic", "kind", "reason"),
+    [
+        ("chatter", "sensor_msgs/msg/JointState", "has no joint positions"),
+        (topics.JOINT_STATES, "std_msgs/msg/String", "joint_states is of type std_msgs/msg/String"),
+    ],
+)
+def test_when_topic_or_type_is_wrong_expect_both_commands_to_name_it(
+    command: str, topic: str, kind: str, reason: str, tmp_path: Path
+) -> None:
+    others = {
+        **{name: (name, kind) for name, kind in TYPES.items()},
+        topics.JOINT_STATES: (topic, kind),
+    }
+    path = write_foreign(
+        tmp_path / "bag", (("/" + others[m[0]][0], others[m[0]][1], *m[1:]) for m in MESSAGES)
+    )
+    told = refused(command, str(path))
+    assert told.status == 1
+    assert told.err.startswith(f"armimp: {path}: ")
+    assert reason in told.err
+
+
+def test_one_bad_bag_among_good_ones_is_named(tmp_path: Path) -> None:
+    good = write_bag(tmp_path / "good", MESSAGES, {})
+    (tmp_path / "empty.mcap").touch()
+    told = refused("estimate", str(good), str(tmp_path / "empty.mcap"))
+    assert f"{tmp_path / 'empty.mcap'}: is empty" in told.err
+    others = [(t, n, raw.replace(b"joint_", b"whale_")) for t, n, raw in MESSAGES]
+    told = refused("estimate", str(good), str(write_bag(tmp_path / "other", others, {})))
+    assert "joints whale_1, whale_2 differ from joint_1, joint_2" in told.err

@@ -1,7 +1,6 @@
 """Files of results, damaged in every way: each is named with its fault."""
 
 import copy
-import io
 import json
 import zipfile
 from collections.abc import Callable
@@ -45,15 +44,6 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "study.json"
 
 
-def with_value(result: dict[str, Any], path: tuple[str | int, ...], value: object) -> bytes:
-    spoiled = copy.deepcopy(result)
-    place: Any = spoiled
-    for key in path[:-1]:
-        place = place[key]
-    place[path[-1]] = value
-    return json.dumps([spoiled]).encode()
-
-
 MATRIX = [[1.0, 2.0], [3.0]]
 
 
@@ -76,17 +66,16 @@ MATRIX = [[1.0, 2.0], [3.0]]
 def test_a_wrong_value_in_a_result_is_named(
     path: tuple[str | int, ...], value: object, words: str, result: dict[str, Any], file: Path
 ) -> None:
-    file.write_bytes(with_value(result, path, value))
+    spoiled = copy.deepcopy(result)
+    place: Any = spoiled
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = value
+    file.write_text(json.dumps([spoiled]))
     told = reason_against(read_study, file)
     assert told.startswith(f"{file}: ")
     assert words in told
     assert len(told) < 800
-
-
-def archive(file: Path, **arrays: Any) -> bytes:
-    content = io.BytesIO()
-    np.savez(content, **{**np.load(file), **arrays})
-    return content.getvalue()
 
 
 @pytest.mark.parametrize(
@@ -103,7 +92,8 @@ def test_wrong_arrays_of_curves_are_named(
     arrays: dict[str, Any], words: str, study: Path, tmp_path: Path
 ) -> None:
     file = tmp_path / "frf.npz"
-    file.write_bytes(archive(study / "conditions" / f"{NAME}.npz", **arrays))
+    good = np.load(study / "conditions" / f"{NAME}.npz")
+    np.savez(file, **{**good, **arrays})
     assert words in reason_against(read_frf, file)
 
 

@@ -18,13 +18,13 @@ from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE, SUPE
 from armimp_control.node import ImbicControllerNode
 from armimp_driver_template.node import ExoDriver
 from armimp_estimation.node import ImpedanceEstimatorNode
-from armimp_estimation.summary import Summary, read_summary
+from armimp_estimation.summary import read_summary
 from armimp_ros2_control.node import Ros2ControlBridge
 from armimp_sim.node import ArmSimNode
 from benchmarks.ping_pong import PingNode
 from support.fault_figures import Figures
 from support.graph import CLOCK_STEPS
-from support.priority import permitted_priority
+from support.processes import permitted_priority
 from support.runs import FinishedRun
 from support.stalls import StallWitness
 
@@ -37,12 +37,6 @@ PATIENCE = 100
 LIMIT = 0.2
 """Then torque is zero, this long after the last sample (s): a requirement of safety."""
 SHORT = {"duration": 2.0}
-
-
-def assert_same(summary: Summary, directory: Path, untouched: FinishedRun) -> None:
-    FinishedRun(directory=directory, summary=summary).assert_same_streams(untouched)
-    assert summary.problems == untouched.summary.problems
-    assert summary.estimators == untouched.summary.estimators
 
 
 @pytest.mark.parametrize(
@@ -172,8 +166,10 @@ def test_when_the_clock_is_set_in_lockstep_expect_the_same_bits(
 ) -> None:
     assert attack(tmp_path, wall_clock, target, step, SHORT, CLOCK_TICK="1500") == 0
 
-    out = tmp_path / "out"
-    assert_same(read_summary(out / "summary.json"), out, composed)
+    summary = read_summary(tmp_path / "out" / "summary.json")
+    FinishedRun(directory=tmp_path / "out", summary=summary).assert_same_streams(composed)
+    assert summary.problems == composed.summary.problems
+    assert summary.estimators == composed.summary.estimators
 
 
 @pytest.mark.alone
@@ -182,7 +178,6 @@ def test_when_the_clock_is_set_in_lockstep_expect_the_same_bits(
 @stepped
 def test_when_the_rig_falls_silent_after_the_clock_was_set_expect_zero_torque_in_time(
     wall_clock: Path,
-    witness: StallWitness,
     tmp_path: Path,
     figures: Figures,
     target: str,
@@ -197,7 +192,10 @@ def test_when_the_rig_falls_silent_after_the_clock_was_set_expect_zero_torque_in
         "arm_sim": {"watchdog_ticks": PATIENCE},
     }
     log = tmp_path / "log"
-    status = attack(tmp_path, wall_clock, target, step, config, CLOCK_TICK="50", RIG_LOG=str(log))
+    with StallWitness(tmp_path / "stalls") as witness:
+        status = attack(
+            tmp_path, wall_clock, target, step, config, CLOCK_TICK="50", RIG_LOG=str(log)
+        )
 
     assert status == 1
     problems = read_summary(tmp_path / "out" / "summary.json").problems

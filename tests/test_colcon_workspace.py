@@ -38,10 +38,10 @@ QUICK_TESTS = (
     "test_bridge_readings.py",
     "test_driver_conversion.py",
     "test_facade.py",
-    "test_flow_control.py",
+    "test_driver_protection.py",
     "test_perturbation_signal.py",
     "test_scores.py",
-    "test_sensor_readings.py",
+    "test_voluntary_torque.py",
     "test_realtime_config.py",
 )
 """One quick file of tests of each package; `make colcon` runs all of them, which takes minutes."""

@@ -5,15 +5,13 @@ import json
 import os
 import pty
 import re
-import signal
 import struct
 import subprocess
 import sys
 import termios
-import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import pyte
@@ -22,9 +20,11 @@ import pytest
 from armimp_bringup.cli import main
 from armimp_bringup.config import ExperimentConfig
 from armimp_common.topics import TRIAL
-from armimp_estimation.bags import BagWriter, read_bag
-from support.bag_files import iterate_messages
-from support.processes import processes_of
+from armimp_estimation.bags import read_bag
+from support.bag_files import iterate_messages, write_bag
+from support.command import call, interrupted, program
+from support.processes import processes_of, wait_until
+from support.synthetic_bags import recorded_arm
 
 ROWS = 24
 PROGRAM = """
@@ -152,12 +152,8 @@ def test_a_recording_without_trial_statuses_is_replayed_too(
 ) -> None:
     copies = []
     for bag in bags(experiment):
-        copy = tmp_path / Path(bag).name
-        with BagWriter(copy, metadata={}) as writer:
-            for topic, time_ns, raw in iterate_messages(Path(bag)):
-                if topic != TRIAL:
-                    writer.write(topic, raw, time_ns)
-        copies.append(str(copy))
+        untold = (one for one in iterate_messages(Path(bag)) if one[0] != TRIAL)
+        copies.append(str(write_bag(tmp_path / Path(bag).name, untold, {})))
     capfd.readouterr()
 
     assert main(["estimate", *copies, "--json"]) == 0
@@ -188,20 +184,12 @@ def test_when_interrupted_expect_closed_bags_exit_status_1_and_no_process_left(
     processes: str, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
-    command = [sys.executable, "-m", "armimp_bringup.cli", "run", "--out", str(out)]
-    command += ["--processes", processes]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+    with program("run", "--out", str(out), "--processes", processes) as process:
         bag = out / "bags" / "trial_1_joint_1"
-        deadline = time.monotonic() + 60.0
-        while not any(bag.glob("*.mcap")) or next(bag.glob("*.mcap")).stat().st_size < 300_000:
-            assert process.poll() is None
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
-        process.send_signal(signal.SIGINT)
-        _, error = process.communicate(timeout=60.0)
-    assert process.returncode == 1
-    assert "interrupted by the user" in error
-    assert "Traceback" not in error
+        wait_until(
+            lambda: any(file.stat().st_size >= 300_000 for file in bag.glob("*.mcap")), "a bag"
+        )
+        assert "interrupted by the user" in "".join(interrupted(process, 1))
     summary = json.loads((out / "summary.json").read_text())
     assert summary["valid"] is False
     assert read_bag(bag).trials[0].record is not None
@@ -229,3 +217,40 @@ def test_the_last_screen_has_the_trials_the_verdict_and_the_place_and_no_progres
         line.split(",")[0] for screen in seen.screens for line in screen if line.endswith(" s")
     }
     assert {"starting", "estimating", "drawing figures and report"} <= phases
+
+
+# --- Ctrl-C at any moment: one line, exit status 130 without a result, never a traceback --------
+
+
+@pytest.mark.alone
+@pytest.mark.slow
+def test_while_it_measures_expect_one_line() -> None:
+    with program("bench") as process:
+        assert process.stderr is not None
+        assert process.stderr.readline()
+        told = interrupted(process, 130)
+    assert told[-1] == "armimp: interrupted"
+    assert len([line for line in told if line.startswith("armimp: ")]) == 1
+
+
+@pytest.mark.alone
+@pytest.mark.slow
+def test_a_replay_leaves_an_invalid_result(tmp_path: Path) -> None:
+    bag, out = tmp_path / "bag", tmp_path / "out"
+    write_bag(bag, recorded_arm(20_000).messages, {})
+    with program("replay", str(bag), "--out", str(out)) as process:
+        assert process.stderr is not None
+        while not process.stderr.readline().startswith("trial 1/2"):
+            assert process.poll() is None
+        told = interrupted(process, 1)
+    assert "armimp: not valid: interrupted by the user" in told
+    assert (out / "summary.json").exists()
+
+
+def test_when_an_import_is_interrupted_expect_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    def compiled_module(*_: object) -> NoReturn:
+        raise ImportError("initialization failed") from KeyboardInterrupt()
+
+    monkeypatch.setattr("armimp_bringup.cli.load_config", compiled_module)
+    told = call("run")
+    assert (told.status, told.err, told.out) == (130, "armimp: interrupted\n", "")

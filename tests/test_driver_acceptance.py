@@ -42,16 +42,6 @@ CALIBRATION: dict[str, Any] = {
 """And what the experiment is told of them."""
 
 
-@pytest.fixture
-def nodes(start: Callable[..., object]) -> None:
-    """The template and the two other nodes, started as somebody else would."""
-    options = [part for name, value in MOCK.items() for part in ("-p", f"{name}:={value}")]
-    start(["-m", "armimp_driver_template.node"], *options)
-    for node, package in ((CONTROLLER_NODE, "control"), (ESTIMATOR_NODE, "estimation")):
-        path = SOURCES / f"armimp_{package}/config/{node}.yaml"
-        start(["-m", f"armimp_{package}.node"], "--params-file", str(path))
-
-
 def figures(told: Result) -> dict[str, float]:
     """The worst of each figure of merit of `lpm_full` over all elements; the test knows the arm."""
     result, estimate = told.summary.estimators["lpm_full"], told.curves["lpm_full"]
@@ -71,9 +61,14 @@ def figures(told: Result) -> dict[str, float]:
 
 @pytest.mark.timeout(900)
 def test_offset_drift_delay_filter_and_lag_are_calibrated_out_or_found(
-    nodes: None, tmp_path: Path
+    start: Callable[..., object], tmp_path: Path
 ) -> None:
     """The row of `lpm_full` but for the coherence, which leakage lowers in trials this short."""
+    options = [part for name, value in MOCK.items() for part in ("-p", f"{name}:={value}")]
+    start(["-m", "armimp_driver_template.node"], *options)
+    for node, package in ((CONTROLLER_NODE, "control"), (ESTIMATOR_NODE, "estimation")):
+        path = SOURCES / f"armimp_{package}/config/{node}.yaml"
+        start(["-m", f"armimp_{package}.node"], "--params-file", str(path))
     duration = 15.0
     config = ExperimentConfig.model_validate(
         {"duration": duration, "processes": "external", **CALIBRATION}

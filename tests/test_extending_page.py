@@ -3,12 +3,12 @@
 import os
 import re
 import shutil
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from support.processes import run_python
 
 pytestmark = pytest.mark.slow
 
@@ -33,7 +33,7 @@ def hunks(patch: str) -> Iterator[tuple[str, str, str]]:
         yield name, before, after
 
 
-def python(copy: Path, *arguments: str, jit: bool = True) -> subprocess.CompletedProcess[str]:
+def python(copy: Path, *arguments: str, jit: bool = True) -> None:
     sources = (copy / "ros2_ws" / "src").glob("*/package.xml")
     path = os.pathsep.join([*(str(manifest.parent) for manifest in sources), str(copy / "tests")])
     environment = {
@@ -42,14 +42,7 @@ def python(copy: Path, *arguments: str, jit: bool = True) -> subprocess.Complete
         "PYTHONDONTWRITEBYTECODE": "1",
         "NUMBA_DISABLE_JIT": "0" if jit else "1",
     }
-    return subprocess.run(
-        [sys.executable, *arguments],
-        cwd=copy,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    run_python(*arguments, cwd=copy, env=environment)
 
 
 @pytest.fixture(scope="module")
@@ -69,8 +62,7 @@ def extended(tmp_path_factory: pytest.TempPathFactory) -> Path:
             text = (copy / name).read_text(encoding="utf-8")
             assert text.count(before) == 1, f"{name} has changed, correct the page:\n{before}"
             (copy / name).write_text(text.replace(before, after), encoding="utf-8")
-    done = python(copy, "scripts/write_generated.py")
-    assert done.returncode == 0, done.stderr
+    python(copy, "scripts/write_generated.py")
     return copy
 
 
@@ -81,14 +73,12 @@ def test_the_tests_of_the_recipes_pass_beside_those_of_the_interfaces(extended: 
     # then numpy warns where compiled code divides by zero in silence.
     silent = "-Wignore::RuntimeWarning"
     for names, jit in ((plant, True), ([*others, *TESTS_OF_THE_WHOLE, silent], False)):
-        done = python(extended, "-m", "pytest", "-q", *names, jit=jit)
-        assert done.returncode == 0, done.stdout + done.stderr
+        python(extended, "-m", "pytest", "-q", *names, jit=jit)
 
 
 def test_what_the_recipes_add_is_written_as_the_rest_is(extended: Path) -> None:
     for arguments in (["check"], ["format", "--check"]):
-        done = python(extended, "-m", "ruff", *arguments, "--no-cache")
-        assert done.returncode == 0, done.stdout
+        python(extended, "-m", "ruff", *arguments, "--no-cache")
 
 
 def test_the_examples_of_configurations_are_accepted(extended: Path) -> None:
@@ -103,5 +93,4 @@ def test_the_examples_of_configurations_are_accepted(extended: Path) -> None:
         path = extended / f"own{number}.yaml"
         path.write_text(block, encoding="utf-8")
         program.append(f"node_parameters(load_config(Path({str(path)!r}), {{}}), None)")
-    done = python(extended, "-c", "\n".join(program))
-    assert done.returncode == 0, done.stderr
+    python(extended, "-c", "\n".join(program))

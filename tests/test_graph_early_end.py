@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 from armimp_bringup.cli import main
-from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.orchestrator import run_experiment
 from armimp_common.status import Phase
 from armimp_estimation.bags import read_bag
 from armimp_estimation.summary import Summary
@@ -27,11 +25,8 @@ OPTIONS = {
 
 
 @pytest.fixture(scope="module")
-def early(environment: None, tmp_path_factory: pytest.TempPathFactory) -> FinishedRun:
-    directory = tmp_path_factory.mktemp("early") / "out"
-    config = ExperimentConfig.model_validate(OPTIONS)
-    summary = run_experiment(config, directory).summary
-    return FinishedRun(directory=directory, summary=summary)
+def early(run: Run) -> FinishedRun:
+    return run(**OPTIONS)
 
 
 def largest_errors(summary: Summary) -> list[float]:

@@ -28,10 +28,9 @@ def config(**options: Any) -> ExperimentConfig:
     return ExperimentConfig.model_validate({**SHORT, **options})
 
 
-def assert_ended_in_order(directory: Path, summary: Summary, problem: str) -> None:
-    """Invalid with this problem first, stored, and all bags but empty ones readable."""
+def assert_interrupted_in_order(directory: Path, summary: Summary) -> None:
     assert not summary.valid
-    assert summary.problems[0].sentence == problem
+    assert summary.problems[0].sentence == "interrupted by the user"
     assert read_summary(directory / "summary.json") == summary
 
 
@@ -66,7 +65,7 @@ def test_when_interrupted_expect_closed_readable_bags_and_an_invalid_result(
         interrupted=interrupted,
     ).summary
 
-    assert_ended_in_order(tmp_path / "out", summary, "interrupted by the user")
+    assert_interrupted_in_order(tmp_path / "out", summary)
     finished = FinishedRun(directory=tmp_path / "out", summary=summary)
     assert len(finished.bags) == trial
     assert all((bag / "metadata.yaml").exists() for bag in finished.bags)
@@ -98,7 +97,7 @@ def test_when_interrupted_before_the_rig_is_active_expect_no_trial_begun(
         config(), tmp_path / "out", interrupted=interrupted, on_phase=phases.append
     ).summary
 
-    assert_ended_in_order(tmp_path / "out", summary, "interrupted by the user")
+    assert_interrupted_in_order(tmp_path / "out", summary)
     assert summary.estimators == {}
     assert SIM_NODE not in active
     assert Phase.SETTLE not in phases

@@ -90,13 +90,6 @@ class Kill:
                 return self.after(moment), status
         raise AssertionError(f"nobody announced {phase}")
 
-    @property
-    def fault(self) -> tuple[float, str, str]:
-        """The first report after the kill of a simulator that does not run, and its torque."""
-        late = (one for one in self.seen["reports"] if one[0] > self.time)
-        moment, message, applied = next(one for one in late if one[1] != "running")
-        return moment, message, applied
-
 
 @contextmanager
 def witness(domain: str, file: Path) -> Iterator[None]:
@@ -200,7 +193,8 @@ def assert_named(done: Kill) -> None:
 def assert_told(done: Kill) -> float:
     """Who remains takes the torque away in the midst of a trial, and says why: when (s)."""
     if done.victim == CONTROLLER_NODE:
-        moment, message, applied = done.fault
+        late = (one for one in done.seen["reports"] if one[0] > done.time)
+        moment, message, applied = next(one for one in late if one[1] != "running")
         told = done.after(moment)
         assert message.startswith(f"{CONTROLLER_NODE} ") or message == "stopped"
         assert applied == "0.0 0.0"

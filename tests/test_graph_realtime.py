@@ -10,7 +10,6 @@ import os
 import signal
 import time
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -24,8 +23,7 @@ from armimp_common.topics import (
 )
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.summary import Summary
-from support.priority import permitted_priority
-from support.processes import processes_of
+from support.processes import permitted_priority, processes_of
 
 SECONDS = 2.0
 PATIENCE = 100
@@ -34,16 +32,6 @@ HELD = 0.4
 """For how long a process is stopped (s): four times as long."""
 MODULES = {SIM_NODE: "armimp_sim.node", CONTROLLER_NODE: "armimp_control.node"}
 pytestmark = pytest.mark.usefixtures("environment")
-
-
-def config(**options: Any) -> ExperimentConfig:
-    return ExperimentConfig.model_validate(
-        {
-            "mode": "realtime",
-            "duration": SECONDS,
-            **options,
-        }
-    )
 
 
 def assert_verdict_fits(summary: Summary) -> None:
@@ -56,7 +44,9 @@ def assert_verdict_fits(summary: Summary) -> None:
 
 def patient() -> ExperimentConfig:
     """With precedence where that is permitted, and watchdogs that wait for as long as they may."""
-    return config(
+    return ExperimentConfig(
+        mode="realtime",
+        duration=SECONDS,
         priority=permitted_priority(),
         arm_sim={"watchdog_ticks": PATIENCE},
         imbic_controller={"safety.watchdog_ticks": PATIENCE},

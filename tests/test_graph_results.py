@@ -1,6 +1,5 @@
 """What a running experiment tells: progress, columns as they come, the result, diagnostics."""
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +17,8 @@ from armimp_common.topics import RESULT, TRIAL
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.node import ImpedanceEstimatorNode
 from armimp_estimation.spectra import WelchConfig
-from support.graph import PATIENCE, hosted
+from support.graph import hosted
+from support.processes import wait_until
 from support.runs import FinishedRun
 from support.telling import tell_by_samples
 
@@ -81,10 +81,7 @@ def account(environment: None, tmp_path_factory: pytest.TempPathFactory) -> Acco
         result = run_experiment(SHORT, directory, domain_id=domain_id, on_progress=progress.append)
         # Whoever draws needs not read the bags.
         assert [len(trial.segments) for trial in result.trials] == [1, 1]
-        deadline = time.monotonic() + PATIENCE
-        while "impedance" not in map(what, bystander.heard):
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
+        wait_until(lambda: "impedance" in map(what, bystander.heard), "the result")
     return Account(
         run=FinishedRun(directory=directory, summary=result.summary),
         heard=bystander.heard,

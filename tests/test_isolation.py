@@ -5,7 +5,6 @@ import os
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Sequence
 from ipaddress import ip_address
 from pathlib import Path
@@ -17,6 +16,7 @@ from armimp_bringup.graph import DomainClaim
 from armimp_bringup.nodes import NODES
 from armimp_common.process import endpoints
 from armimp_estimation.summary import read_summary
+from support.processes import wait_until
 from support.runs import FinishedRun
 
 pytestmark = pytest.mark.slow
@@ -82,11 +82,12 @@ def test_when_the_domain_is_taken_expect_the_second_experiment_refused(tmp_path:
 
 def graph_of(process: "subprocess.Popen[str]", directory: Path) -> dict[int, set[Any]]:
     """Processes of an experiment that has begun its first trial, each with its endpoints."""
-    deadline = time.monotonic() + PATIENCE
-    while not any(directory.glob("bags/*/*.mcap")):
+
+    def begun() -> bool:
         assert process.poll() is None, process.communicate()
-        assert time.monotonic() < deadline, "no trial has begun"
-        time.sleep(0.02)
+        return any(directory.glob("bags/*/*.mcap"))
+
+    wait_until(begun, "the first trial")
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
     return {number: endpoints(number) for number in (process.pid, *map(int, children))}
 

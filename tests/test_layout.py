@@ -2,14 +2,14 @@
 
 import ast
 import re
-import subprocess
-import sys
 from collections.abc import Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+
+from support.processes import run_python
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = (ROOT / "ros2_ws" / "src", ROOT / "examples")
@@ -104,10 +104,7 @@ def test_modules_without_ros_can_be_imported_where_there_is_none() -> None:
         f"for name in {sorted(ROS)!r}: sys.modules[name] = None\n"
         f"for name in {names!r}: importlib.import_module(name)\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
+    run_python("-c", program)
 
 
 def test_the_list_of_modules_with_ros_has_no_name_too_many() -> None:

@@ -26,12 +26,9 @@ def curves() -> list[str]:
     return [curve.attrib["name"] for curve in root.iter("curve")]
 
 
-def foxglove() -> Any:
-    return json.loads((LAYOUTS / "foxglove.json").read_text(encoding="utf-8"))
-
-
 def foxglove_paths() -> list[str]:
-    panels = foxglove()["configById"].values()
+    layout = json.loads((LAYOUTS / "foxglove.json").read_text(encoding="utf-8"))
+    panels = layout["configById"].values()
     plotted = [path["value"] for panel in panels for path in panel.get("paths", [])]
     return plotted + [panel["topicPath"] for panel in panels if "topicPath" in panel]
 

@@ -30,12 +30,6 @@ def identified(resolution: int) -> Identification:
     return experiment.identify(("welch_siso", "lpm_full"))
 
 
-def locks(result: Identification) -> tuple[Array, Array]:
-    """Lock ratios of the locked joints, and bias bounds of all elements."""
-    ratio = np.stack([trial.lock_ratio for trial in result.trials], axis=1)
-    return ratio[OFF_DIAGONAL], np.stack([trial.bias_bound for trial in result.trials], axis=1)
-
-
 @pytest.mark.parametrize("resolution", [0, 3])
 def test_locking_by_pd_alone_fails_for_its_lock_quality_though_coherence_looks_fine(
     resolution: int,
@@ -43,7 +37,8 @@ def test_locking_by_pd_alone_fails_for_its_lock_quality_though_coherence_looks_f
     result = identified(resolution)
 
     assert not Verdict.of(result.problems, "welch_siso").impedance
-    ratio, bound = locks(result)
+    ratio = np.stack([trial.lock_ratio for trial in result.trials], axis=1)[OFF_DIAGONAL]
+    bound = np.stack([trial.bias_bound for trial in result.trials], axis=1)
     assert np.all(ratio > 0.03)  # limit 0.02
     assert np.all(bound > 0.2)  # limit 0.1
     for locked, moved in (("elbow", "shoulder"), ("shoulder", "elbow")):

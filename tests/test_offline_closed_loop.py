@@ -1,4 +1,4 @@
-"""The law on the plant: the perturbed joint behaves as its target says, locked joints hold."""
+"""The law on the plant: targets shown, joints held, also from afar, and stops that do not push."""
 
 from __future__ import annotations
 
@@ -9,15 +9,17 @@ import pytest
 from numpy.typing import NDArray
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.offline import simulate
+from armimp_bringup.offline import run_offline, simulate
+from armimp_bringup.parameters import node_parameters
 from armimp_control import presets as control_presets
 from armimp_control.laws.imbic import ImbicConfig
 from armimp_control.laws.law import Controller
+from armimp_control.perturbation import perturbation
+from armimp_sim import presets as sim_presets
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import Plant
-from support.laws import preset_law
+from support.laws import preset_law, torque_only
 from support.plants import study_plant
-from support.safety import torque_only
 
 Array = NDArray[np.float64]
 PERIOD = 1e-3
@@ -138,3 +140,104 @@ def test_with_an_observer_drives_can_follow_and_the_arm_feels_little(
     reference, felt = steps("tde")
     assert reference > 15.0
     assert felt > 5.0
+
+
+# --- What a stop does to the arm: the way to zero torque must not push it -----------------------
+
+
+AFTER = 150
+"""Ticks that are watched after the stop."""
+
+
+def _fastest(
+    friction: int,
+    resolution: int,
+    stop_tick: int,
+    ramp_time: float,
+    law: control_presets.LawName = "observer",
+) -> tuple[float, ...]:
+    """Largest speed of a joint in the 50 ms before a stop, and after it, rad/s; 0 s: at once."""
+    config = study_plant(friction, sensors=sim_presets.sensors(resolution))
+    plant, arm, robot = Plant([config]), config.arm, config.robot
+    controller = Controller(
+        preset_law(robot.mass_matrix(arm.theta_0), arm.theta_0, law),
+        safety=control_presets.safety(2, 9.0).model_copy(update={"ramp_time": ramp_time}),
+    )
+    signal = perturbation(
+        control_presets.perturbation(3, 2), joint=0, trial=1, ticks=stop_tick, seed=1
+    )
+    theta: NDArray[np.float64] = np.zeros((stop_tick + AFTER, 2))
+    tau_delta, still = np.zeros(2), np.zeros((1, 2))
+    for k in range(stop_tick + AFTER):
+        tau_delta[0] = signal[k] if k < stop_tick else 0.0
+        if k == stop_tick:
+            if ramp_time > 0.0:
+                controller.stop()
+            else:
+                controller.cut()
+        controller.tick(plant.position[0], plant.torque[0], tau_delta)
+        theta[k] = plant.position[0]
+        plant.tick(controller.command[None, :], still)
+    assert not controller.command.any()
+    speed = np.abs(theta[5:] - theta[:-5]).max(axis=1) / 5e-3
+    return float(speed[stop_tick - 50 : stop_tick - 4].max()), float(speed[stop_tick - 4 :].max())
+
+
+STOPS = range(2000, 2600, 37)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ramp_time", [0.0, control_presets.safety(2, 9.0).ramp_time])
+@pytest.mark.parametrize(("friction", "resolution"), [(0, 3), (3, 3), (3, 1)])
+def test_after_a_stop_the_arm_is_hardly_faster_than_it_was_in_a_trial(
+    friction: int, resolution: int, ramp_time: float
+) -> None:
+    pairs = [_fastest(friction, resolution, tick, ramp_time) for tick in STOPS]
+    before, after = np.max(pairs, axis=0)
+    assert after < 1.3 * before
+
+
+@pytest.mark.slow
+def test_ramp_of_fifty_milliseconds_pushes_on_with_a_peak_of_chatter_if_the_law_chatters() -> None:
+    laws: tuple[tuple[control_presets.LawName, bool], ...] = (("observer", False), ("tde", True))
+    for law, pushes in laws:
+        pairs = [_fastest(0, 3, tick, 0.05, law) for tick in STOPS]
+        before, after = np.max(pairs, axis=0)
+        assert bool(after > 1.5 * before) is pushes
+
+
+# --- A joint that is far from its posture by the time it gets locked ----------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("seed", "duration", "voluntary"),
+    [
+        # At 0.037 rad: a target that jumps asks for about the torque limit, M̄ ω² times that.
+        (119, 50.0, 0.3),
+        # At −0.069 rad.
+        (0, 20.0, 1.0),
+    ],
+    ids=["at the limit", "beyond it"],
+)
+def test_joint_is_locked_from_afar_without_a_clip_and_held_in_its_posture(
+    seed: int, duration: float, voluntary: float
+) -> None:
+    config = ExperimentConfig(
+        friction=3,
+        resolution=3,
+        perturbation=3,
+        seed=seed,
+        duration=duration,
+        arm_sim={"voluntary.rms": voluntary, "substeps": 20},
+    )
+    rig = node_parameters(config, None)
+    first, second = run_offline([rig])[0]
+    for trial in (first, second):
+        assert trial.command is not None
+        assert np.max(np.abs(trial.command)) < rig.controller.safety.torque_limit
+        assert np.max(np.abs(np.diff(trial.command))) < rig.controller.safety.rate_limit * 1e-3
+    target = rig.controller.target.posture
+    # Here at the end of the first trial already, a rest before it gets locked.
+    assert abs(first.position[0, -1] - target[0]) > 0.01
+    assert np.max(np.abs(second.position[0] - target[0])) < 1e-3

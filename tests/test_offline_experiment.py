@@ -16,7 +16,7 @@ from armimp_control.safety_limiter import Action
 from armimp_estimation.record import TrialRecord
 from armimp_sim.presets import human_arm
 from support.compiled import brief_rig
-from support.safety import torque_only
+from support.laws import torque_only
 
 Array = NDArray[np.float64]
 TICKS = 400

@@ -28,7 +28,6 @@ def chosen(
     sensors: Mapping[str, Any] | None = None,
     *,
     lag: float = 0.0,
-    tare: bool = True,
     duration: float = DURATION,
     **levels: Any,
 ) -> ExperimentConfig:
@@ -39,7 +38,7 @@ def chosen(
             "sensors": {"torque": sensors or {}},
             "actuators": {"bandwidth": 0.5 / np.pi / lag if lag else 0.0},
         },
-        "imbic_controller": TARE if tare else {},
+        "imbic_controller": TARE,
         **levels,
     }
     return ExperimentConfig.model_validate(config)

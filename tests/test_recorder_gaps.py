@@ -11,7 +11,7 @@ from armimp_common.topics import PERIOD_NS, TORQUE_SENSORS
 from armimp_estimation.bags.reader import BAGS
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.recorder import TrialRecorder
-from armimp_estimation.summary import FRF_FILE, SUMMARY_FILE, Summary, read_summary
+from armimp_estimation.summary import FRF_FILE, SUMMARY_FILE, read_summary
 from support.streams import changed, record
 from support.synthetic_bags import recorded_arm
 
@@ -65,22 +65,17 @@ def test_without_the_option_the_reason_is_one_line(
     ]
 
 
-def with_the_option(bags: list[str], directory: Path, status: int) -> tuple[Summary, Summary]:
-    """Results of both commands, offline first, which must have the same curves."""
-    for command in ("estimate", "replay"):
-        assert main([command, *bags, "--allow-gaps", "--out", str(directory / command)]) == status
-    offline, replayed = (directory / command for command in ("estimate", "replay"))
-    assert (offline / FRF_FILE).read_bytes() == (replayed / FRF_FILE).read_bytes()
-    one, other = read_summary(offline / SUMMARY_FILE), read_summary(replayed / SUMMARY_FILE)
-    assert one.estimators == other.estimators
-    return one, other
-
-
 @pytest.mark.slow
 def test_with_the_option_an_aborted_trial_is_estimated_up_to_there_but_not_valid(
     bags: Bags, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    one, _ = with_the_option(bags["aborted"], tmp_path, 1)
+    results = [tmp_path / command for command in ("estimate", "replay")]
+    for out in results:
+        assert main([out.name, *bags["aborted"], "--allow-gaps", "--out", str(out)]) == 1
+    offline, replayed = ((out / FRF_FILE).read_bytes() for out in results)
+    assert offline == replayed
+    one, other = (read_summary(out / SUMMARY_FILE) for out in results)
+    assert one.estimators == other.estimators
     assert capfd.readouterr().err.count(f"not valid: trial 2: aborted: {REASON}") == 2
     assert one.problems[0].code is ProblemCode.TRIAL_ABORTED
     assert (one.problems[0].trial, one.problems[0].values) == (2, {"reason": REASON})

@@ -2,8 +2,6 @@
 
 import json
 import statistics
-import subprocess
-import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from support.fault_figures import Figures
+from support.processes import run_python
 
 pytestmark = [pytest.mark.alone, pytest.mark.slow]
 
@@ -64,14 +63,8 @@ def test_in_an_hour_of_trials_nothing_is_lost_and_nothing_piles_up(
     tmp_path: Path, figures: Figures
 ) -> None:
     began = time.monotonic()
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, str(tmp_path), str(EXPERIMENTS)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    told = [Told(**json.loads(line)) for line in done.stdout.splitlines()]
+    printed = run_python("-c", PROGRAM, str(tmp_path), str(EXPERIMENTS))
+    told = [Told(**json.loads(line)) for line in printed.splitlines()]
 
     assert len(told) == EXPERIMENTS
     assert [one.problems for one in told] == [[]] * EXPERIMENTS

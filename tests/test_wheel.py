@@ -18,24 +18,6 @@ SOURCES = ROOT / "ros2_ws" / "src"
 PACKAGES = sorted(path.parent.name for path in SOURCES.glob("*/package.xml"))
 
 
-def lines() -> str:
-    """The program in the README."""
-    page = (ROOT / "README.md").read_text(encoding="utf-8")
-    (program,) = re.findall(r"^```python\n(.*?)^```$", page, flags=re.MULTILINE | re.DOTALL)
-    return str(program)
-
-
-@pytest.fixture
-def recording(tmp_path: Path) -> Path:
-    trials = armimp.simulate(duration=20.0, seed=1).trials
-    names = ("perturbation", "position", "torque")
-    arrays: dict[str, Any] = {
-        name: np.stack([getattr(one, name) for one in trials]) for name in names
-    }
-    np.savez(tmp_path / "recording.npz", **arrays)
-    return tmp_path
-
-
 def test_the_project_has_the_packages_versions_and_commands_of_the_workspace() -> None:
     project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     setups = {one: (SOURCES / one / "setup.cfg").read_text(encoding="utf-8") for one in PACKAGES}
@@ -54,9 +36,13 @@ def test_the_project_has_the_packages_versions_and_commands_of_the_workspace() -
 
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
-def test_the_wheel_identifies_an_arm_in_an_empty_environment(
-    recording: Path, tmp_path: Path
-) -> None:
+def test_the_wheel_identifies_an_arm_in_an_empty_environment(tmp_path: Path) -> None:
+    trials = armimp.simulate(duration=20.0, seed=1).trials
+    names = ("perturbation", "position", "torque")
+    arrays: dict[str, Any] = {
+        name: np.stack([getattr(one, name) for one in trials]) for name in names
+    }
+    np.savez(tmp_path / "recording.npz", **arrays)
     environment = {
         name: value
         for name, value in os.environ.items()
@@ -65,7 +51,7 @@ def test_the_wheel_identifies_an_arm_in_an_empty_environment(
 
     def run(*command: str) -> str:
         done = subprocess.run(
-            command, cwd=recording, env=environment, capture_output=True, text=True, check=False
+            command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
         )
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
@@ -78,12 +64,14 @@ def test_the_wheel_identifies_an_arm_in_an_empty_environment(
     with zipfile.ZipFile(wheel) as file:
         assert {name.split("/")[0] for name in file.namelist()} >= set(PACKAGES)
     run(sys.executable, "-m", "venv", "empty")
-    python = str(recording / "empty" / "bin" / "python")
+    python = str(tmp_path / "empty" / "bin" / "python")
     run(python, "-m", "pip", "-qq", "install", str(wheel))
 
     assert "rclpy" not in run(python, "-m", "pip", "list")
-    assert run(python, "-c", lines()).splitlines()[-1] == "valid"
-    command = [str(recording / "empty" / "bin" / "armimp"), "run"]
+    page = (ROOT / "README.md").read_text(encoding="utf-8")
+    (program,) = re.findall(r"^```python\n(.*?)^```$", page, flags=re.MULTILINE | re.DOTALL)
+    assert run(python, "-c", program).splitlines()[-1] == "valid"
+    command = [str(tmp_path / "empty" / "bin" / "armimp"), "run"]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert done.stderr.splitlines() == [

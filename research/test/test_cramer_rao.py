@@ -18,7 +18,7 @@ from research.cramer_rao import (
     error_covariance,
     motion_in_band,
 )
-from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
+from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, stacked, synthetic_trial
 
 pytestmark = pytest.mark.slow
 
@@ -31,8 +31,8 @@ ONE_JOINT = MBK(M=np.array([[0.2]]), B=np.array([[0.6]]), K=np.array([[8.0]]))
 NOISE = SensorNoise(angle=2e-5, torque=5e-3)
 
 
-def motion(joints: int, trials: int, seed: int = 3) -> tuple[FloatArray, ComplexArray]:
-    random = np.random.default_rng(seed)
+def motion(joints: int, trials: int) -> tuple[FloatArray, ComplexArray]:
+    random = np.random.default_rng(3)
     f = 0.122 * np.arange(1, 120, dtype=np.float64)
     parts = random.standard_normal((2, trials, joints, f.size))
     theta: ComplexArray = parts[0] + 1j * parts[1]
@@ -87,7 +87,6 @@ def test_least_squares_with_known_noise_reach_the_bound_with_rounded_readings() 
     angle, torque = 1.227e-4, 0.02
     config = SyntheticConfig(samples=SAMPLES, perturbation=3.0, lock_stiffness=100.0)
     noise = SensorNoise.of_rounding(angle=angle, torque=torque)
-    true = np.stack((TWO_JOINT_ARM.M, TWO_JOINT_ARM.B, TWO_JOINT_ARM.K))
     squares = []
     for seed in range(100):
         trials = [
@@ -104,7 +103,7 @@ def test_least_squares_with_known_noise_reach_the_bound_with_rounded_readings() 
         f, theta = motion_in_band(trials, BAND)
         covariance = error_covariance(TWO_JOINT_ARM, f, SAMPLES, noise)
         bound = cramer_rao_bound(f, theta, covariance)
-        squares.append(((_likeliest(rounded, covariance) - true) / bound) ** 2)
+        squares.append(((_likeliest(rounded, covariance) - stacked(TWO_JOINT_ARM)) / bound) ** 2)
     found = np.mean(squares, axis=0)
     # Of each parameter, chi squared with 100 degrees of freedom over 100; 12 parameters, level 1 %.
     lower, upper = stats.chi2.ppf([0.005 / 12, 1.0 - 0.005 / 12], 100) / 100

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from armimp_bringup.config import ExperimentConfig
 from research.coverage import CoveragePlan, run_coverage
@@ -24,16 +23,6 @@ def cells() -> Cells:
     return {(cell.estimator, cell.voluntary): cell for cell in run_coverage(PLAN, workers=2)}
 
 
-def made(errors: NDArray[np.float64], stated: float = 1.0) -> Cell:
-    return Cell(
-        levels=(3, 3, 3),
-        voluntary=0.3,
-        estimator="made",
-        errors=errors,
-        stated=np.full_like(errors, stated),
-    )
-
-
 def test_intervals_of_local_polynomials_hold_the_truth_as_often_as_they_say(cells: Cells) -> None:
     """48 experiments of 12 parameters, against 92 to 98 % by the 95 % interval of the share."""
     cell = cells["lpm_full", 0.3]
@@ -48,7 +37,13 @@ def test_standard_errors_that_are_a_third_too_small_are_noticed(cells: Cells) ->
 def test_shares_are_those_of_their_elements() -> None:
     errors = np.zeros((4, 3, 2, 2))
     errors[:3, 1, 0, 1] = -1.01 * QUANTILE
-    cell = made(errors)
+    cell = Cell(
+        levels=(3, 3, 3),
+        voluntary=0.3,
+        estimator="made",
+        errors=errors,
+        stated=np.ones(errors.shape),
+    )
     assert cell.by_element["B12"].value == pytest.approx(0.25)
     assert cell.by_element["B21"].value == 1.0
     assert [share.value for share in cell.by_letter] == [1.0, pytest.approx(13 / 16), 1.0]

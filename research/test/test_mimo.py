@@ -7,11 +7,16 @@ import pytest
 from numpy.typing import NDArray
 
 from armimp_common.errors import DataError
-from armimp_estimation.estimators.estimate import confidence_radius
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from research.mimo import MimoEstimate, estimate_mimo
-from support.synthetic_trials import TWO_JOINT_ARM, WELCH, made_record
+from support.synthetic_trials import (
+    TWO_JOINT_ARM,
+    WELCH,
+    made_record,
+    relative_error,
+    share_within,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -41,12 +46,6 @@ def estimate(*records: TrialRecord) -> MimoEstimate:
     return estimate_mimo(records, WELCH)
 
 
-def relative_error(found: MimoEstimate) -> float:
-    true = TWO_JOINT_ARM.impedance(found.impedance.f)
-    error = np.sum(np.abs(found.impedance.Z - true) ** 2, axis=2)
-    return float(np.sqrt(np.max(error / np.sum(np.abs(true) ** 2, axis=2))))
-
-
 def test_responses_of_a_static_system_are_its_gains_however_inputs_are_coupled() -> None:
     rng = np.random.default_rng(2)
     x = np.array([[1.0, 0.0], [0.8, 0.6]]) @ rng.standard_normal((2, SAMPLES))
@@ -69,13 +68,7 @@ def test_when_the_subject_pushes_expect_no_bias_and_variance_that_is_right() -> 
     assert (np.mean(bias, axis=2) < 0.12).all()  # 0.07 for the mean of 150
     ratio = np.mean(np.mean([one.variance for one in found], axis=0) / squares, axis=2)
     assert (np.abs(ratio - 1.0) < 0.12).all()
-    inside = np.mean(
-        [
-            np.abs(one.Z - true) <= confidence_radius(one.variance, one.averages, 0.95)
-            for one in found
-        ]
-    )
-    assert 0.935 < inside < 0.97
+    assert 0.935 < share_within(found, true, 0.95) < 0.97
 
 
 def test_when_inputs_have_much_in_common_expect_data_error() -> None:
@@ -85,4 +78,4 @@ def test_when_inputs_have_much_in_common_expect_data_error() -> None:
         estimate(coupled)
     found = estimate_mimo([coupled], WELCH, largest_condition=1e5)
     assert np.min(found.coupling.inflation) > 20.0
-    assert relative_error(found) < 0.1
+    assert relative_error(found.impedance, TWO_JOINT_ARM) < 0.1

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import io
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from armimp_bringup.cli import main
-
-_NOTES = ("note: ", "armimp: note: ", "armimp: refused: ", "trial ")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,12 +20,6 @@ class Told:
     status: int
     out: str
     err: str
-
-    @property
-    def complaints(self) -> list[str]:
-        """Lines of standard error, without progress and notes, which are no complaints."""
-        lines = self.err.split("\n")[:-1]
-        return [line for line in lines if not line.startswith(_NOTES)]
 
 
 def call(*arguments: str) -> Told:
@@ -45,10 +41,23 @@ def refused(*arguments: str) -> Told:
     return told
 
 
-def behaved(*arguments: str) -> Told:
-    """Run a command on data that may be bad: each of its complaints must be one line of its own."""
-    told = call(*arguments)
-    assert told.status in (0, 1, 2), told
-    assert bool(told.complaints) == (told.status != 0), told
-    assert all(line.startswith("armimp: ") for line in told.complaints), told
-    return told
+@contextlib.contextmanager
+def program(*arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """Run a command in a process of its own, which is over at the end."""
+    command = [sys.executable, "-m", "armimp_bringup.cli", *arguments]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def interrupted(
+    process: subprocess.Popen[str], status: int, number: signal.Signals = signal.SIGINT
+) -> list[str]:
+    """Send a signal to a command, which must end with this status; what it says from then on."""
+    process.send_signal(number)
+    _, error = process.communicate(timeout=60.0)
+    assert process.returncode == status, error
+    assert "Traceback" not in error
+    return error.splitlines()

@@ -15,8 +15,7 @@ from armimp_control.laws.law import Controller
 from armimp_control.safety_limiter import SafetyParameters
 from armimp_sim import presets as sim_presets
 from armimp_sim.plant import Plant
-from support.laws import preset_law
-from support.safety import torque_only
+from support.laws import preset_law, torque_only
 
 
 def brief_rig(

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from numpy.typing import NDArray
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.node import Node
 from std_msgs.msg import UInt64
@@ -17,23 +16,22 @@ from std_srvs.srv import Trigger
 from armimp_common import qos, topics
 from armimp_common.executor import Spinner
 from armimp_common.pubsub import CommandPublisher, subscribe_joint_states, wait_until_matched
-from armimp_common.status import Level, Phase, TrialStatus, values_of
-from armimp_common.topics import JOINT_STATES, PERIOD_NS, TORQUE_SENSORS, VALUE_FIELD
+from armimp_common.schema import Value
+from armimp_common.status import Level, values_of
+from armimp_common.topics import JOINT_STATES, TORQUE_SENSORS, VALUE_FIELD
+from armimp_control.node import ImbicControllerNode
 from armimp_control.parameters import ControllerParameters
 from armimp_control.sequence import SequenceParameters
-from armimp_control.trial_sequencer import TrialSequencer
-from support.graph import PATIENCE, eventually, raised
+from support.graph import PATIENCE, Launch, ScriptedDriver, eventually, raised
 
 NAMES = ("shoulder", "elbow")
 POSTURE = tuple(np.radians([62.708, 77.260]).tolist())
-STILL = (0.0, 0.0)
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 Sample = tuple[int, tuple[float, ...]]
-Reading = Sequence[float] | NDArray[np.float64]
 
 
 def controller_parameters(
-    *ticks: int, seed: int = 1, law: Any = "observer", **groups: Any
+    *ticks: int, law: Any = "observer", **groups: Any
 ) -> ControllerParameters:
     """Parameters for robot and arm of the study."""
     preset = ControllerParameters.preset(
@@ -41,7 +39,7 @@ def controller_parameters(
         posture=np.array(POSTURE),
         robot_inertia=np.array([[0.354, 0.191], [0.191, 0.180]]),
         arm_inertia=np.array([[0.187, 0.084], [0.079, 0.060]]),
-        seed=seed,
+        seed=1,
         law=law,
     )
     if ticks:
@@ -50,41 +48,18 @@ def controller_parameters(
     return preset.model_copy(update=groups)
 
 
-class SequencerBench:
-    """A sequencer that is fed, with a diary of what it says and answers."""
-
-    def __init__(self, parameters: ControllerParameters, start_ns: int = 0) -> None:
-        self.parameters, self.stamp_ns = parameters, start_ns
-        self.statuses: list[TrialStatus] = []
-        self.commands: list[NDArray[np.float64]] = []
-        self.perturbations: list[NDArray[np.float64]] = []
-        self.experiment = TrialSequencer(parameters, self.statuses.append)
-
-    def answer(self, theta: Reading, tau_h: Reading = STILL) -> None:
-        self.experiment.answer(self.stamp_ns, tuple(theta), tuple(tau_h))
-        self.commands.append(self.experiment.command.copy())
-        self.perturbations.append(self.experiment.tau_delta.copy())
-        self.stamp_ns += PERIOD_NS
-
-    def run(self, ticks: int, tau_h: Reading = STILL) -> list[NDArray[np.float64]]:
-        """Feed the posture and a torque on the arm; return the commands."""
-        for _ in range(ticks):
-            self.answer(POSTURE, tau_h)
-        return self.commands[len(self.commands) - ticks :]
-
-    def wobble(self, ticks: int) -> list[tuple[tuple[float, ...], tuple[float, ...]]]:
-        """Feed a random movement, and return it."""
-        samples = wobble(ticks)
-        for theta, tau_h in samples:
-            self.answer(theta, tau_h)
-        return samples
-
-    def said(self, phase: Phase, trial: int) -> list[TrialStatus]:
-        return [one for one in self.statuses if (one.phase, one.trial) == (phase, trial)]
-
-    @property
-    def last(self) -> TrialStatus:
-        return self.statuses[-1]
+def active_controller(
+    launch: Launch,
+    driver: ScriptedDriver,
+    parameters: ControllerParameters,
+    changes: Mapping[str, Value] | None = None,
+) -> ImbicControllerNode:
+    """A controller that is active, and that the driver reaches."""
+    controller: ImbicControllerNode = launch(ImbicControllerNode, parameters, changes)
+    assert controller.trigger_configure() is SUCCESS, controller.transition_error
+    assert controller.trigger_activate() is SUCCESS, controller.transition_error
+    driver.wait_for_controller()
+    return controller
 
 
 def wobble(ticks: int) -> list[tuple[tuple[float, ...], tuple[float, ...]]]:
@@ -98,18 +73,18 @@ def wobble(ticks: int) -> list[tuple[tuple[float, ...], tuple[float, ...]]]:
 class ScriptedController:
     """Stands for controller, recorder and people: commands a rig, and keeps what comes back."""
 
-    def __init__(self, node: Node, spinner: Spinner, names: Sequence[str] = NAMES) -> None:
+    def __init__(self, node: Node, spinner: Spinner) -> None:
         self.node, self.spinner = node, spinner
         self.answer: tuple[float, ...] | None = None
         self.diagnostics: list[DiagnosticStatus] = []
         self.positions: list[Sample] = []
         self.torques: list[Sample] = []
         self.samples = {JOINT_STATES: self.positions, TORQUE_SENSORS: self.torques}
-        self.commands = CommandPublisher(node, topics.COMMANDS, len(names))
+        self.commands = CommandPublisher(node, topics.COMMANDS, len(NAMES))
         self.received = node.create_publisher(UInt64, topics.RECEIVED, qos.LATCHED)
         self.subscriptions = [
             subscribe_joint_states(
-                node, topic, names, VALUE_FIELD[topic], partial(self.on_sample, topic), raised
+                node, topic, NAMES, VALUE_FIELD[topic], partial(self.on_sample, topic), raised
             )
             for topic in self.samples
         ]

@@ -1,10 +1,14 @@
 """Fixtures and helpers for tests with real nodes over real DDS, each in a domain of its own."""
 
+import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from types import SimpleNamespace
 from typing import Any, TypeAlias, TypeVar
 
 import pytest
@@ -13,6 +17,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from pydantic import BaseModel
 from rclpy.context import Context
 from rclpy.duration import Duration
+from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
@@ -22,6 +27,7 @@ from armimp_bringup.graph import DomainClaim
 from armimp_common import qos, topics
 from armimp_common.errors import MalformedMessageError
 from armimp_common.executor import Spinner
+from armimp_common.heartbeat import HeartbeatMonitor
 from armimp_common.pubsub import (
     JointStatePublisher,
     subscribe_commands,
@@ -115,18 +121,46 @@ def spinner(node: Node) -> Iterator[Spinner]:
         yield spinner
 
 
-def eventually(
-    spinner: Spinner, condition: Callable[[], bool], what: str, patience: float = PATIENCE
-) -> None:
+OTHER = """
+from armimp_common import qos
+from armimp_common.executor import run_node
+from armimp_common.heartbeat import Heartbeat
+from rclpy.node import Node
+from std_msgs.msg import String
+
+def make(*, context):
+    node = Node("other", context=context)
+    node.sign = Heartbeat(node, "other")
+    publisher = node.create_publisher(String, "answer", qos.SAMPLE)
+    node.create_subscription(String, "question", publisher.publish, qos.SAMPLE)
+    return node
+
+raise SystemExit(run_node(make, ["other"]))
+"""
+
+
+@pytest.fixture
+def other(domain_id: int) -> Iterator[subprocess.Popen[bytes]]:
+    """A node in a process of its own, with a heartbeat, which answers questions by themselves."""
+    # They find each other with the middleware's own defaults, which are slow.
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(domain_id)}
+    environment.pop("FASTRTPS_DEFAULT_PROFILES_FILE", None)
+    process = subprocess.Popen([sys.executable, "-c", OTHER], env=environment)
+    yield process
+    process.kill()
+    process.wait()
+
+
+def eventually(spinner: Spinner, condition: Callable[[], bool], what: str) -> None:
     """Spin until a condition is met."""
-    end = time.monotonic() + patience
+    end = time.monotonic() + PATIENCE
     spinner.spin(lambda: condition() or time.monotonic() > end, period=0.01)
-    assert condition(), f"did not happen within {patience} s: {what}"
+    assert condition(), f"did not happen within {PATIENCE} s: {what}"
 
 
-def a_moment(spinner: Spinner, seconds: float = MOMENT) -> None:
+def a_moment(spinner: Spinner) -> None:
     """Spin for a moment, in which something could happen that must not."""
-    end = time.monotonic() + seconds
+    end = time.monotonic() + MOMENT
     spinner.spin(lambda: time.monotonic() > end, period=0.05)
 
 
@@ -134,6 +168,25 @@ def overrides(model: BaseModel, changes: Mapping[str, Value] | None = None) -> l
     """Return the ``parameter_overrides`` that give a node the values of a schema."""
     values = {**flatten(model), **(changes or {})}
     return [Parameter(name, value=value) for name, value in values.items()]
+
+
+def assert_locked_while_active(node: LifecycleNode, name: str, value: Value, why: str) -> None:
+    """Check that an active node refuses another value of a parameter, and takes it afterwards."""
+    change, before = Parameter(name, value=value), node.get_parameter(name).value
+    (result,) = node.set_parameters([change])
+    assert not result.successful
+    assert result.reason == f"{name} cannot be changed now: {why}"
+    assert node.get_parameter(name).value == before
+    node.trigger_deactivate()
+    (result,) = node.set_parameters([change])
+    assert result.successful
+
+
+def report(monitor: HeartbeatMonitor, *, alive: int, silent: int) -> None:
+    """Tell what the middleware would of the heartbeat of a node in another process."""
+    # The binding of the event cannot be made by hand, but has the same attributes.
+    event: Any = SimpleNamespace(alive_count=alive, not_alive_count=silent)
+    monitor._on_event(event)
 
 
 def set_clock(node: Node, step: float) -> None:

@@ -30,7 +30,6 @@ from mcap.records import Channel, Chunk, Header, McapRecord, Metadata, Schema
 
 from armimp_bringup.cli import main, program
 from armimp_common.cdr import CommandEncoder, JointStateEncoder, encode_trial_status
-from armimp_common.status import Phase, TrialStatus
 from armimp_common.topics import (
     COMMANDS,
     DATA_STREAMS,
@@ -44,6 +43,7 @@ from armimp_common.topics import (
 from armimp_estimation.bags.mcap_reader import MAGIC
 from armimp_estimation.bags.metadata_yaml import bag_information, dump
 from armimp_estimation.bags.writer import HEAD as OUR_HEAD
+from support.streams import trial_status
 from support.synthetic_bags import recorded_arm
 
 Arguments: TypeAlias = tuple[str, ...]
@@ -126,16 +126,6 @@ def samples(ticks: int) -> Iterable[Message]:
         yield COMMANDS, stamp, commands.encode([0.1, 0.2])
 
 
-def status(trial: int, start_ns: int, ticks: int, **values: object) -> bytes:
-    fields: dict[str, object] = {"phase": Phase.PERTURB, "valid": True, **values}
-    return encode_trial_status(
-        TrialStatus(
-            trial=trial, trials=1_000_000, joint=0, joint_name="joint_1", tick=0,
-            start_ns=start_ns, ticks=ticks, seed=1, **fields,  # type: ignore[arg-type]
-        )
-    )  # fmt: skip
-
-
 def zstd(data: bytes) -> bytes:
     return zstandard.ZstdCompressor(level=1).compress(data)
 
@@ -164,8 +154,13 @@ def zstd_chunks(records: Iterable[bytes]) -> bytes:
 
 def statuses(number: int, spacing_ns: int, ticks: int, first_ns: int = 0) -> bytes:
     """Statuses of so many trials, each of which begins so long after the one before."""
-    one = (message(5, i, status(1 + i, first_ns + i * spacing_ns, ticks)) for i in range(number))
-    return zstd_chunks(one)
+
+    def status(i: int) -> bytes:
+        start_ns = first_ns + i * spacing_ns
+        values = {"trial": 1 + i, "trials": 10**6, "joint_name": "joint_1"}
+        return encode_trial_status(trial_status(start_ns=start_ns, ticks=ticks, **values))
+
+    return zstd_chunks(message(5, i, status(i)) for i in range(number))
 
 
 def sound() -> bytes:
@@ -236,36 +231,25 @@ def database(directory: Path, script: str) -> Arguments:
     file = directory / "bag.db3"
     with closing(sqlite3.connect(file)) as connection:
         connection.executescript(script)
-        fill_topics(connection)
+        rows = [(i, "/" + t, MESSAGE_TYPES[t], "cdr") for i, t in enumerate(_TOPICS, 1)]
+        connection.executemany("INSERT INTO topics VALUES (?, ?, ?, ?)", rows)
         connection.commit()
     return "estimate", str(file)
-
-
-def fill_topics(connection: sqlite3.Connection) -> None:
-    rows = [(i, "/" + t, MESSAGE_TYPES[t], "cdr") for i, t in enumerate(_TOPICS, 1)]
-    connection.executemany("INSERT INTO topics VALUES (?, ?, ?, ?)", rows)
 
 
 _COUNTING: Final = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n)"
 _TOPICS_TABLE = _SCHEMA.strip().splitlines()[0]
 
 
-_VIEW: Final = f"AS {_COUNTING} SELECT 1 AS topic_id, i AS timestamp, x'00' AS data FROM n"
-SQL: Final = {
-    "recursive view of messages": f"{_TOPICS_TABLE} CREATE VIEW messages {_VIEW};",
-}
-"""Scripts that make a database."""
+@attack
+def recursive_view_of_messages(directory: Path) -> Arguments:
+    view = f"AS {_COUNTING} SELECT 1 AS topic_id, i AS timestamp, x'00' AS data FROM n"
+    return database(directory, f"{_TOPICS_TABLE} CREATE VIEW messages {view};")
 
 
-def _database(script: str) -> Attack:
-    return lambda directory: database(directory, script)
-
-
-ATTACKS |= {name: _database(script) for name, script in SQL.items()}
-
-
-def interior_page(child: int, cells: int, size: int = 4096) -> bytes:
+def interior_page(child: int, cells: int) -> bytes:
     """An interior page of a table, all of whose cells lead to the same child."""
+    size = 4096
     page = bytearray(size)
     page[:12] = struct.pack(">BHHHBI", 5, 0, cells, size - 12 * cells, 0, child)
     for i in range(cells):
@@ -434,21 +418,18 @@ def storage_that_is_cut_while_it_is_read(directory: Path) -> Arguments:
 # --- configurations ---------------------------------------------------------------------------
 
 
-def _nested(first: str, other: str) -> str:
-    """Aliases of aliases of aliases, nine of them in each."""
-    lines = [f"a0: &a0 {first}"]
-    lines += [f"a{i}: &a{i} " + other.format(", ".join([f"*a{i - 1}"] * 9)) for i in range(1, 12)]
-    return "arm_sim:\n" + "".join(f"  {line}\n" for line in lines)
-
-
-def config(directory: Path, content: str, name: str = "config.yaml") -> Arguments:
-    (directory / name).write_text(content)
-    return configured(directory / name)
+def config(directory: Path, content: str) -> Arguments:
+    file = directory / "config.yaml"
+    file.write_text(content)
+    return configured(file)
 
 
 @attack
 def config_of_nested_aliases(directory: Path) -> Arguments:
-    return config(directory, _nested("[x, x, x, x, x, x, x, x, x]", "[{}]"))
+    """Aliases of aliases of aliases, nine of them in each."""
+    lines = [f"a0: &a0 [{', '.join('x' * 9)}]"]
+    lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 12)]
+    return config(directory, "arm_sim:\n" + "".join(f"  {line}\n" for line in lines))
 
 
 QUICK: Final = [

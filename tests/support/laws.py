@@ -1,4 +1,4 @@
-"""The law that a controller has by a preset."""
+"""Laws that a controller has by a preset, and limiters of nothing but the torque."""
 
 from __future__ import annotations
 
@@ -8,6 +8,12 @@ from numpy.typing import NDArray
 from armimp_control.laws.imbic import ImbicConfig
 from armimp_control.parameters import ControllerParameters
 from armimp_control.presets import LawName
+from armimp_control.safety_limiter import SafetyParameters
+
+ROBOT = np.array([[0.3543, 0.1909], [0.1909, 0.1800]])
+ARM = np.array([[0.187, 0.084], [0.079, 0.060]])
+"""Inertia of robot and arm of the study in their posture, kg·m²."""
+POSTURE = np.array([1.0945, 1.3484])
 
 
 def preset_law(
@@ -25,3 +31,20 @@ def preset_law(
         encoder_resolution=encoder_resolution,
         law=law,
     ).imbic_config()
+
+
+def torque_only(limit: float) -> SafetyParameters:
+    """A limiter of the torque, N·m, and of nothing else; what is not finite still stops it."""
+    return SafetyParameters(
+        position_limit=(1e300,),
+        velocity_limit=(1e300,),
+        torque_limit=limit,
+        rate_limit=1e306,
+        power_limit=1e306,
+    )
+
+
+def within_torque(command: NDArray[np.float64], limit: float) -> NDArray[np.float64]:
+    """What is left of a command (n,), N·m, that asks some joint for more than the limit."""
+    share = max(1.0, float(np.max(np.abs(command))) / limit)
+    return np.asarray(command / share)

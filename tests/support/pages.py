@@ -1,6 +1,5 @@
 """Pages as a browser would find them, and tables of pages in Markdown."""
 
-import json
 import re
 from html.parser import HTMLParser
 
@@ -36,10 +35,6 @@ class Page(HTMLParser):
 
     def ids(self) -> list[str]:
         return [attributes["id"] or "" for _, attributes in self.elements if "id" in attributes]
-
-    def plots(self) -> list[dict[str, object]]:
-        kind = "application/json"
-        return [json.loads(text) for given, text in self.scripts if given.get("type") == kind]
 
 
 def markdown_tables(page: str) -> dict[str, list[list[dict[str, str]]]]:

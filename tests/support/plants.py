@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from armimp_sim.model.robot import PlanarChain
 from armimp_sim.model.sensors import SensorParameters
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import Plant
+from armimp_sim.simulator import SimulatedRig
 
 Array = NDArray[np.float64]
 
@@ -42,22 +44,33 @@ def study_plant(friction: int = 0, **changes: Any) -> SimulatorParameters:
     return rig(presets.human_arm(2), presets.robot(2), **parts)
 
 
-def one_joint(
-    law: LuGre | None = None,
-    *,
-    inertia: float,
-    damping: float = 0.0,
-    stiffness: float = 0.0,
-    **changes: Any,
-) -> SimulatorParameters:
-    """One joint, half of whose inertia (kg·m²) is the robot's, about an angle of 0."""
+def one_joint(law: LuGre, *, inertia: float, damping: float, substeps: int) -> SimulatorParameters:
+    """One joint without stiffness, half of whose inertia (kg·m²) is the robot's."""
     half = 0.5 * inertia
     return rig(
-        HumanArm(posture=(0.0,), inertia=(half,), damping=(damping,), stiffness=(stiffness,)),
+        HumanArm(posture=(0.0,), inertia=(half,), damping=(damping,), stiffness=(0.0,)),
         PlanarChain(lengths=(0.3,), moments=(half,), masses=(0.0,), centres=(0.0,)),
-        friction=law or LuGre(),
-        **changes,
+        friction=law,
+        substeps=substeps,
     )
+
+
+def some_commands(ticks: int) -> list[tuple[float, ...]]:
+    """Random commands for two joints, N·m."""
+    return [tuple(row) for row in np.random.default_rng(5).uniform(-20, 20, (ticks, 2)).tolist()]
+
+
+def in_lockstep(
+    commands: Iterable[Sequence[float]],
+) -> list[tuple[int, tuple[float, ...], tuple[float, ...]]]:
+    """Stamps, angles and torques that the preset rig reads before and after each command."""
+    rig = SimulatedRig(SimulatorParameters.preset())
+    samples = []
+    for command in (None, *commands):
+        if command is not None:
+            rig.step(command)
+        samples.append((rig.stamp_ns, tuple(rig.position.tolist()), tuple(rig.torque.tolist())))
+    return samples
 
 
 def random_chain(n: int, seed: int = 0) -> PlanarChain:

@@ -1,10 +1,36 @@
-"""Processes of this machine by their command line, for tests that stop or kill them."""
+"""Processes of this machine: run, found by their command line, waited for, their precedence."""
 
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
+
+from armimp_common.errors import ConfigurationError
+from armimp_common.realtime import require_precedence
+
+PRIORITY = 30
+
+
+def run_python(*arguments: str, **options: Any) -> str:
+    """Run Python in a process of its own, which must succeed, and return what it printed."""
+    command = [sys.executable, *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, **options)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return str(done.stdout)
+
+
+def wait_until(condition: Callable[[], bool], what: str, patience: float = 120.0) -> None:
+    """Wait for what another process or thread does."""
+    deadline = time.monotonic() + patience
+    while not condition():
+        assert time.monotonic() < deadline, f"did not happen within {patience} s: {what}"
+        time.sleep(0.005)
 
 
 def processes_of(*words: str | Path) -> list[int]:
@@ -16,3 +42,12 @@ def processes_of(*words: str | Path) -> list[int]:
                 command = (entry / "cmdline").read_bytes().decode(errors="replace")
                 found += [int(entry.name)] if all(str(one) in command for one in words) else []
     return found
+
+
+def permitted_priority() -> int:
+    """Return a SCHED_FIFO priority if this user may have one, else 0."""
+    try:
+        require_precedence(PRIORITY)
+    except ConfigurationError:
+        return 0
+    return PRIORITY

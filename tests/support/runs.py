@@ -82,6 +82,3 @@ class Run(Protocol):
 
     def __call__(self, **options: Any) -> FinishedRun:
         """Run it."""
-
-
-# MISSING

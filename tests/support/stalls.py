@@ -31,11 +31,6 @@ class StallWitness:
         lines = self._file.read_text().splitlines()
         return [(float(line.split()[0]), float(line.split()[1])) for line in lines]
 
-    @property
-    def longest(self) -> float:
-        """How long the longest stall was (s)."""
-        return max((end - begin for begin, end in self.stalls), default=0.0)
-
     def __enter__(self) -> StallWitness:
         with self._file.open("w") as file:
             self._process = subprocess.Popen([sys.executable, "-c", _PROGRAM], stdout=file)

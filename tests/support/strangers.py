@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -29,7 +28,6 @@ from armimp_common.status import (
     Level,
     Phase,
     StoppingDecision,
-    TrialStatus,
     make_array,
     make_status,
     status_message,
@@ -37,6 +35,8 @@ from armimp_common.status import (
 from armimp_estimation.node import RESULT_NAME
 from armimp_estimation.summary import Summary
 from support.graph import joined
+from support.processes import wait_until
+from support.streams import trial_status
 
 PATIENCE = 20.0
 BASE: dict[str, Any] = {"duration": 2.0}
@@ -72,10 +72,11 @@ Act = Callable[[Stranger], object]
 
 def heard(publisher: Any, listeners: int = 1) -> None:
     """Wait until a publisher is matched; discovery needs nobody who spins."""
-    end = time.monotonic() + PATIENCE
-    while publisher.get_subscription_count() < listeners:
-        assert time.monotonic() < end, f"nobody hears {publisher.topic_name}"
-        time.sleep(0.002)
+    wait_until(
+        lambda: bool(publisher.get_subscription_count() >= listeners),
+        f"somebody hears {publisher.topic_name}",
+        PATIENCE,
+    )
 
 
 def command(torque: float, number: int, times: int = 1, *, leave: bool = False) -> Act:
@@ -107,24 +108,6 @@ def messages(topic: str, *contents: Any) -> Act:
         return publisher
 
     return act
-
-
-def status(**changes: Any) -> DiagnosticStatus:
-    """Make a status of the first trial that is not the controller's."""
-    values: dict[str, Any] = {
-        "phase": Phase.PERTURB,
-        "trial": 1,
-        "trials": 2,
-        "joint": 0,
-        "joint_name": "shoulder",
-        "tick": 500,
-        "start_ns": 500_000_000,
-        "ticks": 2000,
-        "seed": 1,
-        "valid": True,
-        **changes,
-    }
-    return status_message(TrialStatus(**values))
 
 
 def decision(trial: int) -> DiagnosticStatus:
@@ -177,8 +160,8 @@ ACTS: dict[str, Act] = {
     "next number": command(0.0, -1, leave=True),
     "wrong numbers": command(0.3, 4_000_000_000, 20),
     "decision": messages(topics.STOPPING, decision(1), decision(2)),
-    "shorter trial": messages(topics.TRIAL, status(ticks=1500)),
-    "all is over": messages(topics.TRIAL, status(phase=Phase.DONE, trial=2)),
+    "shorter trial": messages(topics.TRIAL, status_message(trial_status(ticks=1500))),
+    "all is over": messages(topics.TRIAL, status_message(trial_status(phase=Phase.DONE, trial=2))),
     "result": messages(
         topics.RESULT, make_status(RESULT_NAME, Level.OK, "valid", {"valid": "true"})
     ),

@@ -6,6 +6,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel
 
 from armimp_common.cdr import decode_trial_status
+from armimp_common.status import Phase, TrialStatus
 from armimp_common.topics import PERTURBATION, TRIAL
 from armimp_estimation.alignment.synchronizer import FETCHED, StreamSynchronizer
 from armimp_estimation.recorder import TrialRecorder
@@ -16,7 +17,6 @@ ModelT = TypeVar("ModelT", bound=BaseModel)
 
 def fed_synchronizer(
     on_samples: Callable[[int], None] = lambda _: None,
-    on_behind: Callable[[], None] = lambda: None,
 ) -> tuple[StreamSynchronizer, dict[str, Callable[[bytes], None]]]:
     """A synchronizer, and what takes the messages of each stream for it."""
     waiting: dict[str, list[bytes]] = {topic: [] for topic in FETCHED}
@@ -29,7 +29,7 @@ def fed_synchronizer(
         return take
 
     sources = {topic: source(topic) for topic in FETCHED}
-    synchronizer = StreamSynchronizer(sources, on_samples, on_behind)
+    synchronizer = StreamSynchronizer(sources, on_samples, lambda: None)
     receivers = {topic: messages.append for topic, messages in waiting.items()}
     return synchronizer, {**receivers, PERTURBATION: synchronizer.receive}
 
@@ -54,6 +54,23 @@ def record(
             recorder.add(synchronizer.take())
             on_recorded()
     recorder.add(synchronizer.take(incomplete=True))
+
+
+def trial_status(**values: Any) -> TrialStatus:
+    """A status of the first of two trials, which perturbs the shoulder, with other values."""
+    usual: dict[str, Any] = {
+        "phase": Phase.PERTURB,
+        "trial": 1,
+        "trials": 2,
+        "joint": 0,
+        "joint_name": "shoulder",
+        "tick": 500,
+        "start_ns": 500_000_000,
+        "ticks": 2000,
+        "seed": 1,
+        "valid": True,
+    }
+    return TrialStatus(**{**usual, **values})
 
 
 def changed(record: ModelT, **values: Any) -> ModelT:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate, confidence_radius
+from armimp_estimation.fit import MBKFit
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import WelchConfig
@@ -209,6 +210,16 @@ def share_within(estimates: Sequence[ImpedanceEstimate], true: ComplexArray, lev
         for one in estimates
     ]
     return float(np.mean(inside))
+
+
+def stacked(arm: MBK) -> FloatArray:
+    """M, B and K of an arm, (3, n, n)."""
+    return np.stack((arm.M, arm.B, arm.K))
+
+
+def errors_of(fit: MBKFit) -> FloatArray:
+    """Standard errors of M, B and K, (3, n, n)."""
+    return np.stack((fit.M_se, fit.B_se, fit.K_se))
 
 
 def worst_errors(found: Any, true: Any) -> dict[str, float]:

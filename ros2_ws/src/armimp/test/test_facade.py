@@ -2,15 +2,17 @@
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import armimp
-from armimp_estimation.bags import BagWriter
 from armimp_estimation.torque_timing import TorqueReading
+from support.bag_files import write_bag
 from support.synthetic_bags import synthetic_recording
 
 
@@ -24,9 +26,11 @@ def result(recording: armimp.Recording) -> armimp.Result:
     return armimp.identify(recording)
 
 
-def arrays_of(recording: armimp.Recording) -> tuple[list[np.ndarray], ...]:
+def rebuilt(recording: armimp.Recording, **changes: Any) -> armimp.Recording:
+    """The same of plain arrays, some of which are other ones."""
     names = ("perturbation", "position", "torque")
-    return tuple([getattr(one, name) for one in recording.trials] for name in names)
+    arrays = {name: [getattr(one, name) for one in recording.trials] for name in names}
+    return armimp.Recording.from_arrays(**{**arrays, "rate": 1000.0, **changes})
 
 
 def test_intervals_hold_the_arm_that_was_simulated(
@@ -48,21 +52,20 @@ def test_intervals_hold_the_arm_that_was_simulated(
 def test_transducers_that_show_nothing_of_locked_joints_are_refused(
     recording: armimp.Recording,
 ) -> None:
-    perturbation, position, torque = arrays_of(recording)
-    for k, one in enumerate(torque):
-        torque[k] = np.where(np.arange(2)[:, None] == k, one, 0.0)
-    made = armimp.Recording.from_arrays(perturbation, position, torque, rate=1000.0)
-    result = armimp.identify(made)
+    torque = [
+        np.where(np.arange(2)[:, None] == k, one.torque, 0.0)
+        for k, one in enumerate(recording.trials)
+    ]
+    result = armimp.identify(rebuilt(recording, torque=torque))
     assert not result.impedance_valid
     assert sum("0 counts of its resolution" in one for one in result.problems) == 2
 
 
 @pytest.mark.slow
 def test_an_encoder_that_begins_another_turn_is_named(recording: armimp.Recording) -> None:
-    perturbation, position, torque = arrays_of(recording)
-    position[0] = (position[0] - position[0].mean(axis=1, keepdims=True)) % (2.0 * np.pi)
-    made = armimp.Recording.from_arrays(perturbation, position, torque, rate=1000.0)
-    result = armimp.identify(made)
+    first, second = (one.position for one in recording.trials)
+    turned = (first - first.mean(axis=1, keepdims=True)) % (2.0 * np.pi)
+    result = armimp.identify(rebuilt(recording, position=[turned, second]))
     assert not result.impedance_valid
     assert any("jump by 6.28 rad: unwrap them" in one for one in result.problems)
 
@@ -82,15 +85,8 @@ def test_a_wider_level_makes_a_wider_interval_of_a_normal_distribution(
 def test_plain_arrays_give_the_bits_of_the_recording_and_the_perturbed_joint_is_found(
     recording: armimp.Recording, result: armimp.Result
 ) -> None:
-    perturbation, position, torque = arrays_of(recording)
-    made = armimp.Recording.from_arrays(
-        perturbation,
-        position,
-        torque,
-        rate=1000.0,
-        command=[one.command for one in recording.trials if one.command is not None],
-        timing="before_update",
-    )
+    command = [one.command for one in recording.trials]
+    made = rebuilt(recording, command=command, timing="before_update")
     assert [one.perturbed_joint for one in made.trials] == [0, 1]
     assert np.array_equal(armimp.identify(made).K, result.K)
 
@@ -110,16 +106,10 @@ def test_plain_arrays_give_the_bits_of_the_recording_and_the_perturbed_joint_is_
     ],
 )
 def test_when_arrays_are_no_good_expect_one_line_that_says_where(
-    recording: armimp.Recording, spoil: object, message: str
+    recording: armimp.Recording, spoil: Callable[[np.ndarray], object], message: str
 ) -> None:
-    perturbation, position, torque = arrays_of(recording)
     with pytest.raises(armimp.ArmimpError, match=message) as error:
-        armimp.Recording.from_arrays(
-            perturbation,
-            [spoil(one) for one in position],  # type: ignore[operator]
-            torque,
-            rate=1000.0,
-        )
+        rebuilt(recording, position=[spoil(one.position) for one in recording.trials])
     assert "\n" not in str(error.value)
 
 
@@ -156,11 +146,7 @@ def test_when_an_option_is_unknown_or_out_of_range_expect_its_name() -> None:
 
 def written(directory: Path) -> Path:
     made = synthetic_recording(perturbed=(0, 1), ticks=2000, settle=10, rest=10)
-    writer = BagWriter(directory / "bag", metadata={})
-    for topic, time_ns, raw in made.messages:
-        writer.write(topic, raw, time_ns)
-    writer.close()
-    return directory / "bag"
+    return write_bag(directory / "bag", made.messages, {})
 
 
 def test_what_was_wrong_with_stamps_of_a_bag_is_wrong_with_the_result(
@@ -242,24 +228,16 @@ def test_an_arm_whose_torques_are_late_by_what_nobody_told_is_not_taken_for_bent
 def test_a_constant_in_the_perturbation_of_all_joints_perturbs_none(
     recording: armimp.Recording, result: armimp.Result
 ) -> None:
-    perturbation, position, torque = arrays_of(recording)
-    offset = [one + 0.05 for one in perturbation]
-    made = armimp.Recording.from_arrays(offset, position, torque, rate=1000.0)
-    found = armimp.identify(made)
+    offset = [one.perturbation + 0.05 for one in recording.trials]
+    found = armimp.identify(rebuilt(recording, perturbation=offset))
     assert found.valid, found.problems
     np.testing.assert_allclose(found.M, result.M, rtol=0.01)
 
 
 def test_commands_that_move_nothing_confirm_no_gain(recording: armimp.Recording) -> None:
-    perturbation, position, torque = arrays_of(recording)
-    nothing = [np.zeros_like(one) for one in torque]
+    nothing = [np.zeros_like(one.torque) for one in recording.trials]
     with_nothing, without = (
-        armimp.identify(
-            armimp.Recording.from_arrays(
-                perturbation, position, torque, rate=1000.0, command=command
-            )
-        )
-        for command in (nothing, None)
+        armimp.identify(rebuilt(recording, command=command)) for command in (nothing, None)
     )
     for found in (with_nothing, without):
         assert sum("no command confirms the gain" in one for one in found.problems) == 2

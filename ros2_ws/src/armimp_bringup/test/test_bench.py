@@ -69,13 +69,6 @@ def test_when_one_fails_expect_it_named_and_the_figures_of_the_others(
     assert record["failed"] == {"first": "no graph today"}
 
 
-def test_unknown_benchmark_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["bench", "guess"]) == 2
-    assert capsys.readouterr().err == (
-        "armimp: there is no benchmark 'guess', only speed, jitter\n"
-    )
-
-
 def test_jitter_is_that_of_runs_in_real_time_without_what_is_not_permitted(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import socket
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -23,12 +21,13 @@ from armimp_common.status import (
     Phase,
     Progress,
     TimingFigures,
-    TrialStatus,
     make_array,
     make_status,
     status_message,
 )
 from support.graph import eventually
+from support.processes import run_python
+from support.streams import trial_status
 
 VARIABLES = (
     "ROS_AUTOMATIC_DISCOVERY_RANGE",
@@ -91,15 +90,9 @@ def test_when_the_process_was_in_a_graph_before_expect_it_to_find_the_local_host
         monkeypatch.delenv(name, raising=False)
 
     with DomainClaim() as claim:
-        done = subprocess.run(
-            [sys.executable, "-c", OPEN_BEFORE.format(domain=claim.domain_id)],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        printed = run_python("-c", OPEN_BEFORE.format(domain=claim.domain_id))
 
-    assert done.returncode == 0, done.stderr
-    ports, variable = done.stdout.splitlines()
+    ports, variable = printed.splitlines()
     domain, *found = (int(port) for port in ports.split()[1:])
     # The port of a domain for multicast; its others follow.
     assert found
@@ -127,9 +120,7 @@ def test_nothing_is_shared_in_memory_which_a_killed_process_could_leave_locked(
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", reach)
 
-    maps = subprocess.run(
-        [sys.executable, "-c", IN_A_GRAPH], capture_output=True, text=True, check=True
-    ).stdout
+    maps = run_python("-c", IN_A_GRAPH)
 
     assert "libfastrtps" in maps
     assert "/dev/shm/fastrtps" not in maps
@@ -201,21 +192,6 @@ def _taken(claim: DomainClaim, domain_id: int) -> bool:
 # --- What the orchestrator hears of an experiment, and until when -------------------------------
 
 
-STATUS = TrialStatus(
-    phase=Phase.ABORTED,
-    trial=1,
-    trials=2,
-    joint=0,
-    joint_name="shoulder",
-    tick=0,
-    start_ns=None,
-    ticks=10_000,
-    seed=1,
-    valid=False,
-    reason="emergency stop",
-)
-
-
 @pytest.mark.parametrize("told_before", [False, True])
 def test_timing_counts_up_to_an_abort_and_faults_are_heard_after_it(told_before: bool) -> None:
     with GraphContext() as graph:
@@ -235,7 +211,8 @@ def test_timing_counts_up_to_an_abort_and_faults_are_heard_after_it(told_before:
             if told_before:
                 report(1000)
                 eventually(spinner, lambda: len(supervisor.faults) == 1, "the first fault")
-            trial.publish(status_message(STATUS))
+            aborted = trial_status(phase=Phase.ABORTED, valid=False, reason="emergency stop")
+            trial.publish(status_message(aborted))
             eventually(spinner, lambda: supervisor.finished, "the end")
             for ticks in (1600, 1700):
                 report(ticks)

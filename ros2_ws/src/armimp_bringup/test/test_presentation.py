@@ -28,10 +28,6 @@ def directory(tmp_path: Path) -> Path:
     return make_result(tmp_path / "result")
 
 
-def names(directory: Path) -> set[str]:
-    return {path.name for path in directory.iterdir() if path.is_file()}
-
-
 @pytest.mark.slow
 def test_when_figures_cannot_be_drawn_expect_one_line_and_everything_else(
     directory: Path, capsys: pytest.CaptureFixture[str]
@@ -42,7 +38,7 @@ def test_when_figures_cannot_be_drawn_expect_one_line_and_everything_else(
     (line,) = told.err.splitlines()
     assert line.startswith(f"armimp: {directory / 'coherence.png'}: cannot be written: ")
     assert json.loads(told.out)["valid"] is True
-    assert "report.html" in names(directory)
+    assert (directory / "report.html").is_file()
 
 
 def test_wall_times_and_origin_become_part_of_the_summary_and_change_nothing_else(

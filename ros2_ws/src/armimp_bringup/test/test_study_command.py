@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -16,7 +13,7 @@ from armimp_bringup.cli import main
 from armimp_bringup.study import read_study
 from armimp_bringup.study.scores import StudyVerdict
 from armimp_bringup.terminal import Display, describe, display
-from support.graph import PATIENCE
+from support.command import interrupted, program
 
 SHORT = ("--duration", "4", "--no-figures", "--only", "friction=0,resolution=0,perturbation=3")
 
@@ -46,16 +43,12 @@ def test_study_that_misses_targets_exits_with_1_and_names_the_first_of_them(
 
 @pytest.mark.slow
 def test_interrupted_study_ends_at_once(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "armimp_bringup.cli", "reproduce", "--no-figures"]
-    command += ["--out", str(tmp_path / "out"), "--seeds", "0:40", "--workers", "1"]
-    command += ["--duration", "200"]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as study:
+    options = ("--no-figures", "--seeds", "0:40", "--workers", "1", "--duration", "200")
+    with program("reproduce", "--out", str(tmp_path / "out"), *options) as study:
         assert study.stderr is not None
         assert study.stderr.readline() == "0 of 1920 conditions\n"
-        study.send_signal(signal.SIGINT)
-        assert study.wait(PATIENCE) == 130  # without waiting for the batch at work
-        told = study.stderr.read().splitlines()
-    assert told == ["armimp: interrupted"]
+        # Without waiting for the batch at work.
+        assert interrupted(study, 130) == ["armimp: interrupted"]
 
 
 def test_estimator_without_targets_exits_with_0_and_prints_json_alone(
@@ -87,35 +80,6 @@ def test_configuration_file_decides_what_options_leave_open(
     config = json.loads(json.dumps(entry.config))
     assert config["experiment"]["duration"] == 4.0
     assert config["arm_sim"]["voluntary.rms"] == 0.2
-
-
-@pytest.mark.parametrize(
-    ("options", "complaint"),
-    [
-        (("--only", "friction=7"), "--only 'friction=7': 'friction=7' is not one of friction"),
-        (("--seeds", "1:"), "--seeds '1:': '1:' is neither a seed nor a range"),
-        (("--workers", "0"), "--workers must be at least 1, got 0"),
-        (("--workers", "two"), "Invalid value for '--workers'"),
-        (("--workers", "2", "--scheduler", "tcp://x:1"), "--workers is for threads"),
-        (("--joints", "9"), "joints"),
-        (("--duration", "1"), "duration"),
-        (("--estimator", "guess"), "there is no 'guess', only welch_siso"),
-        (("--config", "nowhere.yaml"), "nowhere.yaml: No such file or directory"),
-    ],
-)
-def test_wrong_usage_exits_with_2_and_one_line_and_leaves_nothing_behind(
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    options: tuple[str, ...],
-    complaint: str,
-) -> None:
-    assert _reproduce(tmp_path / "out", *options) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    (line,) = told.err.splitlines()
-    assert line.startswith("armimp: ")
-    assert complaint in line
-    assert not (tmp_path / "out").exists()
 
 
 def test_time_left_follows_from_what_was_done_since_the_start() -> None:

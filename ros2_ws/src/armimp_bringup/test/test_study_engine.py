@@ -164,23 +164,19 @@ def distributed() -> Any:
     return pytest.importorskip("distributed")
 
 
-def _cluster(distributed: Any, workers: int, threads: int = 1) -> Any:
-    return distributed.LocalCluster(
-        n_workers=workers,
-        threads_per_worker=threads,
-        processes=False,
-        protocol="tcp",
-        host="127.0.0.1",
-        dashboard_address=None,
-    )
-
-
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # of what other packages do while a cluster starts and ends
 def test_cluster_gives_the_same_files_as_threads(distributed: Any, tmp_path: Path) -> None:
     conditions = select_conditions(["friction=0,resolution=0+3,perturbation=1"], "0")
     run_study(BASE, conditions, tmp_path / "threads", Threads(1), figures=False)
-    with _cluster(distributed, 1, threads=2) as cluster:
+    with distributed.LocalCluster(
+        n_workers=1,
+        threads_per_worker=2,
+        processes=False,
+        protocol="tcp",
+        host="127.0.0.1",
+        dashboard_address=None,
+    ) as cluster:
         backend = Dask(cluster.scheduler_address)
         assert backend.workers == 2
         run_study(BASE, conditions, tmp_path / "cluster", backend, figures=False)
@@ -214,15 +210,10 @@ def test_scheduler_that_is_not_there_is_named(
 # --- Selections of conditions on the command line: what they mean, and what is refused how ------
 
 
-def _cell(condition: Condition) -> tuple[int, ...]:
-    return condition.friction, condition.resolution, condition.perturbation
-
-
 def test_without_a_selection_all_48_conditions_are_there_once_and_in_order() -> None:
     conditions = select_conditions([], "0:3")
-    assert [_cell(one) for one in conditions[:48]] == list(
-        itertools.product(range(4), range(4), range(1, 4))
-    )
+    levels = [(one.friction, one.resolution, one.perturbation) for one in conditions[:48]]
+    assert levels == list(itertools.product(range(4), range(4), range(1, 4)))
     assert len({one.name for one in conditions}) == len({str(one) for one in conditions}) == 144
     assert conditions[0].name == "friction0-resolution0-perturbation1-seed0"
     assert str(conditions[0]) == "friction 0, resolution 0, perturbation 1, seed 0"

@@ -16,7 +16,6 @@ from armimp_bringup.study import StudyEntry
 from armimp_bringup.study.scores import (
     SCORES,
     StudyVerdict,
-    WorstValue,
     results_csv,
     results_table,
     torque_in_counts,
@@ -102,10 +101,6 @@ def _rows(verdict: StudyVerdict) -> Mapping[tuple[str, str], Any]:
     return {(one.estimator, one.quantity): one for one in verdict.worst}
 
 
-def _unmet(worst: Sequence[WorstValue]) -> list[WorstValue]:
-    return [one for one in worst if one.met is not True]
-
-
 def targets(joints: int, estimator: str) -> dict[str, float]:
     found = {one.name: one.limit(joints, estimator) for one in SCORES}
     return {name: limit for name, limit in found.items() if limit is not None}
@@ -145,8 +140,7 @@ def test_worst_score_is_the_smallest_and_may_reach_the_limit(
         assert verdict.met is met
         assert worst.worst == pytest.approx(value, nan_ok=True)
         assert str(worst).endswith("in Z21 at friction 2, resolution 1, perturbation 3, seed 7")
-        others = [one for one in verdict.worst if one is not worst]
-        assert _unmet(others) == []
+        assert [one for one in verdict.worst if one.met is not True and one is not worst] == []
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any, cast
 
@@ -13,6 +11,7 @@ import pytest
 
 from armimp_common import compiled as compiling
 from armimp_common.compiled import compiled, compiled_entry
+from support.processes import run_python
 
 CALLEE = """
 from armimp_common.compiled import compiled
@@ -55,15 +54,7 @@ def _run(folder: Path, caller: str, *, factor: float, expression: str) -> tuple[
         "PYTHONDONTWRITEBYTECODE": "1",  # sources change within the resolution of their times
         "NUMBA_CACHE_DIR": str(folder / "cache"),
     }
-    done = subprocess.run(
-        [sys.executable, "-c", REPORT],
-        env=environment,
-        check=True,
-        capture_output=True,
-        text=True,
-        timeout=100,
-    )
-    value, hits, digest = done.stdout.split()
+    value, hits, digest = run_python("-c", REPORT, env=environment, timeout=100).split()
     return float(value), int(hits), digest
 
 

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from armimp_common.driver_base import MOST_UNDER_WAY, FlowControl
 from armimp_common.errors import GraphError
 from armimp_common.protection import (
     RAMP_PERIODS,
@@ -158,3 +159,49 @@ def test_the_reset_is_refused_under_torque_and_granted_without(protection: Prote
     protection.sample((0.0, 0.0))
     protection.command((1.0, 0.0))
     assert (protection.applied, protection.fault) == ((1.0, 0.0), "")
+
+
+# --- Flow control: the simulator waits for a recorder, and for nobody else ----------------------
+
+
+def sent(backlog: FlowControl, samples: int) -> FlowControl:
+    for _ in range(samples):
+        backlog.count_sent()
+    return backlog
+
+
+@pytest.mark.parametrize("before", [0, 5 * MOST_UNDER_WAY])
+def test_with_a_recorder_that_falls_behind_whenever_it_began_the_next_sample_waits(
+    before: int,
+) -> None:
+    backlog = sent(FlowControl(), before)
+    backlog.acknowledge(0)
+    assert not sent(backlog, MOST_UNDER_WAY - 1).full
+    assert sent(backlog, 1).full
+    backlog.acknowledge(25)
+    assert not backlog.full
+
+
+def test_a_count_that_goes_back_is_not_of_the_recorder() -> None:
+    backlog = FlowControl()
+    backlog.acknowledge(0)
+    sent(backlog, 100).acknowledge(90)
+    backlog.acknowledge(10)
+    assert not backlog.full
+
+
+@given(st.lists(st.integers(min_value=0, max_value=400), max_size=60))
+def test_never_more_samples_are_under_way_than_the_limit(batches: list[int]) -> None:
+    backlog = FlowControl()
+    backlog.acknowledge(0)
+    under_way = received = 0
+    for batch in batches:
+        for _ in range(batch):
+            if not backlog.full:
+                backlog.count_sent()
+                under_way += 1
+        assert under_way <= MOST_UNDER_WAY
+        received += under_way // 2
+        under_way -= under_way // 2
+        if received:
+            backlog.acknowledge(received)

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -22,16 +23,7 @@ from armimp_common.executor import (
     stop_on_signals,
 )
 from support.graph import PATIENCE
-
-
-def deadline(seconds: float = PATIENCE) -> Callable[[], bool]:
-    end = time.monotonic() + seconds
-    return lambda: time.monotonic() > end
-
-
-def spin(node: Node, should_stop: Callable[[], bool], *, period: float) -> None:
-    with Spinner([node]) as spinner:
-        spinner.spin(should_stop, period=period)
+from support.processes import run_python
 
 
 class CallbackError(RuntimeError):
@@ -67,8 +59,9 @@ def test_when_a_callback_raises_expect_it_at_the_caller(
 ) -> None:
     arrange(node)
 
-    with pytest.raises(CallbackError, match="in a callback"):
-        spin(node, deadline(), period=0.01)
+    end = time.monotonic() + PATIENCE
+    with pytest.raises(CallbackError, match="in a callback"), Spinner([node]) as spinner:
+        spinner.spin(lambda: time.monotonic() > end, period=0.01)
 
 
 def test_spin_until_returns_as_soon_as_the_future_is_done(node: Node) -> None:
@@ -110,16 +103,6 @@ def test_second_interrupt_interrupts_at_once() -> None:
             os.kill(os.getpid(), signal.SIGINT)
 
 
-class Counting(Node):
-    def __init__(self, *, context: Context) -> None:
-        super().__init__("counting", context=context)
-        self.ticks = 0
-        self.create_timer(0.005, self._count)
-
-    def _count(self) -> None:
-        self.ticks += 1
-
-
 @pytest.mark.usefixtures("domain_id")
 @pytest.mark.parametrize(("error", "status"), [(ConfigurationError, 2), (GraphError, 1)])
 def test_when_the_node_cannot_be_made_expect_one_line_and_its_status(
@@ -150,7 +133,7 @@ def test_when_arguments_are_wrong_expect_status_2_and_one_line(
     path.write_text("counting:\n  ros__parameters:\n    array: [1, 2.5]\n")
     arguments = [str(path) if item == "FILE" else item for item in arguments]
 
-    assert run_node(Counting, ["program", *arguments]) == 2
+    assert run_node(partial(Node, "counting"), ["program", *arguments]) == 2
 
     own = [line for line in capfd.readouterr().err.splitlines() if line.startswith("program: ")]
     assert len(own) == 1
@@ -215,14 +198,7 @@ def test_a_node_shares_no_memory_unless_the_user_wants_it(
     }
     choice = {} if chosen is None else {"FASTDDS_BUILTIN_TRANSPORTS": chosen}
 
-    done = subprocess.run(
-        [sys.executable, "-c", WATCHED],
-        capture_output=True,
-        text=True,
-        check=False,
-        env=kept | choice | {"ROS_DOMAIN_ID": str(domain_id)},
-    )
+    maps = run_python("-c", WATCHED, env=kept | choice | {"ROS_DOMAIN_ID": str(domain_id)})
 
-    assert done.returncode == 0, done.stderr
-    assert "libfastrtps" in done.stdout
-    assert ("/dev/shm/fastrtps" in done.stdout) == shared
+    assert "libfastrtps" in maps
+    assert ("/dev/shm/fastrtps" in maps) == shared

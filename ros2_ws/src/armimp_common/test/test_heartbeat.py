@@ -2,11 +2,6 @@
 
 import signal
 import subprocess
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 from rclpy.node import Node
@@ -14,30 +9,7 @@ from rclpy.node import Node
 from armimp_common import qos
 from armimp_common.executor import Spinner
 from armimp_common.heartbeat import Heartbeat, HeartbeatMonitor, Presence
-from support.graph import eventually
-
-OTHER = """
-from armimp_common.heartbeat import Heartbeat
-from armimp_common.executor import run_node
-from rclpy.node import Node
-
-def make(*, context):
-    node = Node("other", context=context)
-    node.sign = Heartbeat(node, "other")
-    return node
-
-raise SystemExit(run_node(make, ["other"]))
-"""
-
-
-@contextmanager
-def other_process() -> "Iterator[subprocess.Popen[bytes]]":
-    process = subprocess.Popen([sys.executable, "-c", OTHER])
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.wait()
+from support.graph import eventually, report
 
 
 def introduced(watch: HeartbeatMonitor, changes: list[Presence]) -> bool:
@@ -94,14 +66,16 @@ def test_what_is_known_follows_from_numbers_of_publishers_and_a_look_at_the_proc
 
 
 def test_when_a_process_is_stopped_for_a_moment_expect_it_stalled_and_alive_again(
-    watch: HeartbeatMonitor, spinner: Spinner, changes: list[Presence]
+    watch: HeartbeatMonitor,
+    spinner: Spinner,
+    changes: list[Presence],
+    other: "subprocess.Popen[bytes]",
 ) -> None:
-    with other_process() as process:
-        eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
-        process.send_signal(signal.SIGSTOP)
-        eventually(spinner, lambda: changes[-1] is Presence.STALLED, "silence")
-        process.send_signal(signal.SIGCONT)
-        eventually(spinner, lambda: changes[-1] is Presence.ALIVE, "a sign of life")
+    eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
+    other.send_signal(signal.SIGSTOP)
+    eventually(spinner, lambda: changes[-1] is Presence.STALLED, "silence")
+    other.send_signal(signal.SIGCONT)
+    eventually(spinner, lambda: changes[-1] is Presence.ALIVE, "a sign of life")
 
     assert watch.presence is Presence.ALIVE
 
@@ -111,9 +85,7 @@ def test_when_the_lease_of_a_node_of_the_same_process_runs_out_expect_it_to_stay
 ) -> None:
     sign = Heartbeat(node, "other")
     eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
-    # The binding of the event cannot be made by hand, but has the same attributes.
-    run_out: Any = SimpleNamespace(alive_count=0, not_alive_count=1)
-    watch._on_event(run_out)
+    report(watch, alive=0, silent=1)
     assert watch.presence is Presence.ALIVE
 
     node.destroy_publisher(sign.publisher)

@@ -1,6 +1,5 @@
 """Lifecycle manager: nodes of this process and of others, refusals, failures, silence."""
 
-import time
 from collections.abc import Iterator
 
 import pytest
@@ -12,19 +11,17 @@ from rclpy.node import Node
 
 from armimp_common.errors import ConfigurationError, GraphError
 from armimp_common.executor import Spinner
-from armimp_common.lifecycle import LifecycleManager, ManagedNode, reported
+from armimp_common.lifecycle import LifecycleManager, ManagedNode, TransitionName, reported
 from support.graph import PATIENCE
 
 
 class Managed(ManagedNode):
-    def __init__(self, name: str, *, context: Context, namespace: str = "") -> None:
-        super().__init__(name, context=context, namespace=namespace)
+    def __init__(self, name: str, *, context: Context) -> None:
+        super().__init__(name, context=context)
         self.fault: Exception | None = None
-        self.delay = 0.0
 
     @reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        time.sleep(self.delay)
         if self.fault is not None:
             raise self.fault
         return TransitionCallbackReturn.SUCCESS
@@ -51,16 +48,16 @@ def manager(node: Node, spinner: Spinner) -> LifecycleManager:
 def test_node_of_the_same_process_goes_through_all_states(manager: LifecycleManager) -> None:
     manager.wait_for_nodes()
     assert manager.state("managed") == "unconfigured"
-    manager.change("managed", "configure")
-    assert manager.state("managed") == "inactive"
-    manager.change("managed", "activate")
-    assert manager.state("managed") == "active"
-    manager.change("managed", "deactivate")
-    assert manager.state("managed") == "inactive"
-    manager.change("managed", "cleanup")
-    assert manager.state("managed") == "unconfigured"
-    manager.change("managed", "shutdown")
-    assert manager.state("managed") == "finalized"
+    steps: tuple[tuple[TransitionName, str], ...] = (
+        ("configure", "inactive"),
+        ("activate", "active"),
+        ("deactivate", "inactive"),
+        ("cleanup", "unconfigured"),
+        ("shutdown", "finalized"),
+    )
+    for transition, state in steps:
+        manager.change("managed", transition)
+        assert manager.state("managed") == state
 
 
 @pytest.mark.parametrize("number", [0, 3, 4, 99, 255])

@@ -138,15 +138,6 @@ def another_thread() -> Iterator[threading.Thread]:
     thread.join()
 
 
-@pytest.fixture
-def refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(thread: int, policy: int, param: os.sched_param) -> None:
-        if policy != os.SCHED_OTHER:
-            raise PermissionError(1, "Operation not permitted")
-
-    monkeypatch.setattr(os, "sched_setscheduler", refuse)
-
-
 def test_garbage_is_not_collected_until_precedence_is_given_back() -> None:
     before = state()
     taken = RealtimeScheduling()
@@ -179,8 +170,14 @@ def test_every_thread_gets_the_priority_where_that_is_permitted(
     assert {thread for thread, policy, _ in asked if policy == os.SCHED_OTHER} == fifo
 
 
-@pytest.mark.usefixtures("refused")
-def test_a_priority_that_is_not_permitted_is_refused_beforehand_and_nothing_changes() -> None:
+def test_a_priority_that_is_not_permitted_is_refused_beforehand_and_nothing_changes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refuse(thread: int, policy: int, param: os.sched_param) -> None:
+        if policy != os.SCHED_OTHER:
+            raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
     before = state()
     with pytest.raises(GraphError, match=r"'realtime\.priority' = 40: the system does not permit"):
         RealtimeScheduling().take(40)

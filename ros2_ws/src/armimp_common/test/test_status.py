@@ -19,19 +19,10 @@ from armimp_common.status import (
     TimingFigures,
     TrialStatus,
 )
-from support.streams import changed
+from support.streams import changed, trial_status
 
-STATUS = TrialStatus(
-    phase=Phase.PERTURB,
-    trial=2,
-    trials=3,
-    joint=1,
-    joint_name="elbow",
-    tick=1234,
-    start_ns=5_000_000,
-    ticks=50_000,
-    seed=7,
-    valid=True,
+STATUS = trial_status(
+    trial=2, trials=3, joint=1, joint_name="elbow", tick=1234, start_ns=5_000_000, ticks=50_000
 )
 DECISION = StoppingDecision(
     trial=2, samples=19_800, enough=False, due=21_800, bound=0.02, largest=0.031, element="K21"

@@ -1,4 +1,4 @@
-"""The controller node over real DDS: answers, faults, watchdog, parameters, life cycle."""
+"""The controller node over real DDS: answers, faults, watchdog, parameters, life, early ends."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -7,14 +7,21 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
 from armimp_common import qos, topics
 from armimp_common.executor import Spinner
 from armimp_common.schema import Value
-from armimp_common.status import Level, Phase, to_time, values_of
+from armimp_common.status import (
+    NOTICE_TICKS,
+    Level,
+    Phase,
+    StoppingDecision,
+    status_message,
+    to_time,
+    values_of,
+)
 from armimp_common.topics import PERIOD_NS
 from armimp_control.node import ImbicControllerNode
 from armimp_control.safety_limiter import SafetyParameters
@@ -23,6 +30,7 @@ from support.controller import (
     NAMES,
     POSTURE,
     SUCCESS,
+    active_controller,
     ask,
     controller_parameters,
     wobble,
@@ -33,6 +41,7 @@ from support.graph import (
     Launch,
     ScriptedDriver,
     a_moment,
+    assert_locked_while_active,
     eventually,
     set_clock,
 )
@@ -55,11 +64,7 @@ class World:
         self.driver = ScriptedDriver(node, NAMES, start_ns=START)
 
     def bring_up(self, changes: Mapping[str, Value] | None = None) -> ImbicControllerNode:
-        controller: ImbicControllerNode = self.launch(ImbicControllerNode, PARAMETERS, changes)
-        assert controller.trigger_configure() is SUCCESS
-        assert controller.trigger_activate() is SUCCESS, controller.transition_error
-        self.driver.wait_for_controller()
-        return controller
+        return active_controller(self.launch, self.driver, PARAMETERS, changes)
 
     def start(self, changes: Mapping[str, Value] | None = None) -> ImbicControllerNode:
         """Bring a controller up, and have it command torque in 60 answers."""
@@ -95,22 +100,19 @@ def world(node: Node, spinner: Spinner, launch: Launch) -> World:
     return World(node, spinner, launch)
 
 
-def encoded(names: Sequence[str], values: Sequence[float], field: str = "position") -> bytes:
-    message = JointState(name=list(names), **{field: list(values)})
+def encoded(names: Sequence[str]) -> bytes:
+    message = JointState(name=list(names), position=list(POSTURE), effort=list(ZERO))
     message.header.stamp = to_time(START + 60 * PERIOD_NS)
     data: bytes = serialize_message(message)
     return data
 
 
 MALFORMED = {
-    "truncated": encoded(NAMES, POSTURE)[:-30],
+    "truncated": encoded(NAMES)[:-30],
     "empty": b"",
-    "a joint missing": encoded(("shoulder",), (1.0,)),
-    "unknown joint": encoded(("shoulder", "wrist"), POSTURE),
-    "one joint twice": encoded(("shoulder", "shoulder"), POSTURE),
-    "too many joints": encoded((*NAMES, "wrist"), (*POSTURE, 0.0)),
-    "no values": encoded(NAMES, (0.0, 0.0), "effort"),
+    "unknown joint": encoded(("shoulder", "wrist")),
 }
+"""Of each kind one; which messages are malformed, the tests of the decoder say."""
 
 
 @pytest.mark.parametrize("topic", [topics.JOINT_STATES, topics.TORQUE_SENSORS])
@@ -118,8 +120,6 @@ MALFORMED = {
 def test_when_a_sample_is_malformed_expect_zero_torque_and_an_abort(
     world: World, topic: str, message: bytes
 ) -> None:
-    if message == MALFORMED["no values"] and topic == topics.TORQUE_SENSORS:
-        message = encoded(NAMES, (0.0, 0.0))
     world.start()
     driver = world.driver
 
@@ -271,17 +271,7 @@ def clipped(commands: Sequence[Sequence[float]]) -> int:
 
 
 def test_while_active_changes_are_refused_with_a_reason(world: World) -> None:
-    controller = world.bring_up()
-    change = Parameter("law.gamma", value=50.0)
-
-    (result,) = controller.set_parameters([change])
-    assert not result.successful
-    assert result.reason == "law.gamma cannot be changed now: a trial is running"
-    assert controller.get_parameter("law.gamma").value == 100.0
-
-    controller.trigger_deactivate()
-    (result,) = controller.set_parameters([change])
-    assert result.successful
+    assert_locked_while_active(world.bring_up(), "law.gamma", 50.0, "a trial is running")
 
 
 @pytest.mark.parametrize("how", ["trigger_shutdown", "destroy_node"])
@@ -289,3 +279,73 @@ def test_when_ended_during_a_trial_expect_zero_torque_and_an_abort(world: World,
     getattr(world.start(), how)()
     world.await_abort()
     assert world.driver.commands[60:] == [ZERO]
+
+
+# --- Decisions on the end of a trial: in lockstep samples wait for them -------------------------
+
+
+LONG = 600
+JUDGED = 20
+END = JUDGED + NOTICE_TICKS
+ANNOUNCED = StoppingDecision(trial=1, samples=0, enough=False, due=JUDGED, bound=0.02)
+ENOUGH = StoppingDecision(trial=1, samples=JUDGED, enough=True, due=None, bound=0.02, largest=0.01)
+NOT_YET = StoppingDecision(
+    trial=1, samples=JUDGED, enough=False, due=None, bound=0.02, largest=0.03
+)
+
+
+class Judged:
+    """A controller in its first perturbation, which knows of a decision to come, and its judge."""
+
+    def __init__(self, node: Node, spinner: Spinner, launch: Launch) -> None:
+        self.spinner = spinner
+        self.driver = driver = ScriptedDriver(node, NAMES)
+        self.judge = node.create_publisher(DiagnosticStatus, topics.STOPPING, qos.LATCHED)
+        parameters = controller_parameters(SETTLE, LONG, REST)
+        controller = active_controller(launch, driver, parameters, {"sequence.may_end_early": True})
+        eventually(spinner, lambda: self.judge.get_subscription_count() == 1, "who is judged")
+        driver.feed(POSTURE, ticks=SETTLE + 1)
+        driver.await_phase(Phase.PERTURB, spinner)
+        self.judge.publish(status_message(ANNOUNCED))
+        sequencer = controller._sequencer
+        assert sequencer is not None
+        eventually(spinner, lambda: sequencer._due is not None, "the decision to come is known")
+
+    def feed_up_to_the_decision(self) -> None:
+        """Feed all samples before that on which the decision decides, and then that one."""
+        self.driver.feed(POSTURE, ticks=END - 1)
+        self.driver.await_answers(self.spinner)
+        self.driver.feed(POSTURE)
+        a_moment(self.spinner)
+        assert len(self.driver.commands) == len(self.driver.perturbations) == SETTLE + END
+
+
+@pytest.fixture
+def judged(node: Node, spinner: Spinner, launch: Launch, clock: HandedClock) -> Judged:
+    return Judged(node, spinner, launch)
+
+
+@pytest.mark.parametrize(("decision", "ticks"), [(ENOUGH, END), (NOT_YET, LONG)])
+def test_in_lockstep_the_sample_on_which_a_decision_decides_is_answered_after_it(
+    judged: Judged, decision: StoppingDecision, ticks: int
+) -> None:
+    judged.feed_up_to_the_decision()
+
+    judged.judge.publish(status_message(decision))
+    judged.driver.await_answers(judged.spinner)
+    judged.driver.feed(POSTURE, ticks=LONG)
+    rest = judged.driver.await_phase(Phase.REST, judged.spinner)
+
+    assert (rest.tick, rest.ticks, rest.valid) == (SETTLE + ticks, ticks, True)
+
+
+def test_when_an_announced_decision_does_not_come_expect_the_end_with_that_reason(
+    judged: Judged, clock: HandedClock
+) -> None:
+    judged.feed_up_to_the_decision()
+    clock.now += 60.0
+
+    aborted = judged.driver.await_phase(Phase.ABORTED, judged.spinner)
+
+    assert aborted.reason == "the estimator does not say whether the trial is over"
+    eventually(judged.spinner, lambda: judged.driver.commands[-1] == (0.0, 0.0), "zero torque")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from rclpy.node import Node
@@ -17,8 +15,14 @@ from armimp_common.schema import Value
 from armimp_common.status import Phase
 from armimp_common.topics import ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
 from armimp_control.node import ImbicControllerNode
-from support.controller import NAMES, POSTURE, SUCCESS, controller_parameters
-from support.graph import HandedClock, Launch, ScriptedDriver, a_moment, eventually
+from support.controller import (
+    NAMES,
+    POSTURE,
+    SUCCESS,
+    active_controller,
+    controller_parameters,
+)
+from support.graph import HandedClock, Launch, ScriptedDriver, a_moment, eventually, report
 
 OFF = (POSTURE[0] + 1e-4, POSTURE[1])
 
@@ -54,9 +58,8 @@ class Surroundings:
         return [*self.controller._partners, self.controller._supervisor]
 
     def heard(self, name: str, *, alive: int, silent: int) -> None:
-        """Have the controller hear from another process what the middleware would report."""
-        (watch,) = (watch for watch in self.monitors if watch.name == name)
-        watch._on_event(SimpleNamespace(alive_count=alive, not_alive_count=silent))
+        (monitor,) = (one for one in self.monitors if one.name == name)
+        report(monitor, alive=alive, silent=silent)
 
     def aborted(self) -> bool:
         return self.driver.has_said(Phase.ABORTED)
@@ -163,12 +166,8 @@ def test_when_a_sample_comes_after_a_stall_before_anyone_looked_expect_an_abort_
     node: Node, launch: Launch, spinner: Spinner, clock: HandedClock
 ) -> None:
     driver = ScriptedDriver(node, NAMES)
-    controller: ImbicControllerNode = launch(
-        ImbicControllerNode, controller_parameters(300, 200, 300), {"mode": "realtime"}
-    )
-    assert controller.trigger_configure() is SUCCESS, controller.transition_error
-    assert controller.trigger_activate() is SUCCESS, controller.transition_error
-    driver.wait_for_controller()
+    parameters = controller_parameters(300, 200, 300)
+    controller = active_controller(launch, driver, parameters, {"mode": "realtime"})
     driver.feed(OFF, ticks=20)
     driver.await_answers(spinner)
     assert any(command != (0.0, 0.0) for command in driver.commands)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from armimp_control.laws import TargetParameters
 from armimp_control.laws.imbic import ImbicConfig
 from armimp_control.laws.law import Controller
-from support.safety import torque_only, within_torque
+from support.laws import torque_only, within_torque
 
 Array = NDArray[np.float64]
 PERIOD, GAMMA = 1e-3, 70.0

@@ -13,14 +13,10 @@ from armimp_control.laws import ANGLE_GAIN, DISTURBANCE_GAIN, VELOCITY_GAIN
 from armimp_control.laws.imbic import ImbicConfig, Observer
 from armimp_control.laws.law import Controller
 from armimp_control.stability import RigDynamics, check_stability
-from support.laws import preset_law
-from support.safety import torque_only, within_torque
+from support.laws import ARM, POSTURE, ROBOT, preset_law, torque_only, within_torque
 
 Array = NDArray[np.float64]
 PERIOD = 1e-3
-ROBOT = np.array([[0.3543, 0.1909], [0.1909, 0.1800]])
-ARM = np.array([[0.187, 0.084], [0.079, 0.060]])
-POSTURE = np.array([1.0945, 1.3484])
 COUNT = 2.0 * np.pi / 51200
 
 

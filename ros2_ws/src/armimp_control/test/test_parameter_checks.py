@@ -14,7 +14,7 @@ from armimp_control import presets
 from armimp_control.parameters import ControllerParameters
 from armimp_control.safety_limiter import SafetyParameters
 from support.controller import controller_parameters
-from support.laws import preset_law
+from support.laws import POSTURE, ROBOT, preset_law
 
 PRESET = flatten(controller_parameters())
 NAN, INF = float("nan"), float("inf")
@@ -80,10 +80,6 @@ def test_dither_is_a_share_of_a_count_unless_the_encoders_are_no_good(
 
 
 # --- Presets of the controller: the paper's Table III, and what the design assumes --------------
-
-
-ROBOT = np.array([[0.3543, 0.1909], [0.1909, 0.1800]])
-POSTURE = np.array([1.0945, 1.3484])
 
 
 @pytest.mark.parametrize(("level", "peak"), [(1, (3.0, 1.8)), (2, (6.0, 3.6)), (3, (9.0, 5.4))])

@@ -14,12 +14,12 @@ from armimp_control.laws.law import Controller
 from armimp_control.laws.pd import PdConfig
 from armimp_control.parameters import ControllerParameters
 from support.controller import controller_parameters
-from support.safety import torque_only, within_torque
+from support.laws import torque_only, within_torque
 
 PERIOD = 1e-3
 
 
-def _config(n: int = 2, *, frequency: float = 25.0) -> PdConfig:
+def _config(n: int) -> PdConfig:
     random = np.random.default_rng(n)
     target = TargetParameters(
         posture=tuple(random.uniform(-1.0, 1.0, n)),
@@ -28,7 +28,7 @@ def _config(n: int = 2, *, frequency: float = 25.0) -> PdConfig:
         stiffness=tuple(random.uniform(5.0, 15.0, n)),
     )
     inertia = random.uniform(0.1, 0.4, n)
-    return PdConfig(target=target, inertia=inertia, frequency=frequency, damping_ratio=0.8)
+    return PdConfig(target=target, inertia=inertia, frequency=25.0, damping_ratio=0.8)
 
 
 def _parameters(**changes: Any) -> ControllerParameters:

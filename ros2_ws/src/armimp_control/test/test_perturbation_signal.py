@@ -29,8 +29,8 @@ Array = NDArray[np.float64]
 CONFIG = PerturbationParameters(peak=(9.0, 5.4))
 
 
-def _signal(*, joint: int = 0, trial: int = 1, ticks: int = 5000, seed: int = 1) -> Array:
-    return perturbation(CONFIG, joint=joint, trial=trial, ticks=ticks, seed=seed)
+def _signal(*, trial: int = 1, ticks: int, seed: int = 1) -> Array:
+    return perturbation(CONFIG, joint=0, trial=trial, ticks=ticks, seed=seed)
 
 
 @settings(deadline=None)
@@ -182,12 +182,12 @@ def _spectrum(period: Array) -> tuple[Array, Array]:
     return np.asarray(1000.0 * lines / period.size), power[lines]
 
 
-def _worst_variance(period: Array, prior: JointPrior, cutoff: float = 2.0) -> float:
+def _worst_variance(period: Array, prior: JointPrior) -> float:
     """Largest of the variances of M, B and K, relative to the prior, up to a common factor."""
     f, power = _spectrum(period)
     s = 2j * np.pi * f
     slopes = np.array(prior.arm)[:, None] * np.stack([s**2, s, np.ones_like(s)])
-    weights = power * np.abs(prior.response(f)) ** 2 / disturbance(f, cutoff)
+    weights = power * np.abs(prior.response(f)) ** 2 / disturbance(f, 2.0)
     information = ((slopes * weights) @ slopes.conj().T).real
     return float(np.max(np.diag(np.linalg.inv(information))))
 

@@ -14,33 +14,20 @@ from armimp_control.laws import NO_JOINT
 from armimp_control.laws.imbic import ImbicConfig
 from armimp_control.laws.law import Controller
 from armimp_control.stability import RigDynamics, check_stability, spectral_radius
-from support.laws import preset_law
-from support.safety import torque_only
+from support.laws import ARM, POSTURE, ROBOT, preset_law, torque_only
 
 Array = NDArray[np.float64]
-ROBOT = np.array([[0.3543, 0.1909], [0.1909, 0.1800]])
-ARM = np.array([[0.187, 0.084], [0.079, 0.060]])
-POSTURE = np.array([1.0945, 1.3484])
 
 
-def _config(*, model: float = 1.0, target: float = 1.0) -> ImbicConfig:
-    """Time-delay estimation with factors on M̄ and on the whole target impedance."""
-    config = preset_law(ROBOT, POSTURE, "tde")
-    larger = {
-        name: tuple(target * value for value in getattr(config.target, name))
-        for name in ("inertia", "damping", "stiffness")
-    }
-    impedance = config.target.model_copy(update=larger)
-    return replace(config, model_inertia=model * config.model_inertia, target=impedance)
+TDE = preset_law(ROBOT, POSTURE, "tde")
+STEPS = 20
 
 
-def _late(
-    config: ImbicConfig, perturbed: int, dynamics: RigDynamics, *, ticks: int, steps: int = 20
-) -> Array:
+def _late(config: ImbicConfig, perturbed: int, dynamics: RigDynamics, *, ticks: int) -> Array:
     """Largest acceleration (ticks,) after a push, of a rig of inertia alone, in small steps."""
     controller = Controller(config, safety=torque_only(1e300))
     controller.perturb_joint(perturbed)
-    inverse, h = np.linalg.inv(ROBOT + ARM), config.period / steps
+    inverse, h = np.linalg.inv(ROBOT + ARM), config.period / STEPS
     lag = np.exp(-h / dynamics.actuator_lag) if dynamics.actuator_lag else 0.0
     low = np.exp(-2.0 * np.pi * dynamics.torque_cutoff * h) if dynamics.torque_cutoff else 0.0
     theta, velocity = POSTURE.copy(), np.zeros(2)
@@ -53,7 +40,7 @@ def _late(
         under_way.append(controller.command.copy())
         command = under_way.popleft() + push
         push = np.zeros(2)
-        for _ in range(steps):
+        for _ in range(STEPS):
             before, drive = drive, command + (drive - command) * lag
             acceleration = inverse @ (0.5 * (before + drive) if lag else command)
             theta = theta + h * velocity + 0.5 * h**2 * acceleration
@@ -73,13 +60,13 @@ WITH_OBSERVER = replace(DEFAULT, gamma=200.0, target=STIFF)
 @pytest.mark.parametrize(
     ("config", "dynamics"),
     [
-        (_config(), RigDynamics(torque_delay=0.02)),
-        (_config(), RigDynamics(torque_delay=0.0175, torque_cutoff=300.0)),
-        (_config(), RigDynamics(actuator_lag=0.002)),
-        (_config(), RigDynamics(actuator_lag=0.003, torque_delay=0.0015)),
-        (_config(), RigDynamics(command_delay=2)),
-        (_config(), RigDynamics(command_delay=1, actuator_lag=0.001, torque_delay=0.0005)),
-        (_config(model=4.0), RigDynamics()),
+        (TDE, RigDynamics(torque_delay=0.02)),
+        (TDE, RigDynamics(torque_delay=0.0175, torque_cutoff=300.0)),
+        (TDE, RigDynamics(actuator_lag=0.002)),
+        (TDE, RigDynamics(actuator_lag=0.003, torque_delay=0.0015)),
+        (TDE, RigDynamics(command_delay=2)),
+        (TDE, RigDynamics(command_delay=1, actuator_lag=0.001, torque_delay=0.0005)),
+        (replace(TDE, model_inertia=4.0 * TDE.model_inertia), RigDynamics()),
         (WITH_OBSERVER, RigDynamics(command_delay=2)),
     ],
 )
@@ -120,7 +107,7 @@ def test_the_law_of_the_study_bears_the_delays_that_the_documents_say(
 ) -> None:
     def check(known: dict[str, float]) -> None:
         check_stability(
-            _config(),
+            TDE,
             robot_inertia=ROBOT,
             arm_inertia=ARM,
             dynamics=RigDynamics(**known),  # type: ignore[arg-type]
@@ -132,8 +119,7 @@ def test_the_law_of_the_study_bears_the_delays_that_the_documents_say(
 
 
 def test_the_default_is_accepted_without_a_warning_and_tde_with_one_of_late_commands() -> None:
-    default = preset_law(ROBOT, POSTURE)
-    assert check_stability(default, robot_inertia=ROBOT, arm_inertia=ARM) == ()
-    (warning,) = check_stability(_config(), robot_inertia=ROBOT, arm_inertia=ARM)
+    assert check_stability(DEFAULT, robot_inertia=ROBOT, arm_inertia=ARM) == ()
+    (warning,) = check_stability(TDE, robot_inertia=ROBOT, arm_inertia=ARM)
     assert "commands that act 1 ms later" in warning
     assert warning.endswith("while all joints are locked")

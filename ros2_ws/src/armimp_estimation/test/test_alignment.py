@@ -58,10 +58,8 @@ def statuses_of(recording: SyntheticRecording) -> list[TrialStatus]:
     return statuses
 
 
-def trials_of(
-    topics: Topics, statuses: Sequence[TrialStatus], names: Sequence[str] = NAMES
-) -> tuple[Trial, ...]:
-    return assemble_trials(decode_streams(names, topics), statuses)
+def trials_of(topics: Topics, statuses: Sequence[TrialStatus]) -> tuple[Trial, ...]:
+    return assemble_trials(decode_streams(NAMES, topics), statuses)
 
 
 def assemble(topics: Topics, statuses: Sequence[TrialStatus] | None = None) -> Trial:
@@ -570,8 +568,8 @@ def whole(nanoseconds: np.ndarray) -> np.ndarray:
     return made
 
 
-def stamps(rate: float, count: int = 4000) -> np.ndarray:
-    return BEGIN + whole(np.arange(count) * (1e9 / rate))
+def stamps(rate: float) -> np.ndarray:
+    return BEGIN + whole(np.arange(4000) * (1e9 / rate))
 
 
 NOISE = np.random.default_rng(1).normal(size=4000)

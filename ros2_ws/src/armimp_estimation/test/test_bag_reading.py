@@ -35,7 +35,6 @@ from support.bag_files import (
 )
 from support.synthetic_bags import (
     Message,
-    SyntheticRecording,
     assert_same,
     synthetic_recording,
 )
@@ -65,19 +64,19 @@ def write_rosbags(
     )
 
 
-def assert_reads(path: Path, expected: SyntheticRecording = RECORDING) -> None:
+def assert_reads(path: Path) -> None:
     content = read_bag(path)
     records = records_of(content)
-    assert len(records) == len(expected.records)
-    for record, wanted in zip(records, expected.records, strict=True):
+    assert len(records) == len(RECORDING.records)
+    for record, wanted in zip(records, RECORDING.records, strict=True):
         assert_same(record, wanted)
         assert record.seed == wanted.seed
     for trial in content.trials:
         assert trial.statistics.lost == 0
         assert trial.shortfall == 0
     assert content.notes == ()
-    assert list(content.messages()) == list(expected.messages)
-    assert list(iterate_messages(path)) == list(expected.messages)
+    assert list(content.messages()) == list(RECORDING.messages)
+    assert list(iterate_messages(path)) == list(RECORDING.messages)
 
 
 def refusal(path: Path, *, namespace: str | None = None) -> str:

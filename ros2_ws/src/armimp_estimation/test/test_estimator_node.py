@@ -1,11 +1,9 @@
 """The estimator node over real DDS, fed by a script: results, faults, parameters, life cycle."""
 
 import math
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cached_property, partial
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -13,7 +11,6 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.context import Context
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -30,7 +27,15 @@ from armimp_estimation.node import RESULT_NAME, ImpedanceEstimatorNode
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.summary import Summary, read_summary
-from support.graph import PATIENCE, a_moment, eventually, overrides
+from support.graph import (
+    PATIENCE,
+    a_moment,
+    assert_locked_while_active,
+    eventually,
+    overrides,
+    report,
+)
+from support.processes import wait_until
 from support.streams import changed
 from support.synthetic_bags import Message, synthetic_recording
 
@@ -83,11 +88,11 @@ class Script:
         self.echoes += 1
 
     def wait_for_estimator(self) -> None:
-        deadline = time.monotonic() + PATIENCE
         # One subscription of each topic is the echo.
-        while any(pub.get_subscription_count() < 2 for pub in self.publishers.values()):
-            assert time.monotonic() < deadline
-            time.sleep(0.005)
+        publishers = self.publishers.values()
+        wait_until(
+            lambda: all(one.get_subscription_count() >= 2 for one in publishers), "who listens"
+        )
         assert not wait_until_matched(self.node, subscriptions=self.people, timeout_s=PATIENCE)
 
     def play(self, spinner: Spinner, messages: Iterable[Message]) -> None:
@@ -129,8 +134,8 @@ class Desk:
         self.made.append(self.estimator)
         self.spinner.add_node(self.estimator)
 
-    def bring_up(self, changes: Mapping[str, Value] | None = None) -> None:
-        self.make(changes)
+    def bring_up(self) -> None:
+        self.make()
         self.activate()
 
     def activate(self) -> None:
@@ -243,16 +248,7 @@ class TestFaults:
 class TestParameters:
     def test_while_active_changes_are_refused_with_a_reason(self, desk: Desk) -> None:
         desk.bring_up()
-        estimator = desk.estimator
-        change = Parameter("record", value=False)
-
-        (result,) = estimator.set_parameters([change])
-        assert not result.successful
-        assert result.reason == "record cannot be changed now: a trial is being recorded"
-
-        estimator.trigger_deactivate()
-        (result,) = estimator.set_parameters([change])
-        assert result.successful
+        assert_locked_while_active(desk.estimator, "record", False, "a trial is being recorded")
 
     @pytest.mark.parametrize(
         ("name", "value", "reason"),
@@ -337,12 +333,6 @@ class TestLife:
 
 
 class TestController:
-    def heard(self, desk: Desk, *, alive: int, silent: int) -> None:
-        """What the middleware says of the heartbeat of the controller."""
-        desk.estimator._controller._on_event(
-            SimpleNamespace(alive_count=alive, not_alive_count=silent)
-        )
-
     def begin(self, desk: Desk, *phases: Phase) -> None:
         desk.bring_up()
         for phase in phases:
@@ -358,11 +348,11 @@ class TestController:
 
     def test_when_it_is_lost_expect_a_conclusion_with_the_reason(self, desk: Desk) -> None:
         self.begin(desk, Phase.PERTURB)
-        self.heard(desk, alive=1, silent=0)
+        report(desk.estimator._controller, alive=1, silent=0)
         a_moment(desk.spinner)
         assert not desk.script.conclusions
 
-        self.heard(desk, alive=0, silent=1)
+        report(desk.estimator._controller, alive=0, silent=1)
 
         desk.conclude()
         problem = str(desk.summary.problems[0])
@@ -370,9 +360,9 @@ class TestController:
 
     def test_when_it_leaves_after_the_end_expect_no_complaint(self, desk: Desk) -> None:
         self.begin(desk, Phase.PERTURB, Phase.DONE)
-        self.heard(desk, alive=1, silent=0)
+        report(desk.estimator._controller, alive=1, silent=0)
 
-        self.heard(desk, alive=0, silent=0)
+        report(desk.estimator._controller, alive=0, silent=0)
 
         desk.conclude()
         assert ProblemCode.NODE_FAILED not in {one.code for one in desk.summary.problems}

@@ -12,10 +12,9 @@ from armimp_estimation.estimators.direct import Direct
 from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.estimators.lpm import LpmConfig, LpmFull, unresolved
 from armimp_estimation.estimators.welch import WelchFull, WelchSiso
-from armimp_estimation.fit import MBKFit, fit_mbk
+from armimp_estimation.fit import fit_mbk
 from armimp_estimation.frf import stands_out
 from armimp_estimation.mbk import MBK
-from armimp_estimation.record import TrialRecord
 from armimp_estimation.signal_quality import lost_motion, rounding_lead
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
@@ -24,8 +23,10 @@ from support.synthetic_trials import (
     THREE_JOINT_ARM,
     TWO_JOINT_ARM,
     WELCH,
+    errors_of,
     relative_error,
     share_within,
+    stacked,
     synthetic_trials,
 )
 
@@ -146,10 +147,6 @@ def test_neither_order_of_trials_nor_place_in_memory_changes_a_bit(estimator: Es
         assert getattr(one, name).tobytes() == getattr(other, name).tobytes()
 
 
-def still(trial: TrialData) -> TrialRecord:
-    return dataclasses.replace(trial.record, position=np.zeros_like(trial.record.position))
-
-
 def test_a_response_stands_out_where_its_power_is_beyond_that_of_its_noise() -> None:
     rng = np.random.default_rng(3)
     f = np.arange(1.0, 801.0) * 0.02
@@ -166,7 +163,8 @@ def test_a_response_stands_out_where_its_power_is_beyond_that_of_its_noise() -> 
 
 def test_when_the_perturbed_joint_does_not_move_expect_its_number_in_the_error() -> None:
     moving, resting = synthetic_trials()
-    record = still(resting)
+    motionless = np.zeros_like(resting.record.position)
+    record = dataclasses.replace(resting.record, position=motionless)
     data = [moving, TrialData.of(record, welch=WELCH)]
     with pytest.raises(DataError, match="joint 2 does not follow its perturbation"):
         SISO.estimate(data)
@@ -182,37 +180,25 @@ def test_when_the_perturbed_joint_does_not_move_expect_its_number_in_the_error()
 LOCAL = LpmFull(config=LpmConfig(reading=SIMULTANEOUS))
 
 
-def with_records(data: list[TrialData], **changes: object) -> list[TrialData]:
-    """The trials with a field of their records changed; their spectra do not matter here."""
-    return [
-        dataclasses.replace(trial, record=dataclasses.replace(trial.record, **changes))  # type: ignore[arg-type]
-        for trial in data
-    ]
-
-
-def stacked(fit: MBKFit) -> FloatArray:
-    return np.stack((fit.mbk.M, fit.mbk.B, fit.mbk.K))
-
-
 def test_a_delay_of_all_torques_is_corrected() -> None:
     delayed = []
     for trial in synthetic_trials():
         samples = trial.record.samples
         late = np.exp(-1j * np.pi * np.fft.rfftfreq(samples))  # half a sample
         torque = np.fft.irfft(np.fft.rfft(trial.record.torque, axis=1) * late, samples, axis=1)
-        delayed += with_records([trial], torque=torque)
-    arm = TWO_JOINT_ARM
-    truth = np.stack((arm.M, arm.B, arm.K))
+        # Its spectra do not matter here.
+        record = dataclasses.replace(trial.record, torque=torque)
+        delayed.append(dataclasses.replace(trial, record=record))
+    truth = stacked(TWO_JOINT_ARM)
     told = LpmConfig(reading=TorqueReading(timing=TorqueTiming.INTERVAL_MEAN))
-    corrected = stacked(fit_mbk(LpmFull(config=told).estimate(delayed)))
+    corrected = stacked(fit_mbk(LpmFull(config=told).estimate(delayed)).mbk)
     np.testing.assert_allclose(corrected, truth, rtol=0.005)
     fit = fit_mbk(LpmFull().estimate(delayed))
     assert fit.delay is not None
     assert fit.delay.delay == pytest.approx(0.004, rel=0.02)
-    errors = np.stack((fit.M_se, fit.B_se, fit.K_se))
-    assert (np.abs(stacked(fit) - truth) < 3.5 * errors).all()
+    assert (np.abs(stacked(fit.mbk) - truth) < 3.5 * errors_of(fit)).all()
     raw = dataclasses.replace(LOCAL.estimate(delayed), delay_uncertainty=None)
-    assert (stacked(fit_mbk(raw))[1] > 1.2 * arm.B).all()
+    assert (fit_mbk(raw).mbk.B > 1.2 * TWO_JOINT_ARM.B).all()
 
 
 def test_motion_that_an_encoder_misses_is_that_of_a_spring_or_a_damper() -> None:
@@ -244,16 +230,13 @@ def test_motion_that_an_encoder_misses_is_that_of_a_spring_or_a_damper() -> None
     np.testing.assert_allclose(added, expected, rtol=1e-12)
 
 
-def locked(record: TrialRecord) -> TrialRecord:
-    """The same with joints at rest that were not perturbed."""
-    perturbed = np.arange(record.joints)[:, None] == record.perturbed_joint
-    return dataclasses.replace(record, position=np.where(perturbed, record.position, 0.0))
-
-
 def test_column_of_one_trial_is_that_of_the_whole_estimate_where_joints_are_locked() -> None:
+    data = []
     # So little noise hides few reflexes.
-    data = synthetic_trials(dataclasses.replace(LOOP, voluntary=0.03))
-    data = [dataclasses.replace(trial, record=locked(trial.record)) for trial in data]
+    for k, trial in enumerate(synthetic_trials(dataclasses.replace(LOOP, voluntary=0.03))):
+        position = np.where(np.arange(2)[:, None] == k, trial.record.position, 0.0)
+        record = dataclasses.replace(trial.record, position=position)
+        data.append(dataclasses.replace(trial, record=record))
     # Without a delay, which each trial alone would tell another way.
     exact = LpmFull(config=dataclasses.replace(LOCAL.config, timing_uncertainty=0.0))
     whole = fit_mbk(exact.estimate(data))

@@ -9,7 +9,6 @@ from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.fit import Calibration
 from armimp_estimation.identify import identify
-from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import (
     Concern,
     Problem,
@@ -17,25 +16,23 @@ from armimp_estimation.problems import (
     Severity,
     kinds,
 )
-from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import TrialData
 from armimp_estimation.verdict import Verdict, judge_coherence, judge_locking
-from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
+from support.synthetic_trials import (
+    TWO_JOINT_ARM,
+    WELCH,
+    SyntheticConfig,
+    synthetic_trial,
+    synthetic_trials,
+)
 
-CONFIG = IdentifyConfig(welch=WelchConfig(segment=1024, overlap=768))
+CONFIG = IdentifyConfig(welch=WELCH)
 LOOP = SyntheticConfig(rate=125.0, samples=6144, torque_noise=0.02)
 ESTIMATORS = ("welch_siso", "welch_full")
 
 
-def trials(loop: SyntheticConfig = LOOP, arm: MBK = TWO_JOINT_ARM) -> list[TrialData]:
-    return [
-        TrialData.of(synthetic_trial(arm, joint, loop, 1), welch=CONFIG.welch)
-        for joint in range(arm.joints)
-    ]
-
-
 def test_a_good_experiment_is_valid_and_close_to_the_truth() -> None:
-    result = identify(trials(), ESTIMATORS, TWO_JOINT_ARM, CONFIG)
+    result = identify(synthetic_trials(LOOP), ESTIMATORS, TWO_JOINT_ARM, CONFIG)
     assert result.valid
     assert result.problems == ()
     assert list(result.estimators) == list(ESTIMATORS)
@@ -54,7 +51,7 @@ def test_a_good_experiment_is_valid_and_close_to_the_truth() -> None:
 
 def test_when_nobody_declares_a_gain_and_no_command_confirms_it_expect_it_in_the_errors() -> None:
     undeclared = dataclasses.replace(CONFIG, calibration=Calibration.undeclared())
-    result = identify(trials(), ("welch_full",), config=undeclared)
+    result = identify(synthetic_trials(LOOP), ("welch_full",), config=undeclared)
     assert result.valid
     noted = [one for one in result.problems if one.code is ProblemCode.GAIN_UNCONFIRMED]
     assert [one.values["doubt"] for one in noted] == [10.0, 10.0]
@@ -72,7 +69,7 @@ def test_trials_may_be_perturbed_with_different_periods_or_none(periods: tuple[i
             name: np.tile(getattr(one, name), 6144 // period)
             for name in ("position", "torque", "perturbation")
         }
-        repeated.append(TrialData.of(dataclasses.replace(one, **streams), welch=CONFIG.welch))
+        repeated.append(TrialData.of(dataclasses.replace(one, **streams), welch=WELCH))
     result = identify(repeated, ("lpm_full",), TWO_JOINT_ARM, CONFIG)
     assert result.valid, result.problems
     found = result.estimators["lpm_full"].fit.mbk
@@ -89,7 +86,7 @@ def test_when_values_cannot_be_multiplied_expect_the_largest_in_the_error(
     record = dataclasses.replace(record, command=record.torque.copy())
     getattr(record, stream)[0, 5] = value
     with pytest.raises(DataError, match=rf"trial .*: {said} is no angle and no torque"):
-        TrialData.of(record, welch=CONFIG.welch)
+        TrialData.of(record, welch=WELCH)
 
 
 @pytest.mark.parametrize(
@@ -104,7 +101,7 @@ def test_a_perturbation_without_power_in_a_part_of_the_band_gives_what_the_rest_
     low: float, high: float
 ) -> None:
     loop = dataclasses.replace(LOOP, lowest=low, bandwidth=high)
-    result = identify(trials(loop), ("lpm_full", "welch_full"), TWO_JOINT_ARM, CONFIG)
+    result = identify(synthetic_trials(loop), ("lpm_full", "welch_full"), TWO_JOINT_ARM, CONFIG)
     assert result.valid
     (note,) = [one for one in result.problems if one.code is ProblemCode.BAND_NARROWED]
     assert note.values["low"] == pytest.approx(low, abs=0.4)
@@ -118,7 +115,7 @@ def test_a_perturbation_without_power_in_a_part_of_the_band_gives_what_the_rest_
 def test_an_inertia_that_is_not_symmetric_is_refused() -> None:
     across = TWO_JOINT_ARM.M * [[1.0, 1.5], [1.0, 1.0]]
     arm = dataclasses.replace(TWO_JOINT_ARM, M=across)
-    result = identify(trials(arm=arm), ("welch_full",), config=CONFIG)
+    result = identify(synthetic_trials(LOOP, arm=arm), ("welch_full",), config=CONFIG)
     assert not result.verdict.impedance
     (uneven,) = [one for one in result.problems if one.code is ProblemCode.UNEVEN_INERTIA]
     assert uneven.values["value"] == pytest.approx(across[0, 1], rel=0.02)
@@ -145,7 +142,7 @@ def test_a_channel_that_shows_a_share_of_another_joint_is_refused_or_in_the_erro
                 trial.record, **{mixed: mixing @ getattr(trial.record, mixed)}
             ),
         )
-        for trial in trials()
+        for trial in synthetic_trials(LOOP)
     ]
     config = dataclasses.replace(CONFIG, calibration=Calibration.undeclared())
     result = identify(data, ("lpm_full",), config=config)
@@ -163,9 +160,9 @@ def test_angles_and_torques_in_another_order_than_perturbations_are_refused() ->
             dataclasses.replace(
                 trial.record, position=trial.record.position[::-1], torque=trial.record.torque[::-1]
             ),
-            welch=CONFIG.welch,
+            welch=WELCH,
         )
-        for trial in trials(loop)
+        for trial in synthetic_trials(loop)
     ]
     result = identify(swapped, ("welch_full",), config=CONFIG)
     (permuted,) = [one for one in result.problems if one.code is ProblemCode.SENSORS_PERMUTED]
@@ -175,7 +172,7 @@ def test_angles_and_torques_in_another_order_than_perturbations_are_refused() ->
 
 def test_when_locking_fails_expect_it_in_the_verdict_though_derived_coherence_is_high() -> None:
     result = identify(
-        trials(dataclasses.replace(LOOP, lock_stiffness=100.0)), ESTIMATORS, None, CONFIG
+        synthetic_trials(dataclasses.replace(LOOP, lock_stiffness=100.0)), ESTIMATORS, None, CONFIG
     )
     codes = {problem.code for problem in result.problems if problem.estimator == "welch_siso"}
     assert {ProblemCode.LOCK_RATIO, ProblemCode.LOCK_BIAS} <= codes
@@ -192,7 +189,7 @@ def test_when_estimators_are_not_distinct_known_names_expect_configuration_error
     estimators: list[str],
 ) -> None:
     with pytest.raises(ConfigurationError, match="estimator"):
-        identify(trials(), estimators, None, CONFIG)
+        identify(synthetic_trials(LOOP), estimators, None, CONFIG)
 
 
 def test_scores_that_are_not_numbers_fail_the_verdict() -> None:

@@ -30,11 +30,6 @@ def white(seed: int, samples: int = SAMPLES) -> FloatArray:
     return values
 
 
-def signal_of(spectrum: ComplexArray) -> FloatArray:
-    values: FloatArray = np.fft.irfft(spectrum, SAMPLES)
-    return values
-
-
 def polynomials(order: int) -> tuple[FloatArray, FloatArray, ComplexArray]:
     """Input, output and response; response and leakage are polynomials in frequency."""
     rng = np.random.default_rng(order)
@@ -44,7 +39,7 @@ def polynomials(order: int) -> tuple[FloatArray, FloatArray, ComplexArray]:
         np.polyval(rng.standard_normal(order + 1) + 1j * rng.standard_normal(order + 1), place)
         for _ in range(2)
     )
-    output = signal_of(response * np.fft.rfft(source) + 30.0 * leakage)
+    output = np.fft.irfft(response * np.fft.rfft(source) + 30.0 * leakage, SAMPLES)
     return source, output, np.asarray(response, dtype=np.complex128)
 
 

@@ -19,24 +19,17 @@ from armimp_estimation.fit import (
     r_squared,
 )
 from armimp_estimation.mbk import MBK
-from support.synthetic_trials import TWO_JOINT_ARM, made_estimate
+from support.synthetic_trials import TWO_JOINT_ARM, errors_of, made_estimate, stacked
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 F: FloatArray = np.linspace(0.122, 14.884, 122)
+TRUTH = stacked(TWO_JOINT_ARM)
 
 
 def estimate_of(Z: ComplexArray, variance: FloatArray | None = None) -> ImpedanceEstimate:
     return made_estimate(F, Z, variance=np.ones(Z.shape) if variance is None else variance)
-
-
-def stacked(fit: MBKFit) -> FloatArray:
-    return np.stack((fit.mbk.M, fit.mbk.B, fit.mbk.K))
-
-
-def errors(fit: MBKFit) -> FloatArray:
-    return np.stack((fit.M_se, fit.B_se, fit.K_se))
 
 
 elements = st.floats(-20.0, 20.0, allow_subnormal=False)
@@ -57,7 +50,7 @@ def test_without_noise_any_matrices_come_back_whatever_the_variances(
     assert fit.Z.tobytes() == fit.mbk.impedance(F).tobytes()
 
 
-def test_equal_variances_give_ordinary_least_squares_with_its_standard_errors() -> None:
+def test_equal_variances_give_ordinary_least_squares_with_its_standard_errors_of() -> None:
     rng = np.random.default_rng(4)
     noise = rng.standard_normal((1, 1, F.size)) + 1j * rng.standard_normal((1, 1, F.size))
     truth = MBK(M=np.array([[0.2]]), B=np.array([[0.7]]), K=np.array([[8.0]]))
@@ -70,10 +63,10 @@ def test_equal_variances_give_ordinary_least_squares_with_its_standard_errors() 
     design[F.size :, 1] = omega
     y = np.concatenate((Z[0, 0].real, Z[0, 0].imag))
     expected = np.linalg.lstsq(design, y, rcond=None)[0]
-    np.testing.assert_allclose(stacked(fit)[:, 0, 0], expected, rtol=1e-9)
+    np.testing.assert_allclose(stacked(fit.mbk)[:, 0, 0], expected, rtol=1e-9)
     covariance = np.linalg.inv(design.T @ design)  # each part has half of the variance of 2
     # A reflex that the noise may hide adds a thousandth to B, a soft cuff a twentieth to M.
-    ratio = errors(fit)[:, 0, 0] / np.sqrt(np.diag(covariance))
+    ratio = errors_of(fit)[:, 0, 0] / np.sqrt(np.diag(covariance))
     assert (ratio > 1.0).all()
     assert (ratio < [1.05, 1.002, 1.005]).all()
 
@@ -103,13 +96,12 @@ def test_what_is_bounded_before_the_data_is_put_right_as_far_as_they_tell_it(
     biased = replace(biased, systematics=(bound,))
     told, fit = fit_impedance(replace(biased, bounded=1))
     believed = fit_mbk(biased)
-    truth = np.stack((TWO_JOINT_ARM.M, TWO_JOINT_ARM.B, TWO_JOINT_ARM.K))
-    assert (np.abs(stacked(fit) - truth) < 4.0 * errors(fit)).all()
+    assert (np.abs(stacked(fit.mbk) - TRUTH) < 4.0 * errors_of(fit)).all()
     assert np.linalg.norm(told.systematics[0]) <= left * np.linalg.norm(bound)
     if left < 1.0:
-        assert (errors(fit)[:, :, 1] < 0.5 * errors(believed)[:, :, 1]).all()
+        assert (errors_of(fit)[:, :, 1] < 0.5 * errors_of(believed)[:, :, 1]).all()
     else:
-        np.testing.assert_allclose(errors(fit), errors(believed), rtol=1e-3)
+        np.testing.assert_allclose(errors_of(fit), errors_of(believed), rtol=1e-3)
 
 
 @pytest.mark.parametrize(("order", "cutoff"), [(2, 50.0), (3, 40.0)])
@@ -126,9 +118,8 @@ def test_an_unknown_low_pass_of_the_torques_is_put_right_where_noise_hides_low_f
         estimate_of(Z, deviation**2), delay_uncertainty=5e-4, delay_unknown=5e-4, weight_floor=0.005
     )
     fit = fit_mbk(late)
-    truth = np.stack((TWO_JOINT_ARM.M, TWO_JOINT_ARM.B, TWO_JOINT_ARM.K))
-    assert (np.abs(stacked(fit) - truth) < 3.0 * errors(fit)).all()
-    assert (errors(fit) < 0.4 * truth).all()
+    assert (np.abs(stacked(fit.mbk) - TRUTH) < 3.0 * errors_of(fit)).all()
+    assert (errors_of(fit) < 0.4 * TRUTH).all()
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -144,8 +135,7 @@ def test_a_torque_that_passed_a_high_pass_where_noise_hides_it_is_in_the_standar
     for share in (passed, 1.0):
         Z = share * TWO_JOINT_ARM.impedance(F) + np.sqrt(0.5) * deviation * noise
         fit = fit_mbk(estimate_of(Z, deviation**2))
-        truth = np.stack((TWO_JOINT_ARM.M, TWO_JOINT_ARM.B, TWO_JOINT_ARM.K))
-        assert (np.abs(stacked(fit) - truth) < 3.5 * errors(fit)).all()
+        assert (np.abs(stacked(fit.mbk) - TRUTH) < 3.5 * errors_of(fit)).all()
         off.append(fit.B_se[0, 0])
     assert off[0] > 3.0 * off[1]
 
@@ -173,21 +163,20 @@ def test_stiffness_that_relaxes_where_noise_hides_it_is_in_the_standard_errors_o
     assert (np.diag(without.K_se / TWO_JOINT_ARM.K) < 0.03).all()
 
 
-def test_a_high_pass_of_the_torques_that_noise_hides_is_in_the_standard_errors() -> None:
+def test_a_high_pass_of_the_torques_that_noise_hides_is_in_the_standard_errors_of() -> None:
     s = 2j * np.pi * F
     rng = np.random.default_rng(3)
     deviation = 0.3 / F**1.5 * np.ones((2, 2, 1))
     noise = rng.standard_normal(deviation.shape) + 1j * rng.standard_normal(deviation.shape)
-    truth = np.stack((TWO_JOINT_ARM.M, TWO_JOINT_ARM.B, TWO_JOINT_ARM.K))
 
     def fit_of(corner: float) -> MBKFit:
         Z = TWO_JOINT_ARM.impedance(F) * s / (s + corner) + np.sqrt(0.5) * deviation * noise
         return fit_mbk(replace(estimate_of(Z, deviation**2), weight_floor=0.005))
 
     passed, plain = fit_of(0.3), fit_of(0.0)
-    assert (np.abs(stacked(passed) - truth)[1] > 4.0 * errors(plain)[1]).any()
-    assert (np.abs(stacked(passed) - truth) < 3.0 * errors(passed)).all()
-    assert (errors(plain)[1] < 0.5 * errors(passed)[1]).all()
+    assert (np.abs(stacked(passed.mbk) - TRUTH)[1] > 4.0 * errors_of(plain)[1]).any()
+    assert (np.abs(stacked(passed.mbk) - TRUTH) < 3.0 * errors_of(passed)).all()
+    assert (errors_of(plain)[1] < 0.5 * errors_of(passed)[1]).all()
     for found, corner in ((passed, 0.3), (plain, 0.0)):
         value, error = np.multiply(found.high_pass, 2.0 * np.pi)
         assert abs(value - corner) < 3.0 * error + 0.2 * corner

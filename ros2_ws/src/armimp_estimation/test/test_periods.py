@@ -25,11 +25,11 @@ PERIOD = 4096
 LINES = np.array([1, 3, 5, 9, 11, 15, 17, 19, 21, 25, 31])
 
 
-def multisine(count: float, lines: NDArray[np.intp] = LINES, period: int = PERIOD) -> Array:
+def multisine(count: float, lines: NDArray[np.intp] = LINES) -> Array:
     phases = np.random.default_rng(4).uniform(0.0, 2.0 * np.pi, (lines.size, 1))
-    t = np.arange(period) / period
+    t = np.arange(PERIOD) / PERIOD
     one = np.sum(np.cos(2.0 * np.pi * lines[:, None] * t + phases), axis=0)
-    return np.resize(one, round(count * period))
+    return np.resize(one, round(count * PERIOD))
 
 
 def lagging_behind(signal: Array, pole: float) -> Array:

@@ -26,9 +26,7 @@ from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, part_of, sy
 F = np.linspace(0.1, 15.0, 40)
 
 
-def stored(
-    z: complex | np.ndarray, deviation: float = 0.1, averages: float = 11.0
-) -> ImpedanceCurve:
+def stored(z: complex | np.ndarray, deviation: float = 0.1) -> ImpedanceCurve:
     values = np.broadcast_to(np.asarray(z, dtype=np.complex128), F.shape)
     flat = np.zeros((1, 1, F.size))
     none = np.zeros((1, 1, F.size), dtype=np.complex128)
@@ -39,7 +37,7 @@ def stored(
         T=none,
         R=none,
         variance=np.full((1, 1, F.size), deviation**2),
-        averages=averages,
+        averages=11.0,
         bin_correlation=np.ones((1, F.size)),
         coherence=Coherences(f=F, motion=flat[0], torque=flat, derived=flat),
     )

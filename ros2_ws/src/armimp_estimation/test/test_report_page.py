@@ -357,18 +357,13 @@ def test_what_is_not_a_number_is_a_dash() -> None:
 # --- Figures for papers: there, of the right size, and equal for equal results ------------------
 
 
-@pytest.fixture(scope="module")
-def drawn(tmp_path_factory: pytest.TempPathFactory) -> Result:
-    return load_result(make_result(tmp_path_factory.mktemp("figures") / "good"))
-
-
 @pytest.mark.slow
 def test_figures_are_written_as_png_and_pdf_the_same_each_time(
-    drawn: Result, tmp_path: Path
+    result: Result, tmp_path: Path
 ) -> None:
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
-        write_figures(tmp_path / name, drawn)
+        write_figures(tmp_path / name, result)
     first = {path.name: path.read_bytes() for path in (tmp_path / "one").iterdir()}
     assert set(first) == {
         f"{name}.{form}" for name in ("impedance", "coherence", "traces") for form in ("png", "pdf")
@@ -378,8 +373,8 @@ def test_figures_are_written_as_png_and_pdf_the_same_each_time(
         assert content == (tmp_path / "two" / name).read_bytes()
 
 
-def test_a_figure_fits_its_columns_and_nothing_is_cut_off(drawn: Result) -> None:
-    figure = impedance_figure(drawn.summary, drawn.curves)
+def test_a_figure_fits_its_columns_and_nothing_is_cut_off(result: Result) -> None:
+    figure = impedance_figure(result.summary, result.curves)
     width = figure.get_figwidth()
     assert width == TWO_COLUMNS
     assert len(figure.axes) == 12
@@ -402,7 +397,7 @@ def test_without_an_estimate_the_traces_alone_are_drawn_whatever_the_joints_are_
 
 
 def test_when_a_figure_cannot_be_written_expect_its_path_in_the_error(
-    drawn: Result, tmp_path: Path
+    result: Result, tmp_path: Path
 ) -> None:
     with pytest.raises(DataError, match=r"nowhere/impedance.png: cannot be written: No such file"):
-        write_figures(tmp_path / "nowhere", drawn)
+        write_figures(tmp_path / "nowhere", result)

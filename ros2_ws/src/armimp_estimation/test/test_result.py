@@ -36,7 +36,14 @@ from armimp_estimation.trial import TrialData, segments_for
 from armimp_estimation.verdict import Verdict
 from support.streams import changed, record
 from support.synthetic_bags import Message, recorded_arm
-from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, part_of, synthetic_trial
+from support.synthetic_trials import (
+    TWO_JOINT_ARM,
+    WELCH,
+    SyntheticConfig,
+    part_of,
+    synthetic_trial,
+    synthetic_trials,
+)
 
 RECORDING = recorded_arm()
 NAMES = RECORDING.records[0].joint_names
@@ -51,15 +58,6 @@ METADATA = {
     "truth": json.dumps({name: getattr(TWO_JOINT_ARM, name).tolist() for name in ("M", "B", "K")}),
 }
 NOISE = problem(ProblemCode.STALLED, seconds=30.0)
-
-
-def without(
-    messages: Iterable[Message], topic: str, trial: int, ticks: Iterable[int]
-) -> list[Message]:
-    """The messages without those of a topic in some ticks of a trial."""
-    start_ns = RECORDING.records[trial - 1].start_ns
-    lost = {start_ns + tick * PERIOD_NS for tick in ticks}
-    return [(t, time, raw) for t, time, raw in messages if t != topic or time not in lost]
 
 
 def recorded(
@@ -79,7 +77,8 @@ def recorded(
 
 
 LIVE = recorded()
-GAP = without(RECORDING.messages, JOINT_STATES, 2, range(4000, 4037))
+LOST = {RECORDING.records[1].start_ns + tick * PERIOD_NS for tick in range(4000, 4037)}
+GAP = [one for one in RECORDING.messages if one[0] != JOINT_STATES or one[1] not in LOST]
 
 
 def result_of(
@@ -88,7 +87,6 @@ def result_of(
     problems: Sequence[Problem] = (),
     *,
     allow_gaps: bool = False,
-    most_excluded: float = 0.05,
 ) -> Result:
     return conclude(
         trials,
@@ -96,7 +94,6 @@ def result_of(
         joint_names=("shoulder", "elbow"),
         estimators=ESTIMATORS,
         allow_gaps=allow_gaps,
-        most_excluded=most_excluded,
         problems=problems,
     )
 
@@ -256,11 +253,10 @@ def test_trials_that_lost_samples_are_refused_or_estimated_from_their_intact_par
 
 
 def test_segments_of_all_parts_are_averaged_and_none_spans_a_gap() -> None:
-    config = WelchConfig(segment=1024, overlap=768)
     complete = RECORDING.records[0]
     parts = [part_of(complete, *ends) for ends in ((0, 3000), (3100, 3600), (4000, 9000))]
-    data = TrialData.of(*parts, welch=config)
-    alone = [TrialData.of(one, welch=config).spectra for one in parts[::2]]
+    data = TrialData.of(*parts, welch=WELCH)
+    alone = [TrialData.of(one, welch=WELCH).spectra for one in parts[::2]]
     counts = [8, 16]
     assert [one.segments for one in alone] == counts
     mean = sum(one.matrix * one.segments for one in alone) / sum(counts)
@@ -364,12 +360,8 @@ def test_the_report_has_a_timing_part_for_a_run_in_real_time_only() -> None:
 
 @pytest.fixture(scope="module")
 def identification() -> Identification:
-    config = IdentifyConfig(welch=WelchConfig(segment=1024, overlap=768))
-    loop = SyntheticConfig(rate=125.0, samples=6144, torque_noise=0.02)
-    data = [
-        TrialData.of(synthetic_trial(TWO_JOINT_ARM, joint, loop, 1), welch=config.welch)
-        for joint in range(2)
-    ]
+    data = synthetic_trials(SyntheticConfig(rate=125.0, samples=6144, torque_noise=0.02))
+    config = IdentifyConfig(welch=WELCH)
     return identify(data, ["welch_siso", "welch_full"], TWO_JOINT_ARM, config)
 
 
@@ -415,14 +407,10 @@ def test_files_hold_the_result_and_are_never_overwritten(tmp_path: Path) -> None
         write_summary(tmp_path / "nowhere" / "summary.json", complete().summary)
 
 
-def curves_of(identification: Identification) -> dict[str, ImpedanceCurve]:
-    return {name: ImpedanceCurve.of(one) for name, one in identification.estimators.items()}
-
-
 def test_curves_come_back_bit_by_bit_each_with_its_own_frequencies(
     identification: Identification, tmp_path: Path
 ) -> None:
-    curves = curves_of(identification)
+    curves = {name: ImpedanceCurve.of(one) for name, one in identification.estimators.items()}
     curves["fine"] = replace(curves["welch_siso"], name="fine", f=curves["welch_siso"].f + 1.0)
     for name in ("one", "two"):
         write_frf(tmp_path / f"{name}.npz", curves)

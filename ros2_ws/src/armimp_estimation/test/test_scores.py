@@ -10,10 +10,11 @@ from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.frf import FrfMatrix, frf_matrix
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.spectra import CrossSpectra, SpectralAccumulator, WelchConfig
+from armimp_estimation.spectra import CrossSpectra, SpectralAccumulator
 from armimp_estimation.trial import TrialData
 from support.synthetic_trials import (
     TWO_JOINT_ARM,
+    WELCH,
     SyntheticConfig,
     made_estimate,
     made_record,
@@ -22,7 +23,6 @@ from support.synthetic_trials import (
 
 ComplexArray = NDArray[np.complex128]
 
-WELCH = WelchConfig(segment=1024, overlap=768)
 F = WELCH.frequencies(125.0)
 TARGET = MBK(M=np.diag([0.2, 0.2]), B=np.diag([2.0, 2.0]), K=np.diag([10.0, 10.0]))
 
@@ -95,14 +95,18 @@ def test_derived_coherence_follows_its_definition() -> None:
     np.testing.assert_allclose(fine, expected)
 
 
+def unrelated(rng: np.random.Generator) -> CrossSpectra:
+    accumulator = SpectralAccumulator(2, 125.0, WELCH)
+    accumulator.push(rng.standard_normal((2, 6144)))
+    return accumulator.result()
+
+
 def test_coherence_of_unrelated_signals_exceeds_the_significance_level_as_often_as_alpha() -> None:
     rng = np.random.default_rng(8)
     above = []
     level = 0.0
     for _ in range(150):
-        accumulator = SpectralAccumulator(2, 125.0, WELCH)
-        accumulator.push(rng.standard_normal((2, 6144)))
-        spectra = accumulator.result()
+        spectra = unrelated(rng)
         level = scores.coherence_significance(spectra.effective_averages)
         above.append(scores.coherence(spectra, 0, 1) > level)
     assert level == pytest.approx(0.2549, abs=1e-3)
@@ -114,9 +118,7 @@ def test_band_mean_of_the_coherence_of_unrelated_signals_scatters_as_expected() 
     rng = np.random.default_rng(9)
     means = []
     for _ in range(300):
-        accumulator = SpectralAccumulator(2, 125.0, WELCH)
-        accumulator.push(rng.standard_normal((2, 6144)))
-        spectra = accumulator.result()
+        spectra = unrelated(rng)
         means.append(np.mean(scores.coherence(spectra, 0, 1)))
     spread = (scores.coherence_of_chance(spectra) - 1.0 / spectra.effective_averages) / 4.0
     assert np.mean(means) == pytest.approx(1.0 / spectra.effective_averages, abs=0.004)

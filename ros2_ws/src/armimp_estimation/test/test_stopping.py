@@ -10,10 +10,17 @@ from armimp_estimation.estimators.lpm import FittedColumn, LpmConfig, LpmFull
 from armimp_estimation.fit import FitConfig, fit_mbk
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.recorder import StoppingRule, largest_error
-from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
-from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, part_of, synthetic_trial
+from support.synthetic_trials import (
+    TWO_JOINT_ARM,
+    WELCH,
+    SyntheticConfig,
+    errors_of,
+    part_of,
+    stacked,
+    synthetic_trial,
+)
 
 BOUND = 0.02
 LEAST = 20_000 - NOTICE_TICKS
@@ -28,8 +35,8 @@ def column(error: float) -> FittedColumn:
     )
 
 
-def rule(planned: int = 50_000, least: float = 20.0) -> StoppingRule:
-    return StoppingRule(BOUND, least, trial=2, planned=planned, rate=1000.0)
+def rule(planned: int = 50_000) -> StoppingRule:
+    return StoppingRule(BOUND, 20.0, trial=2, planned=planned, rate=1000.0)
 
 
 def decisions(
@@ -128,17 +135,15 @@ def ended(record: TrialRecord, others: Sequence[TrialRecord]) -> TrialRecord:
 def test_intervals_of_trials_that_end_early_hold_the_truth_and_estimates_are_not_biased() -> None:
     """With a voluntary torque, which makes lengths differ by chance."""
     loop = SyntheticConfig(rate=200.0, samples=20_000, voluntary=0.3, torque_noise=0.005)
-    truth = np.stack([TWO_JOINT_ARM.M, TWO_JOINT_ARM.B, TWO_JOINT_ARM.K])
     off, lengths = [], []
     for seed in range(40):
         trials: list[TrialRecord] = []
         for joint in (0, 1):
             trials.append(ended(synthetic_trial(TWO_JOINT_ARM, joint, loop, seed), trials))
-        data = [TrialData.of(one, welch=WelchConfig(segment=1024, overlap=768)) for one in trials]
+        data = [TrialData.of(one, welch=WELCH) for one in trials]
         options = FitConfig(weight_floor=LPM.config.weight_floor)
         fit = fit_mbk(LPM.estimate(data), options)
-        values = np.stack([fit.mbk.M, fit.mbk.B, fit.mbk.K])
-        off.append((values - truth) / np.stack([fit.M_se, fit.B_se, fit.K_se]))
+        off.append((stacked(fit.mbk) - stacked(TWO_JOINT_ARM)) / errors_of(fit))
         lengths += [one.duration for one in trials]
     assert np.percentile(lengths, 90) > 2.0 * np.percentile(lengths, 10)
     assert 0.9 < np.mean(np.abs(off) < 1.96) < 0.985

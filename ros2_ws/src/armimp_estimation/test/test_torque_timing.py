@@ -3,29 +3,110 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 
 import numpy as np
 import pytest
+import scipy.linalg
 from numpy.typing import NDArray
-from scipy.signal import butter, sosfilt
+from scipy import signal
 
 from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
 from armimp_estimation.fit import fit_mbk
 from armimp_estimation.hold_correction import update_jump
-from armimp_estimation.mbk import MBK
 from armimp_estimation.metadata import Metadata
 from armimp_estimation.parameters import EstimatorParameters, TorqueParameters
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
-from support.held_commands import SAMPLES, TRANSMISSION, rig_record
-from support.synthetic_trials import TWO_JOINT_ARM, worst_errors
+from support.synthetic_trials import TWO_JOINT_ARM as ARM
+from support.synthetic_trials import made_record, worst_errors
 
 FloatArray = NDArray[np.float64]
 
-ARM, RATE = TWO_JOINT_ARM, 1e3
+SAMPLES, PERIOD, RATE = 30_000, 1e-3, 1e3
 F = np.array([0.122, 1.0, 5.0, 15.0])
+ROBOT = np.array([[0.354, 0.191], [0.191, 0.180]])
+FRICTION = np.diag([3.0, 1.5])  # N·m·s/rad: only the robot has it
+TRANSMISSION = ARM.M @ np.linalg.inv(ARM.M + ROBOT)
+"""Share of a command that is torque on the arm at once."""
+PROMPT = TorqueReading()
+
+
+@functools.cache
+def rig_record(
+    joint: int,
+    reading: TorqueReading = PROMPT,
+    *,
+    chatter: float = 1.0,
+    count: float = 0.0,
+) -> TrialRecord:
+    """Simulate an arm, a robot, drives and transducers under commands that are held and chatter.
+
+    The exact solution of the trial of a joint (0-based), without control.
+    """
+    rng = np.random.default_rng((1, joint))
+    sos = signal.butter(8, 15.0, fs=RATE, output="sos")
+    perturbation = np.zeros((2, SAMPLES))
+    perturbation[joint] = 10.0 * signal.sosfilt(sos, rng.uniform(-1.0, 1.0, SAMPLES))
+    command = perturbation + chatter * rng.standard_normal((2, SAMPLES))
+
+    inverse = np.linalg.inv(ARM.M + ROBOT)
+    eye, zero = np.eye(2), np.zeros((2, 2))
+    lag = reading.actuator_lag
+    # θ, v, torque of the drives; then the filter. Inputs: commands.
+    fall = -eye / lag if lag else zero
+    damping = ARM.B + FRICTION
+    a = np.block(
+        [
+            [zero, eye, zero],
+            [-inverse @ ARM.K, -inverse @ damping, inverse if lag else zero],
+            [zero, zero, fall],
+        ]
+    )
+    b = np.concatenate([zero, zero if lag else inverse, eye / lag if lag else zero])
+    # Torque on the arm from these.
+    load = np.concatenate(
+        [
+            ARM.K - ARM.M @ inverse @ ARM.K,
+            ARM.B - ARM.M @ inverse @ damping,
+            ARM.M @ inverse if lag else zero,
+        ],
+        axis=1,
+    )
+    direct = zero if lag else ARM.M @ inverse
+    out, out_direct = load, direct
+    if reading.cutoff:
+        zpk = signal.butter(reading.order, 2.0 * np.pi * reading.cutoff, analog=True, output="zpk")
+        fa, fb, fc, _ = signal.zpk2ss(*zpk)
+        fa, fb, fc = (np.kron(m, eye) for m in (fa, fb, fc))
+        a = np.block([[a, np.zeros((6, len(fa)))], [fb @ load, fa]])
+        b = np.concatenate([b, fb @ direct])
+        out, out_direct = np.concatenate([np.zeros((2, 6)), fc], axis=1), zero
+    states = len(a)
+    whole = int(np.floor(reading.delay / PERIOD + 1e-9))
+    phase = PERIOD * (1.0 - (reading.delay / PERIOD - whole))
+
+    def over(time: float) -> tuple[FloatArray, FloatArray]:
+        system = np.block([[a, b], [np.zeros((2, states + 2))]])
+        found = scipy.linalg.expm(time * system)
+        return found[:states, :states], found[:states, states:]
+
+    transition, driven = over(PERIOD)
+    part, part_driven = over(phase)
+    values, vectors = np.linalg.eig(transition)
+    modal = np.linalg.solve(vectors, driven) @ command
+    modes = [signal.lfilter([0.0, 1.0], [1.0, -v], x) for v, x in zip(values, modal, strict=True)]
+    state = (vectors @ np.stack(modes)).real
+    # Read within the period that a command begins, and known at its end or later.
+    read = out @ (part @ state + part_driven @ command) + out_direct @ command
+    torque = np.zeros((2, SAMPLES))
+    torque[:, whole + 1 :] = read[:, : SAMPLES - whole - 1]
+    position = np.round(state[:2] / count) * count if count else state[:2]
+    told = {"trial": joint + 1, "perturbed_joint": joint, "command": command}
+    return made_record(position, torque, perturbation, **told)
+
 
 LATE = {
     "whole periods": TorqueReading(delay=0.002),
@@ -63,11 +144,6 @@ def test_what_sampling_folds_back_is_the_sum_over_the_images(reading: TorqueRead
     np.testing.assert_allclose(bend, images(reading, 2), atol=1e-6)
 
 
-def fitted(records: list[TrialRecord], reading: TorqueReading) -> MBK:
-    data = [TrialData.of(record, reading=reading) for record in records]
-    return fit_mbk(LpmFull(config=LpmConfig(reading=reading)).estimate(data)).mbk
-
-
 @latest
 def test_jumps_are_found_behind_delay_and_filter(reading: TorqueReading) -> None:
     jump = update_jump([rig_record(joint, reading) for joint in range(2)], reading)
@@ -78,7 +154,9 @@ def test_jumps_are_found_behind_delay_and_filter(reading: TorqueReading) -> None
 @latest
 def test_known_delay_and_filter_leave_no_error_and_unknown_ones_do(reading: TorqueReading) -> None:
     records = [rig_record(joint, reading) for joint in range(2)]
-    told = worst_errors(fitted(records, reading), ARM)
+    known = [TrialData.of(record, reading=reading) for record in records]
+    estimate = LpmFull(config=LpmConfig(reading=reading)).estimate(known)
+    told = worst_errors(fit_mbk(estimate).mbk, ARM)
     assert told["M"] < 0.002
     assert told["B"] < 0.005
     assert told["K"] < 0.015
@@ -205,12 +283,12 @@ def test_when_commands_are_of_other_joints_or_samples_expect_none(
 def test_when_a_filter_took_the_jumps_off_angles_and_torques_alike_expect_none(
     chattering: list[TrialRecord],
 ) -> None:
-    low_pass = butter(2, 15.0, fs=chattering[0].rate, output="sos")
+    low_pass = signal.butter(2, 15.0, fs=chattering[0].rate, output="sos")
     filtered = [
         dataclasses.replace(
             record,
-            position=sosfilt(low_pass, record.position),
-            torque=sosfilt(low_pass, record.torque),
+            position=signal.sosfilt(low_pass, record.position),
+            torque=signal.sosfilt(low_pass, record.torque),
         )
         for record in chattering
     ]

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy import signal
+from scipy.integrate import trapezoid
 
 from armimp_sim import presets
 from armimp_sim.model.arm import CuffParameters, HumanArm, MuscleParameters, ReflexParameters
@@ -54,12 +55,12 @@ def run(
     return np.array(states)[:, 0], np.array(torques)[:, 0]
 
 
-def within(commands: Array = COMMANDS) -> tuple[Array, Array]:
+def within() -> tuple[Array, Array]:
     """Torque on the arm at the start and the end of every step of the integration, (steps, 2)."""
     plain = config()
     fine = stepwise(plain)
     starts, ends = [], []
-    for command in commands:
+    for command in COMMANDS:
         for _ in range(SUBSTEPS):
             # The reading without any time passing: under the new command, before the step.
             starts.append(load(plain, fine.state()[0], command))
@@ -297,3 +298,59 @@ def test_readings_pass_cross_talk_hysteresis_hum_noise_and_limit_in_this_order()
     assert torque == pytest.approx(np.clip(followed + hum + noise[:, 0, 1], -1.5, 1.5), abs=1e-9)
     assert np.max(torque) == 1.5
     assert position == pytest.approx(noise[:, 0, 0], abs=1e-12)
+
+
+# --- Resolution, and the instant of sampling ----------------------------------------------------
+
+
+@pytest.mark.parametrize("level", [1, 2, 3])
+def test_plant_reads_whole_counts_of_its_exact_state(level: int) -> None:
+    sensors = presets.sensors(level)
+    exact = Plant([study_plant(1)])
+    plant = Plant([study_plant(1, sensors=sensors)])
+    command = np.array([[3.0, -2.0]])
+    seen = set()
+    for _ in range(100):
+        exact.tick(command, np.zeros((1, 2)))
+        plant.tick(command, np.zeros((1, 2)))
+        assert np.array_equal(plant.state(), exact.state())  # readings don't touch the motion
+        assert np.array_equal(exact.position, exact.state()[:, 0])
+        for read, true, resolution in (
+            (plant.position, exact.position, sensors.position.resolution),
+            (plant.torque, exact.torque, sensors.torque.resolution),
+        ):
+            counts = np.rint(read / resolution)
+            assert read == pytest.approx(counts * resolution, abs=1e-15)
+            assert np.all(np.abs(read - true) <= 0.5000001 * resolution)
+        seen.add(float(plant.torque[0, 0]))
+    assert len(seen) > 10
+
+
+def test_torque_before_update_is_that_under_the_command_still_in_force() -> None:
+    config = study_plant()
+    plant = Plant([config])
+    commands = np.random.default_rng(5).uniform(-5.0, 5.0, (20, 2))
+    for command in commands:
+        plant.tick(command[None], np.zeros((1, 2)))
+        state = plant.state()[0]
+        assert plant.torque[0] == pytest.approx(load(config, state, command), abs=1e-11)
+
+
+def test_interval_mean_torque_is_the_mean_over_the_substeps() -> None:
+    coarse = study_plant(sensors=presets.sensors(0, Sampling.INTERVAL_MEAN))
+    plant, watcher = Plant([coarse]), stepwise(coarse)
+    commands = np.random.default_rng(6).uniform(-5.0, 5.0, (10, 2))
+    last = np.zeros(2)
+    for command in commands:
+        states = [watcher.state()[0]]
+        for _ in range(coarse.substeps):
+            watcher.tick(command[None], np.zeros((1, 2)))
+            states.append(watcher.state()[0])
+        plant.tick(command[None], np.zeros((1, 2)))
+        torques = np.array([load(coarse, state, command) for state in states])
+        mean = trapezoid(torques, dx=1.0 / coarse.substeps, axis=0)
+        assert plant.torque[0] == pytest.approx(mean, abs=1e-8)
+        # Neither end of the interval would do, nor the command before.
+        assert np.max(np.abs(torques[-1] - mean)) > 1e-5
+        assert np.max(np.abs(load(coarse, states[0], last) - mean)) > 1e-3
+        last = command

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ from armimp_common.realtime import Pacer
 from armimp_common.topics import PERIOD_NS
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.simulator import UNHEARD_TICKS, RealtimeSimulator, SimulatedRig
+from support.plants import in_lockstep, some_commands
 
 PARAMETERS = SimulatorParameters.preset()
 Command = tuple[float, ...]
@@ -22,51 +22,36 @@ SILENCE = f"no command for {WATCHDOG_PERIODS} ticks"
 class Bench:
     """A paced rig without its thread, on a clock that is moved by hand."""
 
-    def __init__(self, watchdog_ticks: int = WATCHDOG_PERIODS) -> None:
+    def __init__(self) -> None:
         self.ns = 10**12
         self.tick = 0
         self.rig = SimulatedRig(PARAMETERS)
         self.sent: list[tuple[int, Command, Command]] = []
         pacer = Pacer(PERIOD_NS, now=lambda: self.ns, sleep=lambda _: None)
-        self.paced = RealtimeSimulator(self.rig, self.send, pacer, watchdog_ticks=watchdog_ticks)
+        self.paced = RealtimeSimulator(self.rig, self.send, pacer, watchdog_ticks=WATCHDOG_PERIODS)
         self.start_ns = self.ns
         self.paced.begin()
 
     def send(self) -> None:
-        self.sent.append((self.rig.stamp_ns, *readings(self.rig)))
+        rig = self.rig
+        sample = rig.stamp_ns, tuple(rig.position.tolist()), tuple(rig.torque.tolist())
+        self.sent.append(sample)
 
     def command(self, *command: float, after_us: int = 300) -> None:
         """Give a command so long after the deadline of the present sample."""
         self.ns = self.start_ns + self.tick * PERIOD_NS + after_us * 1000
         self.paced.command(command)
 
-    def next(self, ticks: int = 1, *, late_us: int = 0) -> None:
+    def next(self, ticks: int = 1) -> None:
         """Let deadlines come."""
         for _ in range(ticks):
             self.tick += 1
-            self.ns = max(self.ns, self.start_ns + self.tick * PERIOD_NS + late_us * 1000)
+            self.ns = max(self.ns, self.start_ns + self.tick * PERIOD_NS)
             self.paced.advance(self.tick)
 
     @property
     def missed(self) -> int:
         return self.paced.figures().missed
-
-
-def readings(rig: SimulatedRig) -> tuple[Command, Command]:
-    return tuple(rig.position.tolist()), tuple(rig.torque.tolist())
-
-
-def in_lockstep(commands: Sequence[Command]) -> list[tuple[int, Command, Command]]:
-    rig = SimulatedRig(PARAMETERS)
-    samples = [(rig.stamp_ns, *readings(rig))]
-    for command in commands:
-        rig.step(command)
-        samples.append((rig.stamp_ns, *readings(rig)))
-    return samples
-
-
-def some_commands(ticks: int) -> list[Command]:
-    return [tuple(row) for row in np.random.default_rng(5).uniform(-20, 20, (ticks, 2)).tolist()]
 
 
 @pytest.fixture

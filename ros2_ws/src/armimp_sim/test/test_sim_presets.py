@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from armimp_common.errors import ConfigurationError
+from armimp_common.schema import build, flatten
 from armimp_common.sizes import JOINT_SIZES
 from armimp_sim import presets
 from armimp_sim.model.sensors import Sampling
 from armimp_sim.parameters import SimulatorParameters
+from armimp_sim.simulator import SimulatedRig
 
 
 def test_arm_is_that_of_table_one() -> None:
@@ -60,16 +65,10 @@ Array = NDArray[np.float64]
 ALL = range(1, 8)
 
 
-def _inertia(joints: int, deflection: Array | None = None) -> tuple[Array, Array]:
-    """M_r, at a deflection from the posture, and M_h."""
+def inertia_of(joints: int) -> Array:
+    """Of robot and arm in the posture."""
     arm = presets.human_arm(joints)
-    away = np.zeros(joints) if deflection is None else deflection
-    return presets.robot(joints).mass_matrix(arm.theta_0 + away), arm.M
-
-
-def _total(joints: int, deflection: Array | None = None) -> Array:
-    robot, arm = _inertia(joints, deflection)
-    return robot + arm
+    return presets.robot(joints).mass_matrix(arm.theta_0) + arm.M
 
 
 @pytest.mark.parametrize("joints", ALL)
@@ -83,8 +82,8 @@ def test_every_number_of_joints_makes_a_plant_at_every_level(joints: int, fricti
 
 @pytest.mark.parametrize("joints", ALL)
 def test_sizes_of_joints_are_inertias_to_the_power_of_three_fifths(joints: int) -> None:
-    inertia = np.diag(_total(joints))
-    shoulder = _total(2)[0, 0] if joints == 1 else inertia[0]
+    inertia = np.diag(inertia_of(joints))
+    shoulder = inertia_of(2)[0, 0] if joints == 1 else inertia[0]
     rule, sizes = (inertia / shoulder) ** 0.6, JOINT_SIZES[joints]
     # Shoulder and elbow of the paper have the ratio of its Table III instead.
     paper = {1: (0.6,), 2: (1.0, 0.6), 3: (1.0, 0.6)}.get(joints, ())
@@ -92,3 +91,53 @@ def test_sizes_of_joints_are_inertias_to_the_power_of_three_fifths(joints: int) 
     assert sizes[:known] == paper
     assert paper == pytest.approx(tuple(rule[:known]), rel=0.05)
     assert sizes[known:] == pytest.approx(tuple(rule[known:]), rel=0.03)
+
+
+# --- Values that make no rig are refused, each with its name and the value ----------------------
+
+
+PRESET = flatten(SimulatorParameters.preset())
+NAN, INF = float("nan"), float("inf")
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("arm.damping", [(1.0, 2.0), (1.0, 2.0, 3.0, NAN)]),
+        ("arm.inertia", [(-1.0, 0.0, 0.0, 1.0)]),
+        ("arm.posture", [(1.0, INF)]),
+        ("arm.stiffness", [(1.0, 0.0, 0.0, NAN)]),
+        ("robot.lengths", [(0.3, -0.3), (NAN, 0.3)]),
+        ("robot.moments", [(0.1, 0.0), (0.1, INF)]),
+        ("robot.masses", [(1.0, -0.5)]),
+        ("robot.centres", [(0.1, NAN)]),
+        ("friction.sigma_0", [(1.0,) * 3, (-1.0, 1.0), (INF, 1.0)]),
+        ("friction.coulomb", [(-0.25, 1.0), (NAN, 1.0), (0.0, 1.0)]),
+        ("friction.static", [(0.0, 0.0), (INF, 1.0)]),
+        ("friction.sigma_1", [(NAN, 1.0)]),
+        ("friction.sigma_2", [(-1e-9, 1.0)]),
+        ("friction.stribeck_velocity", [(0.0, 1.0)]),
+        ("sensors.position.resolution", [-0.25, NAN, INF]),
+        ("sensors.torque.offset", [(NAN,), (1.0,) * 3, ()]),
+        ("sensors.torque.gain", [(1.0, 0.0)]),
+        ("sensors.torque.delay", [0.2, -0.001]),
+        ("sensors.torque.cutoff", [-3.0]),
+        ("sensors.torque.order", [0, 5]),
+        ("actuators.bandwidth", [INF, -1.0, 0.5]),
+        ("actuators.delay", [0.5]),
+        ("reflex.velocity_gain", [(1.0,) * 3]),
+        ("muscle.short_range_stiffness", [(1.0,) * 3]),
+        ("cuff.stiffness", [-1.0, 1e10]),
+        ("voluntary.tremor_high", [7.0, 500.0]),
+        ("voluntary.rms", [-0.5, NAN]),
+        ("voluntary.cutoff", [0.0, 500.0]),
+        ("substeps", [0]),
+        ("watchdog_ticks", [0, 101]),
+    ],
+)
+def test_a_value_that_makes_no_sense_is_refused_and_named(name: str, values: list[Any]) -> None:
+    for value in values:
+        group, _, short = name.rpartition(".")
+        with pytest.raises(ConfigurationError, match=f"{short}|'{group}'|{group}:|step") as caught:
+            SimulatedRig(build(SimulatorParameters, {**PRESET, name: value}))
+        assert "\n" not in str(caught.value)

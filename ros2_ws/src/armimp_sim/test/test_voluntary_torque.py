@@ -12,20 +12,19 @@ from armimp_sim.voluntary import Noise, VoluntaryParameters, reading_noise, volu
 PERIOD = 1e-3
 
 
-def _stream(*, rms: float = 0.5, cutoff: float = 20.0, seed: int = 1) -> Noise:
-    config = VoluntaryParameters(rms=rms, cutoff=cutoff)
-    return voluntary_torque(config, joints=2, seed=seed)
+def _stream(cutoff: float = 20.0) -> Noise:
+    return voluntary_torque(VoluntaryParameters(rms=0.5, cutoff=cutoff), joints=2, seed=1)
 
 
 @pytest.mark.parametrize(("cutoff", "tolerance"), [(2.0, 0.10), (20.0, 0.03), (300.0, 0.02)])
 def test_rms_of_a_long_stream_is_the_configured_one(cutoff: float, tolerance: float) -> None:
-    torque = _stream(rms=0.5, cutoff=cutoff).take(200_000)
+    torque = _stream(cutoff).take(200_000)
     assert np.sqrt(np.mean(torque**2, axis=0)) == pytest.approx([0.5, 0.5], rel=tolerance)
     assert np.mean(torque, axis=0) == pytest.approx([0.0, 0.0], abs=0.05)
 
 
 def test_spectrum_is_that_of_second_order_low_pass_noise() -> None:
-    torque = _stream(cutoff=20.0).take(400_000)[:, 0]
+    torque = _stream().take(400_000)[:, 0]
     f, density = signal.welch(torque, fs=1.0 / PERIOD, nperseg=2048)
     smooth = np.array(
         [np.mean(density[(f > low) & (f < high)]) for low, high in ((1, 5), (19, 21), (58, 62))]

@@ -419,7 +419,7 @@ def responses(
     lines = common_lines((record.periods for record in records), rate, band)
     f = lines
     if f is None:
-        f = bins_in_band(shortest, rate, *band) * float(rate / shortest)
+        f = bins_in_band(shortest, rate, *band).astype(np.float64) * float(rate / shortest)
         f = f if most is None else _strongest(records, f, most)
     columns = []
     for record, signals in zip(records, outputs, strict=True):
