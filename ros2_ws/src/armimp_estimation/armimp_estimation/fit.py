@@ -224,7 +224,7 @@ _RELAXED, _RELAXATIONS = 0.4, (0.05, 0.3)
 """Assumption: stiffness beside K that relaxes, relative to K, and with which time constants, s."""
 _CUFF = 1e-5
 """Assumption: compliance that a cuff between robot and arm may have, rad/(N·m)."""
-_COUPLED, _CORNERS = 0.1, (0.1, 0.3, 1.0)
+_COUPLED, _CORNERS = 0.05, (0.3, 1.0)
 """Assumption: how likely a torque or an angle passed a high-pass, and with which corners, Hz."""
 _LOW, _FEWEST = 1.0 / 3.0, 8
 _ITERATIONS = 3
