@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from itertools import product
 from multiprocessing import get_context
 from typing import Any
 
@@ -212,6 +213,16 @@ def _cross(share: float) -> Change:
     return lambda torque: torque + share * torque[::-1]
 
 
+def _mixed(share: float) -> Change:
+    """The first joint's channel shows a share of the second's, as with a belt."""
+    return lambda values: np.concatenate((values[:1] + share * values[1:2], values[1:]))
+
+
+def _of_first(change: Change) -> Change:
+    """A change of the first joint's channel alone."""
+    return lambda values: np.concatenate((change(values[:1]), values[1:]))
+
+
 def _bent(size: float, poles: float) -> Change:
     """Encoder whose scale is not round: errors of a size, with a number of periods each turn."""
     return lambda angle: angle + size * np.sin(poles * angle + 0.4)
@@ -356,6 +367,13 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     for cutoff in (0.016, 0.05, 0.16, 0.5):
         steadied = {"voluntary": 0.3, "readings": changed(torque=_steadied(cutoff))}
         add(MUST, "torque high-pass, voluntary", (f"{cutoff:g} Hz", steadied))
+    for cutoff, name in product((0.3, 1.0), ("torque", "position")):
+        first = changed(**{name: _of_first(_steadied(cutoff))})
+        steadied = {"voluntary": 0.3, "readings": first}
+        add(MUST, f"{name} of one joint, high-pass, voluntary", (f"{cutoff:g} Hz", steadied))
+    for cutoff in (15.0, 30.0):
+        alike = changed(position=_smoothed(cutoff), torque=_smoothed(cutoff))
+        add(NOISE, "low-pass of angles and torques", (f"{cutoff:g} Hz", {"readings": alike}))
     for cutoff in (20.0, 30.0, 100.0):
         maximally_flat = {"voluntary": 0.3, "readings": changed(torque=_smoothed(cutoff))}
         add(MUST, "torque low-pass of order 2, voluntary", (f"{cutoff:g} Hz", maximally_flat))
@@ -587,13 +605,13 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     for share in (0.02, 0.05, 0.1):
         ramped = {"readings": changed(torque=_ramped(share))}
         add(MUST, "gain that grows", (f"{share:g}", ramped))
-    mixed = {
+    blended = {
         "rate": 800.0,
         "command_delay": 0.4 * MILLI,
         "friction": 0.5,
         "torque_delay": 0.7 * MILLI,
     }
-    add(MUST, "mixed", ("late", mixed), ("late, bristles", mixed | {"bristle": 1500.0}))
+    add(MUST, "mixed", ("late", blended), ("late, bristles", blended | {"bristle": 1500.0}))
     hummed = {
         "voluntary": 0.3,
         "cogging": 0.05,
@@ -681,6 +699,9 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     for share in (0.01, 0.02, 0.03, 0.1):
         crossed = {"readings": changed(torque=_cross(share))} | undeclared
         add(MUST, "cross-talk", (f"{100 * share:g} %", crossed))
+    for share, name in product((-0.1, 0.1, 0.3), ("torque", "position")):
+        mixed = {"readings": changed(**{name: _mixed(share)})} | undeclared
+        add(MUST, f"{name} of the next joint", (f"{100 * share:g} %", mixed))
     for stiffness in (-2.0, -0.5, 0.1, 0.5, 2.0):
         add(MUST, "cable", (f"{stiffness:g} N·m/rad", {"readings": _cable(stiffness)} | undeclared))
     return found

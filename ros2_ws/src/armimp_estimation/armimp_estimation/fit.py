@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr, softmax
 
+from armimp_common.arrays import BoolArray
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.json_model import JsonModel, Number
@@ -224,8 +225,9 @@ _RELAXED, _RELAXATIONS = 0.4, (0.05, 0.3)
 """Assumption: stiffness beside K that relaxes, relative to K, and with which time constants, s."""
 _CUFF = 1e-5
 """Assumption: compliance that a cuff between robot and arm may have, rad/(N·m)."""
-_COUPLED, _CORNERS = 0.05, (0.3, 1.0)
-"""Assumption: how likely a torque or an angle passed a high-pass, and with which corners, Hz."""
+_COUPLED, _CORNERS = 0.5, (0.3, 1.0)
+"""Assumption: how likely a torque or an angle that shows nothing slow passed a high-pass, and with
+which corners, Hz."""
 _LOW, _FEWEST = 1.0 / 3.0, 8
 _ITERATIONS = 3
 _ORDERS = (2, 3, 4, 5)
@@ -508,6 +510,8 @@ class _Elements:
     """Whether nothing but noise hides a spring that relaxes: not so with leakage."""
     line_power: FloatArray | None = None
     """Power of the perturbation behind each element, (elements, n_freq), if it is not chance."""
+    without_slow: BoolArray | None = None
+    """Torques and angles that may have passed a high-pass, (2, n)."""
 
     @classmethod
     def of(cls, estimate: ImpedanceEstimate, options: FitConfig) -> _Elements:
@@ -523,6 +527,7 @@ class _Elements:
             options=options,
             whole=True,
             unbiased=estimate.unbiased,
+            without_slow=estimate.without_slow,
             line_power=None
             if estimate.line_power is None
             else np.tile(estimate.line_power, (estimate.joints, 1)),
@@ -666,20 +671,23 @@ class _Elements:
 
         A high-pass of first order with the corner w takes ``w/(s + w) Z_ij`` off the row of a
         torque, and adds ``w/s Z_ij`` to the column of an angle. Channels of one rig are alike, so
-        each tells of the others whether there are such.
+        each tells of the others whether there are such. None that shows what is slow has one.
         """
         n, s = len(Z), 1j * self.omega
         own = np.eye(n, dtype=np.bool_)[:, :, None, None]
         change = np.zeros((3, n * n))
-        for corner, of_torques in product(_CORNERS, (True, False)):
+        if self.without_slow is None:
+            return change
+        for corner, (axis, possible) in product(_CORNERS, enumerate(self.without_slow)):
             w = 2.0 * np.pi * corner
-            effect = -w / (s + w) * Z if of_torques else w / s * Z
-            channels = own if of_torques else np.swapaxes(own, 1, 2)
-            of_channel = np.where(channels, effect, 0.0).reshape(n, n * n, -1)
-            told = [self.common_coefficient(terms)[:2] for terms in of_channel]
+            effect, mask = (
+                (-w / (s + w) * Z, own) if axis == 0 else (w / s * Z, np.swapaxes(own, 1, 2))
+            )
+            channels = np.where(mask, effect, 0.0).reshape(n, n * n, -1)[possible]
+            told = [self.common_coefficient(terms)[:2] for terms in channels]
             evidence = [hidden_square(*one, _COUPLED, positive=True)[1] for one in told]
-            for joint, (terms, one) in enumerate(zip(of_channel, told, strict=True)):
-                others = max(sum(evidence) - evidence[joint], 0.0)
+            for terms, one, of_one in zip(channels, told, evidence, strict=True):
+                others = max(sum(evidence) - of_one, 0.0)
                 square, _ = hidden_square(*one, _COUPLED, positive=True, elsewhere=others)
                 for row, of_mbk in enumerate(self.coefficients_of_all):
                     of_term = square * _apply(of_mbk, terms[row]) ** 2

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.arrays import FloatArray
+from armimp_common.arrays import BoolArray, FloatArray
 from armimp_common.topics import JOINT_STATES, TORQUE_SENSORS
 from armimp_estimation.hold_correction import command_steps, regress
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
@@ -66,6 +66,7 @@ _BROAD = 0.5
 _EXACT = 1e-9
 _LOST = 0.16
 _LEADING, _CROWDED = 0.6, 1.4
+_SLOW, _USUAL_SLOW, _LITTLE = (0.0, 0.1), (0.5, 1.0), 0.25
 _TINY = float(np.finfo(np.float64).tiny)
 _WINDOW = 0.5
 _VALUES = 3
@@ -352,6 +353,28 @@ def rounding_lead(records: Sequence[TrialRecord], band_end: float) -> FloatArray
         share = reversals * max(_LEADING - _CROWDED * steps.size / every.size, 0.0)
         lead[joint, k] = share * step / math.sqrt(12.0) / max(speed, _TINY)
     return lead
+
+
+def without_slow(records: Sequence[TrialRecord]) -> BoolArray:
+    """Torques, and angles, that show little of what is slow, as behind a high-pass, (2, n).
+
+    A person, noise and drift have as much power below 0.1 Hz as at 0.5 to 1 Hz, and most
+    perturbations have; behind a high-pass of 0.3 Hz it is a tenth.
+
+    Parameters
+    ----------
+    records : sequence of TrialRecord
+        One trial for each joint, in order.
+    """
+    powers = np.zeros((2, 2, len(records)))
+    for record in records:
+        signals = np.stack((record.torque, record.position)) * np.hanning(record.samples)
+        f = np.fft.rfftfreq(record.samples, 1.0 / record.rate)
+        power = np.abs(np.fft.rfft(signals - signals.mean(axis=2, keepdims=True))) ** 2
+        for place, (low, high) in enumerate((_SLOW, _USUAL_SLOW)):
+            within = power[:, :, (f > low) & (f <= high)]
+            powers[place] += within.mean(axis=2) if within.size else 0.0
+    return np.asarray(powers[0] < _LITTLE * powers[1])
 
 
 def speed_of(angle: FloatArray, rate: float, band_end: float) -> FloatArray:

@@ -51,7 +51,7 @@ def test_without_noise_any_matrices_come_back_whatever_the_variances(
 
 
 def test_equal_variances_give_ordinary_least_squares_with_its_standard_errors_of() -> None:
-    rng = np.random.default_rng(2)
+    rng = np.random.default_rng(4)
     noise = rng.standard_normal((1, 1, F.size)) + 1j * rng.standard_normal((1, 1, F.size))
     truth = MBK(M=np.array([[0.2]]), B=np.array([[0.7]]), K=np.array([[8.0]]))
     Z = truth.impedance(F) + noise
@@ -65,10 +65,10 @@ def test_equal_variances_give_ordinary_least_squares_with_its_standard_errors_of
     expected = np.linalg.lstsq(design, y, rcond=None)[0]
     np.testing.assert_allclose(stacked(fit.mbk)[:, 0, 0], expected, rtol=1e-9)
     covariance = np.linalg.inv(design.T @ design)  # each part has half of the variance of 2
-    # What noise may hide adds to them: a high-pass of the torque to B, a soft cuff to M.
+    # A reflex that the noise may hide adds a thousandth to B, a soft cuff a twentieth to M.
     ratio = errors_of(fit)[:, 0, 0] / np.sqrt(np.diag(covariance))
     assert (ratio > 1.0).all()
-    assert (ratio < [1.05, 1.6, 1.01]).all()
+    assert (ratio < [1.06, 1.002, 1.005]).all()
 
 
 def test_floor_of_weights_bounds_what_time_skew_does_to_viscosity() -> None:
@@ -131,13 +131,13 @@ def test_a_torque_that_passed_a_high_pass_where_noise_hides_it_is_in_the_standar
     rng = np.random.default_rng(seed)
     deviation = np.where(F < 2.0, 3.0, 0.3) * np.ones((2, 2, 1))
     noise = rng.standard_normal((2, 2, F.size)) + 1j * rng.standard_normal((2, 2, F.size))
-    off = []
-    for share in (passed, 1.0):
+    first, off = np.array([[True, False], [False, False]]), []
+    for share, possible in ((passed, first), (1.0, first), (1.0, None)):
         Z = share * TWO_JOINT_ARM.impedance(F) + np.sqrt(0.5) * deviation * noise
-        fit = fit_mbk(estimate_of(Z, deviation**2))
+        fit = fit_mbk(replace(estimate_of(Z, deviation**2), without_slow=possible))
         assert (np.abs(stacked(fit.mbk) - TRUTH) < 3.5 * errors_of(fit)).all()
         off.append(fit.B_se[0, 0])
-    assert off[0] > 3.0 * off[1]
+    assert off[0] > 2.0 * off[1] > 2.0 * off[2]
 
 
 def test_stiffness_that_relaxes_where_noise_hides_it_is_in_the_standard_errors_of_K() -> None:

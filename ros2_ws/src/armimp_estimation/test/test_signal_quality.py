@@ -18,6 +18,7 @@ from armimp_estimation.signal_quality import (
     repeating,
     sticking,
     unseen_share,
+    without_slow,
     zeros_beyond_chance,
 )
 from support.synthetic_trials import made_record
@@ -232,3 +233,13 @@ def test_a_joint_that_rests_within_a_step_may_move_unseen() -> None:
     records = trials_of(slow)
     assert unseen_share(records)[1, 0] == 1.0
     assert lost_motion(records)[1][1, 0] == pytest.approx(0.16)
+
+
+def test_a_channel_behind_a_high_pass_shows_nothing_slow_and_others_do() -> None:
+    high_pass = butter(1, 0.3, "high", fs=RATE, output="sos")
+    records = []
+    for k in range(2):
+        signals = np.stack([motion(4 * k + place, 1e-6) for place in range(4)])
+        signals[0] = sosfilt(high_pass, signals[0])
+        records.append(made_record(signals[2:], signals[:2], trial=k + 1, perturbed_joint=k))
+    assert without_slow(records).tolist() == [[True, False], [False, False]]

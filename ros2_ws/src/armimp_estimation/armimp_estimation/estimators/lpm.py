@@ -28,7 +28,7 @@ from armimp_estimation.hold_correction import (
 from armimp_estimation.mbk import MBK
 from armimp_estimation.periods import common_lines
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.signal_quality import lost_motion, rounding_lead, speed_of
+from armimp_estimation.signal_quality import lost_motion, rounding_lead, speed_of, without_slow
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData, drift_of
@@ -204,6 +204,7 @@ class LpmFull:
             delay_uncertainty=delay_uncertainty,
             delay_unknown=half_period,
             unbiased=True,
+            without_slow=without_slow(records),
             hold=jump,
             covariance=_covariance(columns, every),
             disturbance=_covariance(columns, coefficients),
