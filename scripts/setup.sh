@@ -90,8 +90,9 @@ make_environment() {
 install_packages() {
     # Mode "compat" puts the source folders on the path, where mypy and other tools see them.
     set --
-    for package in ros2_ws/src/armimp* examples/armimp*; do
-        set -- "$@" --editable "./$package"
+    # Only what is a package: of one that moved, an old checkout keeps compiled files.
+    for package in ros2_ws/src/armimp*/setup.py examples/armimp*/setup.py; do
+        set -- "$@" --editable "./${package%/setup.py}"
     done
     # setuptools warns at length that this mode will go one day; the version is pinned.
     PYTHONWARNINGS=ignore quiet_pip install --no-build-isolation --no-deps --use-pep517 \
