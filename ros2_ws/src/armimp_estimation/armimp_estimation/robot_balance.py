@@ -366,15 +366,27 @@ def imbalance(robot: RobotBalance, arm: MBKFit) -> tuple[FloatArray, FloatArray]
     g times; beside it -c of each other joint's, as with the cross-talk c. Each is as if there was
     no other, by least squares from B and K of the robot off the diagonal: a spring or friction of
     the joint itself is on it. What K there has in common with the element on the other side may be
-    of gravity. For a single joint it is that of K.
+    of gravity, unless what then is left tells that share, too, rather than none. For a single joint
+    it is that of K.
     """
-    n, K = len(robot.order), robot.K
-    used = [2] if n == 1 else [1, 2]
-    own_spring = np.diag(robot.rubbing)
+    K = robot.K
     potential = np.where(K * K.T > 0.0, np.minimum(np.abs(K), np.abs(K.T)), 0.0)
-    beside = np.where(np.eye(n, dtype=np.bool_), own_spring, potential)
+    np.fill_diagonal(potential, 0.0)
+    whole, whole_error = _imbalance(robot, arm, np.diag(robot.rubbing))
+    left, left_error = _imbalance(robot, arm, np.diag(robot.rubbing) + potential)
+    near = np.minimum(np.abs(left), _REFUTED * left_error)
+    tells = (np.abs(left - whole) < near) & (left_error < np.abs(whole))
+    return np.where(tells, whole, left), np.where(tells, whole_error, left_error)
+
+
+def _imbalance(
+    robot: RobotBalance, arm: MBKFit, other: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """What :func:`imbalance` finds where K of the robot has other standard errors, too, (n, n)."""
+    n = len(robot.order)
+    used = [2] if n == 1 else [1, 2]
     covariance = robot.covariance.copy()
-    covariance[2, 2] += beside**2
+    covariance[2, 2] += other**2
     shares, errors = np.zeros((2, n, n))
     for i, row in np.ndindex(n, n):
         mixed, square = 0.0, np.finfo(np.float64).tiny
