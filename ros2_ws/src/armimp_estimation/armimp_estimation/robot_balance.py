@@ -69,8 +69,8 @@ _TAKEN = 0.15
 _HELD = 0.8
 """Standard errors of the torque that friction takes from a locked joint, of that torque itself.
 
-It is not as linear as the terms that stand for it. The second is where friction that holds the
-joint would explain what is left.
+It is not as linear as the terms that stand for it; speeds that aren't Gaussian may tell more. The
+second is where friction that holds the joint would explain what is left.
 """
 _HIDDEN = 0.2
 """Share of friction from which on the inertia beside it may be anything."""
