@@ -5,16 +5,16 @@ Between the robot's drives and the arm nothing but the robot itself takes torque
     H T_u - T_τ = (M_r s² + B_r s + K_r) R + F,    H = (1 - exp(-jωL))/jωL
 
 with the responses T_u of the commands, T_τ of the transducers and R of the angles to the
-perturbation, and the hold H of the commands. A robot in the plane has no stiffness beyond that of
-its friction F, and its inertia is symmetric with positive eigenvalues. The friction of a joint acts
+perturbation, and the hold H of the commands. Inertia and stiffness of the robot, as of springs and
+gravity, are symmetric, the inertia with positive eigenvalues. The friction of a joint acts
 on its own motion alone, ``F_ik = (β_ik s + κ_ik) R_ik``, but is another one when the joint is
 locked, and moves little, than when it is perturbed. So off the diagonal of ``(H T_u - T_τ) R⁻¹``
 the terms ``(β s + κ) W`` with the motion ``W_ij = R_ij (R⁻¹)_jj`` of locked joints stand beside M,
-B and K, and what then is left there of viscosity and stiffness is no robot's: if the transducer of
-a joint shows g times the torque, it is ``(1 - g)/g`` times the B̂ and K̂ of the estimate in its row.
-So wrong signs, units, gains and orders show without knowing arm or robot. What is wrong with
-commands, torques and angles in the same proportion doesn't, nor does a gain above 1 where a locked
-joint that friction holds (κ > 0) explains it.
+B and K, and what then is left there of viscosity, and of stiffness in one of two elements alone, is
+no robot's: if the transducer of a joint shows g times the torque, it is ``(1 - g)/g`` times the B̂
+and K̂ of the estimate in its row. So wrong signs, units, gains and orders show without knowing arm
+or robot. What is wrong with commands, torques and angles in the same proportion doesn't, nor does a
+gain above 1 where a locked joint that friction holds (κ > 0) explains it.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from armimp_estimation.hold_correction import HoldCorrection, without_skew
 from armimp_estimation.plausibility import least_eigenvalue, uneven
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.signal_quality import unseen_share
+from armimp_estimation.signal_quality import speed_of, unseen_share
 from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.trial import TrialData
 
@@ -69,8 +69,8 @@ _TAKEN = 0.15
 _HELD = 0.8
 """Standard errors of the torque that friction takes from a locked joint, of that torque itself.
 
-It is not as linear as the terms that stand for it. The second is where friction that holds the
-joint would explain what is left.
+It is not as linear as the terms that stand for it; speeds that aren't Gaussian may tell more. The
+second is where friction that holds the joint would explain what is left.
 """
 _HIDDEN = 0.2
 """Share of friction from which on the inertia beside it may be anything."""
@@ -104,6 +104,11 @@ class RobotBalance:
     unseen: FloatArray
     """Share of the motion of locked joints that encoders may miss, so that friction may hold them;
     shape (n, n)."""
+    undamped: FloatArray
+    """Torque of friction of each joint in each trial that may follow the perturbation but not the
+    speed, relative to that which does; shape (n, n)."""
+    rubbing: FloatArray
+    """Stiffness that friction of the perturbed joint may seem to have, N·m/rad, shape (n,)."""
     order: tuple[int, ...]
     """Row of the commands that belongs to each joint."""
 
@@ -129,6 +134,11 @@ class RobotBalance:
         taken = share * np.maximum(np.abs(self.M), np.abs(self.M.T))
         own = np.diag(np.abs(np.diag(self.terms[1]))) / (2.0 * np.pi * BAND[1])
         return np.asarray(np.hypot(self._errors[0], taken + own))
+
+    @property
+    def B_se(self) -> FloatArray:
+        """Standard errors of the viscosity of the robot, N·m·s/rad, shape (n, n)."""
+        return np.asarray(self._errors[1])
 
     @property
     def K(self) -> FloatArray:
@@ -257,7 +267,37 @@ class RobotResponses:
         )
         locked = stacked[:n] * np.einsum("jjf->jf", self.inverse)
         driven = multiply(multiply(mixed[:, 2 * n :], stacked[2 * n :]), self.inverse)
-        return _fit_robot(estimate, locked, driven, order, unseen_share(self.records))
+        return _fit_robot(estimate, locked, driven, order, self.records)
+
+
+def _not_of_a_damper(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]:
+    """Torque of friction that may follow the perturbation, but not as that of a damper does.
+
+    Friction ``f sign(v)`` of a Gaussian speed v is a damper's torque and what has to do with
+    nothing that is linear (Bussgang). Of f² the damper's part is the square of the mean speed,
+    without its sign, over the rms. Where that is less than the Gaussian 2/π, as where a joint is
+    pushed and then sticks away from where it would rest, the rest may be like a spring, of either
+    sign.
+
+    Returns
+    -------
+    undamped : ndarray, shape (n, n)
+        Of each joint in each trial, relative to the torque that is a damper's.
+    pace : ndarray, shape (n,)
+        Rms speed over rms angle of each joint in its own trial, 1/s.
+    """
+    undamped, pace = np.zeros((len(records), len(records))), np.zeros(len(records))
+    for joint, k in np.ndindex(undamped.shape):
+        angle = records[k].position[joint]
+        speed = speed_of(angle, records[k].rate, 2.0 * BAND[1])
+        rms = float(np.std(speed))
+        if rms == 0.0:
+            continue
+        excess = 2.0 / np.pi * (rms / np.mean(np.abs(speed))) ** 2 - 1.0
+        undamped[joint, k] = np.sqrt(max(excess, 0.0))
+        if joint == k:
+            pace[k] = rms / np.std(angle)
+    return undamped, pace
 
 
 def _fit_robot(
@@ -265,7 +305,7 @@ def _fit_robot(
     locked: ComplexArray,
     driven: ComplexArray,
     order: tuple[int, ...],
-    unseen: FloatArray,
+    records: Sequence[TrialRecord],
 ) -> RobotBalance:
     """Fit what the commands move by robot, friction of locked joints and lag of their drives."""
     n, s = estimate.joints, 2j * np.pi * estimate.f
@@ -286,8 +326,15 @@ def _fit_robot(
         taken = terms[3:5, i, j] @ regressors[3:5]
         whole = float(np.linalg.norm(estimate.Z[i, j] / s))
         friction[i, j] = float(np.linalg.norm(taken / s)) / max(whole, np.finfo(float).tiny)
+    undamped, pace = _not_of_a_damper(records)
     return RobotBalance(
-        terms=terms, covariance=covariance, friction=friction, unseen=unseen, order=order
+        terms=terms,
+        covariance=covariance,
+        friction=friction,
+        unseen=unseen_share(records),
+        undamped=undamped,
+        rubbing=np.abs(np.diag(terms[1])) * np.diag(undamped) * pace,
+        order=order,
     )
 
 
@@ -318,24 +365,43 @@ def imbalance(robot: RobotBalance, arm: MBKFit) -> tuple[FloatArray, FloatArray]
     On the diagonal ``ρ = (1 - g)/g`` of the torque of the joint itself, which its transducer shows
     g times; beside it -c of each other joint's, as with the cross-talk c. Each is as if there was
     no other, by least squares from B and K of the robot off the diagonal: a spring or friction of
-    the joint itself is on it. For a single joint it is that of K.
+    the joint itself is on it. What K there has in common with the element on the other side may be
+    of gravity, unless what then is left tells that share, too, rather than none. For a single joint
+    it is that of K.
     """
+    K = robot.K
+    potential = np.where(K * K.T > 0.0, np.minimum(np.abs(K), np.abs(K.T)), 0.0)
+    np.fill_diagonal(potential, 0.0)
+    whole, whole_error = _imbalance(robot, arm, np.diag(robot.rubbing))
+    left, left_error = _imbalance(robot, arm, np.diag(robot.rubbing) + potential)
+    near = np.minimum(np.abs(left), _REFUTED * left_error)
+    tells = (np.abs(left - whole) < near) & (left_error < np.abs(whole))
+    return np.where(tells, whole, left), np.where(tells, whole_error, left_error)
+
+
+def _imbalance(
+    robot: RobotBalance, arm: MBKFit, other: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """What :func:`imbalance` finds where K of the robot has other standard errors, too, (n, n)."""
     n = len(robot.order)
     used = [2] if n == 1 else [1, 2]
+    covariance = robot.covariance.copy()
+    covariance[2, 2] += other**2
     shares, errors = np.zeros((2, n, n))
     for i, row in np.ndindex(n, n):
         mixed, square = 0.0, np.finfo(np.float64).tiny
-        doubt, held, own, left = 0.0, 0.0, 0.0, 0.0
+        doubt, taken, held, own, left = 0.0, 0.0, 0.0, 0.0, 0.0
         for j in range(n) if n == 1 else np.delete(np.arange(n), i):
             arms = np.array([arm.mbk.M[row, j], arm.mbk.B[row, j], arm.mbk.K[row, j]])[used]
             arms_se = np.array([arm.M_se[row, j], arm.B_se[row, j], arm.K_se[row, j]])[used]
-            information = np.linalg.pinv(robot.covariance[np.ix_(used, used)][:, :, i, j])
+            information = np.linalg.pinv(covariance[np.ix_(used, used)][:, :, i, j])
             part = float(arms @ information @ arms)
             residual = robot.terms[used, i, j]
             mixed += float(arms @ information @ residual)
             left += float(residual @ information @ residual)
             square += part
             doubt += part * robot.friction[i, j]
+            taken += part * robot.friction[i, j] * max(_TAKEN, robot.undamped[i, j])
             held += part * robot.unseen[i, j]
             # Where the arm hardly couples the joints its own errors count.
             own += float(arms_se @ information @ arms_se)
@@ -345,7 +411,7 @@ def imbalance(robot: RobotBalance, arm: MBKFit) -> tuple[FloatArray, FloatArray]
         own_error = shares[i, row] * np.sqrt(own / square)
         # Friction that holds a joint takes torque: to the transducer it is a gain above 1.
         holds = mixed < 0.0 or i != row
-        doubt = (_HELD * max(doubt, held) if holds else _TAKEN * doubt) / square
+        doubt = (_HELD * max(doubt, held) if holds else taken) / square
         errors[i, row] = np.linalg.norm((np.sqrt(spread / square), doubt, own_error))
     return shares, errors
 
@@ -358,7 +424,8 @@ def gains_in_doubt(
     A share ρ that the commands tell is possible, whatever else may explain it, so it comes beside
     what is assumed; so does what they could not have told, up to `_UNCONFIRMED`, or up to what
     a spring of the joint itself would be of the arm's, if there seems to be one. A calibration that
-    was declared holds until ρ refutes it. Cross-talk is told where it explains more than a gain.
+    was declared holds until ρ refutes it, or a negative spring speaks against it, for which a robot
+    needs gravity. Cross-talk is told where it explains more than a gain.
 
     Parameters
     ----------
@@ -378,18 +445,20 @@ def gains_in_doubt(
     told = np.where(
         (size > _REFUTED * errors) & (own | _explained_better(shares, errors)), size, 0.0
     )
+    unconfirmed, cross_talk = _UNCONFIRMED, _UNCONFIRMED_CROSS_TALK
     if not calibration.assumed:
-        return np.asarray(np.where(_springs(shares), 0.0, told))
-    apparent, unexplained = springs
-    most = np.where(own, np.maximum(apparent, _UNCONFIRMED), _UNCONFIRMED_CROSS_TALK)
+        told = np.where(_springs(shares) & (shares > 0.0), 0.0, told)
+        springs, unconfirmed, cross_talk = np.minimum(springs, 0.0), 0.0, 0.0
+    apparent, unexplained = np.abs(springs)
+    most = np.where(own, np.maximum(apparent, unconfirmed), cross_talk)
     untold = np.minimum(np.hypot(shares, errors), most)
     untold = np.maximum(untold, _LOADED * np.diag(unexplained))
     return np.asarray(np.maximum(told, untold))
 
 
 def _springs(shares: FloatArray) -> BoolArray:
-    """Where shares may be springs of the robot: with one joint alone, no other tells."""
-    return np.asarray((shares > 0.0) & (shares < 1.0) & (len(shares) == 1))
+    """Where shares may be springs or gravity of the robot: with one joint, no other tells."""
+    return np.asarray((np.abs(shares) < 1.0) & (len(shares) == 1))
 
 
 def _beyond(shares: FloatArray, errors: FloatArray) -> BoolArray:
@@ -406,24 +475,31 @@ def _explained_better(shares: FloatArray, errors: FloatArray) -> BoolArray:
 def apparent_springs(robot: RobotBalance, arm: MBKFit) -> FloatArray:
     """Stiffness of each joint of the robot beyond chance, relative to the arm's.
 
-    There is none but that of friction which holds a joint, unless the transducer shows another
-    torque than the drive feels.
+    There is none but that of gravity and of friction which holds a joint, unless the transducer
+    shows another torque than the drive feels.
 
     Returns
     -------
     ndarray, shape (2, n)
-        Of each joint; and the same where friction would have to be more viscous to have it.
+        Of each joint; and the same where friction would have to be more viscous to have it. Of a
+        negative one friction may hide a part, which is added.
     """
     own, error, K = np.diag(robot.K), np.diag(robot.K_se), np.abs(np.diag(arm.mbk.K))
-    ratio = np.minimum(np.abs(own) / np.maximum(K, np.finfo(np.float64).tiny), 1.0)
+    hidden = np.where(own < 0.0, robot.rubbing, 0.0)
+    whole = np.stack((own, own - hidden)) / np.maximum(K, np.finfo(np.float64).tiny)
     rubbing = _RUBBING * np.abs(np.diag(robot.terms[1]))
     beyond = np.abs(own) - np.stack((np.zeros_like(own), rubbing)) > _SPRING * error
-    return np.asarray(np.where(beyond, ratio, 0.0))
+    return np.asarray(np.where(beyond, np.clip(whole, -1.0, 1.0), 0.0))
 
 
-def _cross_talk(names: Sequence[str], shares: FloatArray, errors: FloatArray) -> list[Problem]:
-    """Transducers that show the torque of another joint, which explains more than their gain."""
-    others = ~np.eye(len(names), dtype=np.bool_)
+def _cross_talk(
+    names: Sequence[str], shares: FloatArray, errors: FloatArray, too_much: BoolArray
+) -> list[Problem]:
+    """Transducers that show the torque of another joint, which explains more than their gain.
+
+    What makes a transducer show too much of its own torque is a gain.
+    """
+    others = ~(np.eye(len(names), dtype=np.bool_) | too_much[:, None])
     beyond = _beyond(shares, errors) & _explained_better(shares, errors) & others
     return [
         problem(
@@ -451,16 +527,39 @@ def _nothing_confirmed(
     return problems, doubt * np.eye(len(names))
 
 
-def negative_gains(robot: RobotBalance, arm: MBKFit) -> FloatArray:
-    """Gains of transducers that a negative stiffness of the robot takes at least; 1: none.
+def gains_above_one(
+    robot: RobotBalance, arm: MBKFit, shares: FloatArray, errors: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Shares of the arm's torque that negative elements of the robot on the diagonal tell.
 
-    Springs and friction make that of a joint positive, so a transducer has to show too much.
+    Friction makes viscosity of a joint positive, so where it is negative, the transducer has to
+    show too much. So it has where stiffness is, beyond what friction may seem to have, unless
+    gravity pulls the robot away. Then the elements off the diagonal tell that, too: they know the
+    gain, and it is nearer to 1 than to the one that the stiffness seems to be.
+
+    Parameters
+    ----------
+    robot, arm : RobotBalance, MBKFit
+    shares, errors : ndarray, shape (n,)
+        Of the joints themselves, of :func:`imbalance`.
+
+    Returns
+    -------
+    shares, errors : ndarray, shape (n,)
+        0 where there is none beyond chance. Friction may hide a part of each.
     """
-    own, own_error = np.diag(robot.K), np.diag(robot.K_se)
-    K = np.diag(arm.mbk.K)
-    beyond = (K > 0.0) & (own < -GAIN_TOLERANCE * K - _NEGATIVE * own_error)
-    share = np.maximum(np.divide(own, K, out=np.zeros_like(own), where=beyond), -0.99)
-    return np.where(beyond, 1.0 / (1.0 + share), 1.0)
+    own = np.diagonal(robot.terms[1:3], axis1=1, axis2=2)
+    own_error = np.stack((np.diag(robot.B_se), np.diag(robot.K_se)))
+    arms = np.stack((np.diag(arm.mbk.B), np.diag(arm.mbk.K)))
+    least = GAIN_TOLERANCE * arms + _NEGATIVE * own_error
+    least[1] += robot.rubbing
+    beyond = (arms > 0.0) & (own < -least)
+    told = np.divide(own, arms, out=np.zeros_like(own), where=beyond)
+    told_error = np.divide(own_error, arms, out=np.zeros_like(own), where=beyond)
+    gravity = (shares > 0.5 * told[1]) & (errors < np.abs(told[1]))
+    by_stiffness = beyond[1] & ~gravity & (len(shares) > 1)
+    share, error = (np.where(by_stiffness, one[1], one[0]) for one in (told, told_error))
+    return np.maximum(share, -0.99), error
 
 
 def judge_balance(
@@ -495,11 +594,13 @@ def judge_balance(
     if balance.permuted:
         order = ", ".join(names[row] for row in np.argsort(balance.order))
         problems.append(problem(ProblemCode.COMMANDS_PERMUTED, severity=Severity.NOTE, order=order))
-    crossed = _cross_talk(names, every, uncertain)
+    less, less_error = gains_above_one(balance, arm, shares, errors)
+    crossed = _cross_talk(names, every, uncertain, less < 0.0)
     problems += crossed
     wrong = [str(one.values["name"]) for one in crossed]
-    unbalanced = _beyond(shares, errors) & ~np.diag(_springs(every))
+    unbalanced = _beyond(shares, errors)
     nothing = unbalanced & (np.abs(shares + 1.0) <= _NOT_ALL + 2.0 * errors)
+    unbalanced &= ~np.diag(_springs(every))
     if (nothing & ~np.isin(names, wrong)).any():
         # The arm moves, but not by these commands.
         untold, doubts = _nothing_confirmed(names, calibration)
@@ -509,11 +610,10 @@ def judge_balance(
         if off and name not in wrong:
             wrong.append(name)
             problems.append(problem(ProblemCode.TORQUE_UNBALANCED, **_gain_of(name, share, error)))
-    for name, least in zip(names, negative_gains(balance, arm), strict=True):
-        if least > 1.0 and name not in wrong:
+    for name, share, error in zip(names, less, less_error, strict=True):
+        if share < 0.0 and name not in wrong:
             wrong.append(name)
-            code = ProblemCode.TORQUE_UNBALANCED
-            problems.append(problem(code, name=name, share=float(least), error=0.0))
+            problems.append(problem(ProblemCode.TORQUE_UNBALANCED, **_gain_of(name, share, error)))
     if balance.impossible:
         M = balance.M
         inertia = "[" + "; ".join(" ".join(f"{x:.3g}" for x in row) for row in M) + "] kg·m²"
@@ -525,7 +625,7 @@ def judge_balance(
         return problems, nowhere
     doubts = gains_in_doubt(every, uncertain, apparent_springs(balance, arm), calibration)
     for name, share, error, doubt in zip(names, shares, errors, np.diag(doubts), strict=True):
-        if doubt > 0.0 and abs(share) > _REFUTED * error:
+        if doubt > 0.0 and (abs(share) > _REFUTED * error or not calibration.assumed):
             about = _gain_of(name, share, error) | {"doubt": 100.0 * float(doubt)}
             problems.append(problem(ProblemCode.GAIN_DOUBTED, severity=Severity.NOTE, **about))
         elif calibration.assumed and doubt > calibration.gain:

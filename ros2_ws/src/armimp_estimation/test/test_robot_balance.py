@@ -1,0 +1,133 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from armimp_estimation.estimators.registry import IdentifyConfig
+from armimp_estimation.estimators.welch import multiply
+from armimp_estimation.fit import Calibration
+from armimp_estimation.identify import Identification, identify
+from armimp_estimation.mbk import MBK
+from armimp_estimation.problems import Problem, ProblemCode
+from armimp_estimation.record import TrialRecord
+from armimp_estimation.spectra import WelchConfig
+from armimp_estimation.trial import TrialData
+from support.synthetic_trials import (
+    TWO_JOINT_ARM,
+    SyntheticConfig,
+    made_record,
+    synthetic_trial,
+)
+
+FloatArray = NDArray[np.float64]
+
+LOOP = SyntheticConfig(rate=500.0, samples=10_000, lock_stiffness=1500.0)
+ROBOT = MBK(
+    M=np.array([[0.25, 0.05], [0.05, 0.05]]),
+    B=np.diag([0.1, 0.05]),
+    K=np.zeros((2, 2)),
+)
+UNDECLARED, EXACT = Calibration.undeclared(), Calibration()
+
+
+def recorded(robot: MBK, gains: FloatArray) -> list[TrialRecord]:
+    """Trials of an arm in a robot without friction, with its commands, which are held."""
+    rng, records = np.random.default_rng(1), []
+    for joint in range(2):
+        record = synthetic_trial(TWO_JOINT_ARM, joint, LOOP, 1)
+        f = np.asarray(np.fft.rfftfreq(record.samples, 1.0 / record.rate), dtype=np.float64)
+        moved = multiply(robot.impedance(f), np.fft.rfft(record.position)[:, None])[:, 0]
+        hold = np.exp(-1j * np.pi * f / record.rate) * np.sinc(f / record.rate)
+        command = np.fft.irfft((moved + np.fft.rfft(record.torque)) / hold, record.samples)
+        noise = 0.005 * rng.standard_normal(record.torque.shape)
+        torque = gains[:, None] * record.torque + noise
+        records.append(dataclasses.replace(record, torque=torque, command=command))
+    return records
+
+
+def identified(records: list[TrialRecord], calibration: Calibration) -> Identification:
+    config = IdentifyConfig(calibration=calibration)
+    welch = WelchConfig.for_samples(records[0].samples)
+    trials = [TrialData.of(one, welch=welch) for one in records]
+    return identify(trials, ("lpm_full",), config=config)
+
+
+def unbalanced(result: Identification) -> list[Problem]:
+    return [one for one in result.problems if one.code is ProblemCode.TORQUE_UNBALANCED]
+
+
+def right(result: Identification) -> bool:
+    fit = result.estimators["lpm_full"].fit
+    errors = [
+        (getattr(fit.mbk, letter) - getattr(TWO_JOINT_ARM, letter)) / getattr(fit, f"{letter}_se")
+        for letter in "MBK"
+    ]
+    return bool(np.max(np.abs(errors)) < 3.5)
+
+
+@pytest.mark.parametrize("calibration", [UNDECLARED, EXACT], ids=["undeclared", "declared"])
+@pytest.mark.parametrize("falling", [-2.0, 2.0])
+def test_gravity_of_the_robot_is_no_proof_against_a_transducer(
+    falling: float, calibration: Calibration
+) -> None:
+    heavy = dataclasses.replace(ROBOT, K=falling * np.array([[2.0, 1.0], [1.0, 1.0]]))
+    result = identified(recorded(heavy, np.ones(2)), calibration)
+    assert result.valid, result.problems
+    assert right(result)
+
+
+@pytest.mark.parametrize("gains", [(1.0, 1.25), (0.8, 1.0), (1.25, 1.25)])
+def test_with_gravity_a_wrong_gain_is_refused_with_its_size_and_error(
+    gains: tuple[float, float],
+) -> None:
+    heavy = dataclasses.replace(ROBOT, K=-np.array([[2.0, 1.0], [1.0, 1.0]]))
+    result = identified(recorded(heavy, np.array(gains)), UNDECLARED)
+    found = {str(one.values["name"]): one.values for one in unbalanced(result)}
+    for name, gain in zip(result.joint_names, gains, strict=True):
+        assert (name in found) == (gain != 1.0)
+        if name in found:
+            share, error = float(found[name]["share"]), float(found[name]["error"])
+            assert 0.0 < error < 0.1
+            assert share == pytest.approx(gain, abs=3.5 * error)
+
+
+def pulsed(friction: float) -> TrialRecord:
+    """Trial of one joint with Coulomb friction, N·m, pushed for 50 ms and left for 250 ms."""
+    rate, substeps, mass, viscosity, stiffness = 1000.0, 5, 0.15, 0.65, 8.0
+    rng, samples = np.random.default_rng(3), 20_000
+    pushes = np.zeros((samples // 300 + 1, 300))
+    pushes[:, :50] = 6.0 * rng.choice([-1.0, 1.0], (len(pushes), 1))
+    force = pushes.ravel()[:samples]
+    angle, speed, step = 0.0, 0.0, 1.0 / (rate * substeps)
+    values = np.zeros((3, samples))
+    for k in range(samples):
+        command = force[k] - 10.0 * angle - 1.0 * speed
+        values[:, k] = angle, 0.0, command
+        for part in range(substeps):
+            passive = viscosity * speed + stiffness * angle
+            free = speed + step * (command - passive) / (2.0 * mass)
+            held = step * friction / (2.0 * mass)
+            changed = np.sign(free) * max(abs(free) - held, 0.0)
+            if part == 0:
+                values[1, k] = mass * (changed - speed) / step + passive
+            speed = changed
+            angle += step * speed
+    position, torque, command = values[:, None] + 1e-4 * rng.standard_normal((3, 1, samples))
+    return made_record(position, torque, force[None], rate=rate, command=command)
+
+
+@pytest.mark.parametrize("friction", [0.3, 1.0])
+def test_friction_of_a_joint_that_is_pushed_and_then_rests_is_no_gain(friction: float) -> None:
+    result = identified([pulsed(friction)], UNDECLARED)
+    assert not unbalanced(result)
+    assert result.balance is not None
+    assert result.balance.K[0, 0] < -4.0 * result.balance.K_se[0, 0], "it looks like a gain above 1"
+
+
+def test_a_gain_above_one_of_a_single_joint_leaves_the_robot_a_negative_viscosity() -> None:
+    record = pulsed(friction=0.0)
+    result = identified([dataclasses.replace(record, torque=1.5 * record.torque)], UNDECLARED)
+    (found,) = unbalanced(result)
+    assert float(found.values["share"]) == pytest.approx(1.5, abs=0.1)
+    assert 0.0 < float(found.values["error"]) < 0.1
