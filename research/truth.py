@@ -403,7 +403,7 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
             one = changed(**{name: _row(row, -1.0)})
             add(MUST, f"{name} sign of joint", (f"{row + 1}", {"readings": one}))
     undeclared: dict[str, Any] = {"calibrated": False}
-    for factor in (0.5, 0.8, 0.9, 0.95, 1.05, 1.1, 1.25, 2.0):
+    for factor in (0.102, 0.5, 0.8, 0.9, 0.95, 1.05, 1.1, 1.25, 2.0, 9.81):
         every: dict[str, Any] = {"readings": changed(torque=_times(factor))}
         add(MUST, "torque gain", (f"{factor:g}", every | undeclared))
         beside: dict[str, Any] = every | undeclared | {"voluntary": 0.3}

@@ -212,9 +212,13 @@ def identify(
     )
     if verdict.SINGLE in distinct:
         problems += verdict.judge_locking(names, locks, bounds)
+    postures = np.stack([trial.record.position.mean(axis=1) for trial in ordered])
+    apart = float(np.max(np.ptp(postures, axis=0)))
     for name, one in results.items():
         decides = name in _deciding(results)
-        problems += verdict.judge_estimate(names, one.estimate, one.fit, reading, decides=decides)
+        problems += verdict.judge_estimate(
+            names, one.estimate, one.fit, reading, apart=apart, decides=decides
+        )
         problems += verdict.judge_models(name, one.models)
     if options.calibration.assumed:
         problems.append(
@@ -241,7 +245,7 @@ def identify(
         )
         problems += of_motion
         if options.calibration.assumed:
-            doubts += mixed_channels(best.fit)
+            doubts += mixed_channels(best.fit, options.calibration)
         results = {
             name: one.with_doubts(doubts).with_gains_in_doubt(np.diag(gains))
             for name, one in results.items()

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from armimp_common.arrays import BoolArray, FloatArray
-from armimp_estimation.fit import MBKFit
+from armimp_estimation.fit import Calibration, MBKFit
 from armimp_estimation.mbk import UNITS
 from armimp_estimation.problems import Problem, ProblemCode, problem
 from armimp_estimation.record import TrialRecord
@@ -37,7 +37,9 @@ _UNEVEN = 3.0
 _NOTICED = 2.0
 
 
-def judge_matrices(estimator: str, names: Sequence[str], fit: MBKFit) -> list[Problem]:
+def judge_matrices(
+    estimator: str, names: Sequence[str], fit: MBKFit, apart: float = 0.0
+) -> list[Problem]:
     """Find matrices that no arm has.
 
     Parameters
@@ -48,6 +50,9 @@ def judge_matrices(estimator: str, names: Sequence[str], fit: MBKFit) -> list[Pr
         Joint names.
     fit : MBKFit
         Matrices and their standard errors.
+    apart : float
+        How far the postures of the trials are apart, rad: inertia changes by as much of
+        ``√(M_ii M_jj)`` at most between them.
     """
     problems = []
     matrices = {
@@ -93,7 +98,7 @@ def judge_matrices(estimator: str, names: Sequence[str], fit: MBKFit) -> list[Pr
             )
         )
     M, M_se = matrices["M"]
-    for i, j in np.argwhere(np.triu(uneven(M, M_se, ASYMMETRY, _UNEVEN))):
+    for i, j in np.argwhere(np.triu(uneven(M, M_se, ASYMMETRY + apart, _UNEVEN))):
         problems.append(
             problem(
                 ProblemCode.UNEVEN_INERTIA,
@@ -115,12 +120,13 @@ def uneven(M: FloatArray, errors: FloatArray, share: float, chance: float = _ERR
     return np.asarray(np.abs(M - M.T) > share * size + chance * np.hypot(errors, errors.T))
 
 
-def mixed_channels(fit: MBKFit) -> list[FloatArray]:
+def mixed_channels(fit: MBKFit, calibration: Calibration) -> list[FloatArray]:
     """Changes of M, B and K if an inertia is uneven as angles or torques show other joints, too.
 
     An encoder i that shows c times the angle of joint j beside its own takes ``c Z_li`` off each
     ``Z_lj``, and so ``c M_ii`` off M_ij alone of two elements that are to be alike. A transducer i
-    that shows c times the torque of joint j adds ``c Z_jl`` to each ``Z_il``.
+    that shows c times the torque of joint j adds ``c Z_jl`` to each ``Z_il``. Chance is what
+    isn't of the calibration: that explains torques that mix, not angles.
 
     Returns
     -------
@@ -128,7 +134,10 @@ def mixed_channels(fit: MBKFit) -> list[FloatArray]:
         For each pair of joints, as far as the difference is beyond chance.
     """
     matrices = np.stack((fit.mbk.M, fit.mbk.B, fit.mbk.K))
-    M, error = matrices[0], np.hypot(fit.M_se, fit.M_se.T)
+    M = matrices[0]
+    of_torques = sum(np.abs(one[:, :, 0]) ** 2 for one in calibration.effects(M[:, :, None] + 0j))
+    error = np.sqrt(np.maximum(fit.M_se**2 - of_torques, 0.0))
+    error = np.hypot(error, error.T)
     beyond = np.sqrt(np.maximum((M - M.T) ** 2 - (_NOTICED * error) ** 2, 0.0))
     changes = []
     for i, j in np.argwhere(beyond > 0.0):

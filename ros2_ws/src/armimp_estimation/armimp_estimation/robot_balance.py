@@ -65,6 +65,9 @@ _NEGATIVE = 4.0
 _MOST_ORDERS = 4
 _CLEARLY = 0.3
 _NOT_ALL = 0.03
+_ANSWERS = 10.0
+"""Power of the answer of a command relative to its variance that no chance has at most of the
+frequencies."""
 _TAKEN = 0.15
 _HELD = 0.8
 """Standard errors of the torque that friction takes from a locked joint, of that torque itself.
@@ -109,6 +112,9 @@ class RobotBalance:
     speed, relative to that which does; shape (n, n)."""
     rubbing: FloatArray
     """Stiffness that friction of the perturbed joint may seem to have, N·m/rad, shape (n,)."""
+    driven: BoolArray
+    """Whether the command of each joint answers the perturbation, (n,), so that it is of the same
+    trial."""
     order: tuple[int, ...]
     """Row of the commands that belongs to each joint."""
 
@@ -267,7 +273,19 @@ class RobotResponses:
         )
         locked = stacked[:n] * np.einsum("jjf->jf", self.inverse)
         driven = multiply(multiply(mixed[:, 2 * n :], stacked[2 * n :]), self.inverse)
-        return _fit_robot(estimate, locked, driven, order, self.records)
+        return replace(
+            _fit_robot(estimate, locked, driven, order, self.records), driven=self._driven(order)
+        )
+
+    def _driven(self, order: tuple[int, ...]) -> BoolArray:
+        """Whether the command of each joint answers the perturbation of its trial, (n,)."""
+        answers = np.zeros(len(order))
+        for k, (column, row) in enumerate(zip(self.columns, order, strict=True)):
+            place = 2 * len(order) + row
+            variance = column.gain * column.noise[place, place].real
+            power = np.abs(column.response[place]) ** 2
+            answers[k] = np.median(power / np.maximum(variance, np.finfo(np.float64).tiny))
+        return np.asarray(answers > _ANSWERS)
 
 
 def _not_of_a_damper(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]:
@@ -333,6 +351,7 @@ def _fit_robot(
         friction=friction,
         unseen=unseen_share(records),
         undamped=undamped,
+        driven=np.ones(n, dtype=np.bool_),
         rubbing=np.abs(np.diag(terms[1])) * np.diag(undamped) * pace,
         order=order,
     )
@@ -445,10 +464,12 @@ def gains_in_doubt(
     told = np.where(
         (size > _REFUTED * errors) & (own | _explained_better(shares, errors)), size, 0.0
     )
-    unconfirmed, cross_talk = _UNCONFIRMED, _UNCONFIRMED_CROSS_TALK
+    # Of a gain that nobody declared, what commands rather tell than not is possible, too.
+    unconfirmed = np.maximum(_UNCONFIRMED, np.where(size > errors, size, 0.0))
+    cross_talk = _UNCONFIRMED_CROSS_TALK
     if not calibration.assumed:
         told = np.where(_springs(shares) & (shares > 0.0), 0.0, told)
-        springs, unconfirmed, cross_talk = np.minimum(springs, 0.0), 0.0, 0.0
+        springs, unconfirmed, cross_talk = np.minimum(springs, 0.0), 0.0 * size, 0.0
     apparent, unexplained = np.abs(springs)
     most = np.where(own, np.maximum(apparent, unconfirmed), cross_talk)
     untold = np.minimum(np.hypot(shares, errors), most)
@@ -489,7 +510,7 @@ def apparent_springs(robot: RobotBalance, arm: MBKFit) -> FloatArray:
     whole = np.stack((own, own - hidden)) / np.maximum(K, np.finfo(np.float64).tiny)
     rubbing = _RUBBING * np.abs(np.diag(robot.terms[1]))
     beyond = np.abs(own) - np.stack((np.zeros_like(own), rubbing)) > _SPRING * error
-    return np.asarray(np.where(beyond, np.clip(whole, -1.0, 1.0), 0.0))
+    return np.asarray(np.where(beyond, np.maximum(whole, -1.0), 0.0))
 
 
 def _cross_talk(
@@ -599,7 +620,7 @@ def judge_balance(
     problems += crossed
     wrong = [str(one.values["name"]) for one in crossed]
     unbalanced = _beyond(shares, errors)
-    nothing = unbalanced & (np.abs(shares + 1.0) <= _NOT_ALL + 2.0 * errors)
+    nothing = unbalanced & (np.abs(shares + 1.0) <= _NOT_ALL + 2.0 * errors) & ~balance.driven
     unbalanced &= ~np.diag(_springs(every))
     if (nothing & ~np.isin(names, wrong)).any():
         # The arm moves, but not by these commands.

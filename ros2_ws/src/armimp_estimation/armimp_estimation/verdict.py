@@ -187,6 +187,7 @@ def judge_estimate(
     fit: MBKFit,
     reading: TorqueReading,
     *,
+    apart: float,
     decides: bool,
 ) -> list[Problem]:
     """Problems with one estimate and its fit.
@@ -201,12 +202,14 @@ def judge_estimate(
         M, B and K.
     reading : TorqueReading
         When torques were read, as far as that was told.
+    apart : float
+        How far the postures of the trials are apart, rad.
     decides : bool
         Whether the verdict is about it. Beside others, what is known of its bias is known roughly,
         and lack of fit says no more than that.
     """
     name = estimate.name
-    problems = judge_matrices(name, names, fit)
+    problems = judge_matrices(name, names, fit, apart)
     problems += [
         problem(
             ProblemCode.LACK_OF_FIT,

@@ -122,6 +122,18 @@ def test_an_inertia_that_is_not_symmetric_is_refused() -> None:
     assert uneven.values["other"] == pytest.approx(across[1, 0], rel=0.02)
 
 
+@pytest.mark.parametrize(("apart", "valid"), [(0.0, False), (0.3, True)])
+def test_inertia_may_be_uneven_where_trials_have_other_postures(apart: float, valid: bool) -> None:
+    arm = dataclasses.replace(TWO_JOINT_ARM, M=TWO_JOINT_ARM.M * [[1.0, 1.2], [1.0, 1.0]])
+    first, second = synthetic_trials(LOOP, arm=arm)
+    position = second.record.position + np.array([[apart], [0.0]])
+    moved = dataclasses.replace(
+        second, record=dataclasses.replace(second.record, position=position)
+    )
+    result = identify([first, moved], ("welch_full",), config=CONFIG)
+    assert result.verdict.impedance is valid
+
+
 @pytest.mark.parametrize(
     ("mixed", "share", "valid"),
     [

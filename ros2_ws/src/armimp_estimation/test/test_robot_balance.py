@@ -131,3 +131,21 @@ def test_a_gain_above_one_of_a_single_joint_leaves_the_robot_a_negative_viscosit
     (found,) = unbalanced(result)
     assert float(found.values["share"]) == pytest.approx(1.5, abs=0.1)
     assert 0.0 < float(found.values["error"]) < 0.1
+
+
+@pytest.mark.parametrize("unit", [0.102, 9.81, 100.0])
+def test_torques_in_another_unit_than_the_commands_are_refused(unit: float) -> None:
+    result = identified(recorded(ROBOT, np.full(2, unit)), UNDECLARED)
+    told = {ProblemCode.TORQUE_UNBALANCED, ProblemCode.TORQUES_CROSS}
+    assert not result.verdict.impedance
+    assert told & {one.code for one in result.problems}
+
+
+def test_commands_of_other_trials_confirm_nothing_and_refute_nothing() -> None:
+    records = recorded(ROBOT, np.ones(2))
+    noise = np.random.default_rng(2).standard_normal(records[0].torque.shape)
+    foreign = [dataclasses.replace(one, command=noise) for one in records]
+    result = identified(foreign, UNDECLARED)
+    assert result.valid
+    noted = [one for one in result.problems if one.code is ProblemCode.GAIN_UNCONFIRMED]
+    assert len(noted) == 2
