@@ -510,8 +510,8 @@ class _Elements:
     """Whether nothing but noise hides a spring that relaxes: not so with leakage."""
     line_power: FloatArray | None = None
     """Power of the perturbation behind each element, (elements, n_freq), if it is not chance."""
-    without_slow: BoolArray | None = None
-    """Torques and angles that may have passed a high-pass, (2, n)."""
+    without_slow: tuple[BoolArray, ...] = ()
+    """Torques, and angles, that may have passed a high-pass, two of shape (n,)."""
 
     @classmethod
     def of(cls, estimate: ImpedanceEstimate, options: FitConfig) -> _Elements:
@@ -676,8 +676,6 @@ class _Elements:
         n, s = len(Z), 1j * self.omega
         own = np.eye(n, dtype=np.bool_)[:, :, None, None]
         change = np.zeros((3, n * n))
-        if self.without_slow is None:
-            return change
         for corner, (axis, possible) in product(_CORNERS, enumerate(self.without_slow)):
             w = 2.0 * np.pi * corner
             effect, mask = (

@@ -131,8 +131,8 @@ def test_a_torque_that_passed_a_high_pass_where_noise_hides_it_is_in_the_standar
     rng = np.random.default_rng(seed)
     deviation = np.where(F < 2.0, 3.0, 0.3) * np.ones((2, 2, 1))
     noise = rng.standard_normal((2, 2, F.size)) + 1j * rng.standard_normal((2, 2, F.size))
-    first, off = np.array([[True, False], [False, False]]), []
-    for share, possible in ((passed, first), (1.0, first), (1.0, None)):
+    first, off = (np.array([True, False]), np.zeros(2, dtype=np.bool_)), []
+    for share, possible in ((passed, first), (1.0, first), (1.0, ())):
         Z = share * TWO_JOINT_ARM.impedance(F) + np.sqrt(0.5) * deviation * noise
         fit = fit_mbk(replace(estimate_of(Z, deviation**2), without_slow=possible))
         assert (np.abs(stacked(fit.mbk) - TRUTH) < 3.5 * errors_of(fit)).all()

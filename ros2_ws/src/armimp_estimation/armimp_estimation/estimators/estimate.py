@@ -100,9 +100,9 @@ class ImpedanceEstimate:
     unbiased: bool = False
     """Whether nothing but its variance separates the estimate from the truth: only then does lack
     of fit mean another arm, and only such an estimate decides whether a result is valid."""
-    without_slow: BoolArray | None = None
+    without_slow: tuple[BoolArray, ...] = ()
     """Torques, and angles, that show so little of what is slow that they may have passed a
-    high-pass; shape (2, n). None: nobody looked."""
+    high-pass, two of shape (n,). Empty: nobody looked."""
     hold: HoldCorrection | None = None
     """What torques do at each update of the commands, if that was found and corrected."""
 

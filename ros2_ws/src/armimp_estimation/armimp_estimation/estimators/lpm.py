@@ -204,7 +204,7 @@ class LpmFull:
             delay_uncertainty=delay_uncertainty,
             delay_unknown=half_period,
             unbiased=True,
-            without_slow=without_slow(records),
+            without_slow=tuple(without_slow(records)),
             hold=jump,
             covariance=_covariance(columns, every),
             disturbance=_covariance(columns, coefficients),
