@@ -61,8 +61,10 @@ class EstimatorResult:
         """
         if not doubts.any():
             return self
-        mbk, variance = self.fit.mbk, self.estimate.variance.copy()
-        found, shifts = np.stack([mbk.M, mbk.B, mbk.K]), []
+        fit, variance, shifts = self.fit, self.estimate.variance.copy(), []
+        found = np.stack([fit.mbk.M, fit.mbk.B, fit.mbk.K])
+        # What is near 0 by chance isn't when it is scaled.
+        found = np.copysign(np.hypot(found, np.stack([fit.M_se, fit.B_se, fit.K_se])), found)
         for i, row in np.argwhere(doubts):
             shift = np.zeros_like(found)
             shift[:, i] = doubts[i, row] * found[:, row]
