@@ -135,6 +135,7 @@ def mixed_channels(fit: MBKFit, calibration: Calibration) -> list[FloatArray]:
     """
     matrices = np.stack((fit.mbk.M, fit.mbk.B, fit.mbk.K))
     M = matrices[0]
+    own = np.maximum(np.abs(np.diag(M)), np.finfo(np.float64).tiny)
     of_torques = sum(np.abs(one[:, :, 0]) ** 2 for one in calibration.effects(M[:, :, None] + 0j))
     error = np.sqrt(np.maximum(fit.M_se**2 - of_torques, 0.0))
     error = np.hypot(error, error.T)
@@ -142,8 +143,8 @@ def mixed_channels(fit: MBKFit, calibration: Calibration) -> list[FloatArray]:
     changes = []
     for i, j in np.argwhere(beyond > 0.0):
         angle, torque = np.zeros((2, *matrices.shape))
-        angle[:, :, j] = beyond[i, j] / M[i, i] * matrices[:, :, i]
-        torque[:, i] = beyond[i, j] / M[j, j] * matrices[:, j]
+        angle[:, :, j] = beyond[i, j] / own[i] * matrices[:, :, i]
+        torque[:, i] = beyond[i, j] / own[j] * matrices[:, j]
         changes += [angle, torque]
     return changes
 

@@ -368,9 +368,11 @@ def without_slow(records: Sequence[TrialRecord]) -> BoolArray:
     """
     powers = np.zeros((2, 2, len(records)))
     for record in records:
-        signals = np.stack((record.torque, record.position)) * np.hanning(record.samples)
+        signals = np.stack((record.torque, record.position))
+        # The posture itself is no motion: without it, before the window makes it some.
+        signals = (signals - signals.mean(axis=2, keepdims=True)) * np.hanning(record.samples)
         f = np.fft.rfftfreq(record.samples, 1.0 / record.rate)
-        power = np.abs(np.fft.rfft(signals - signals.mean(axis=2, keepdims=True))) ** 2
+        power = np.abs(np.fft.rfft(signals)) ** 2
         for place, (low, high) in enumerate((_SLOW, _USUAL_SLOW)):
             within = power[:, :, (f > low) & (f <= high)]
             powers[place] += within.mean(axis=2) if within.size else 0.0
