@@ -178,7 +178,8 @@ def update_jump(
         and 1, as they do for any two inertias: torques then do not follow the commands like that.
     """
     known = reading or TorqueReading()
-    jump, explained = _from_chatter(records, known)
+    chatter = _chatter(records, known)
+    jump, explained = _from_chatter(*chatter, known, records[0].rate)
     sure = explained > _CHATTER_EXPLAINS
     if sure.all():
         if _is_share_of_inertia(jump.torque):
@@ -195,7 +196,7 @@ def update_jump(
         torque=np.where(sure[:, None], jump.torque, moved.torque),
         slope=np.where(sure[:, None], jump.slope, moved.slope),
     )
-    told = (sure | (explained > _MOTION_EXPLAINS) & _shows(records, known, moved)).all()
+    told = (sure | (explained > _MOTION_EXPLAINS) & _shows(*chatter, moved)).all()
     return jump if told and _is_share_of_inertia(jump.torque) else None
 
 
@@ -205,12 +206,14 @@ def _is_share_of_inertia(transmission: FloatArray) -> bool:
 
 
 def _from_chatter(
-    records: Sequence[TrialRecord], reading: TorqueReading
+    inputs: Sequence[FloatArray],
+    outputs: Sequence[FloatArray],
+    reading: TorqueReading,
+    rate: float,
 ) -> tuple[HoldCorrection, FloatArray]:
-    _, to_parabola, edge = _lags(reading, records[0].rate)
-    inputs, outputs = _chatter(records, reading)
+    _, to_parabola, edge = _lags(reading, rate)
     coefficients, _ = regress(inputs, outputs)
-    n = records[0].joints
+    n = len(outputs[0])
     # Nearly all has to come from the last steps; else commands are not those of these samples.
     _, explained = regress([rows[: n * edge] for rows in inputs], outputs)
     torque, slope = (
@@ -235,12 +238,12 @@ def _explained_by_chatter(
 
 
 def _shows(
-    records: Sequence[TrialRecord], reading: TorqueReading, jump: HoldCorrection
+    inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], jump: HoldCorrection
 ) -> BoolArray:
     """Whether torques, (n,), change as much as the last steps alone make them jump."""
     # A filter that angles and torques passed alike takes the jumps, and leaves the motion.
-    jumped, shown = np.zeros((2, records[0].joints))
-    for steps, changes in zip(*_chatter(records, reading), strict=True):
+    jumped, shown = np.zeros((2, len(outputs[0])))
+    for steps, changes in zip(inputs, outputs, strict=True):
         jumped += np.sum((jump.torque @ steps[: len(changes)]) ** 2, axis=1)
         shown += np.sum(changes**2, axis=1)
     return np.asarray(shown >= _SHOWN * jumped)

@@ -22,6 +22,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -112,7 +113,7 @@ class RobotBalance:
     speed, relative to that which does; shape (n, n)."""
     rubbing: FloatArray
     """Stiffness that friction of the perturbed joint may seem to have, N·m/rad, shape (n,)."""
-    driven: BoolArray
+    answered: BoolArray
     """Whether the command of each joint answers the perturbation, (n,), so that it is of the same
     trial."""
     order: tuple[int, ...]
@@ -273,11 +274,28 @@ class RobotResponses:
         )
         locked = stacked[:n] * np.einsum("jjf->jf", self.inverse)
         driven = multiply(multiply(mixed[:, 2 * n :], stacked[2 * n :]), self.inverse)
-        return replace(
-            _fit_robot(estimate, locked, driven, order, self.records), driven=self._driven(order)
+        terms, covariance, friction = _fit_robot(estimate, locked, driven)
+        undamped, pace = self._undamped
+        return RobotBalance(
+            terms=terms,
+            covariance=covariance,
+            friction=friction,
+            unseen=self._unseen,
+            undamped=undamped,
+            rubbing=np.abs(np.diag(terms[1])) * np.diag(undamped) * pace,
+            answered=self._answered(order),
+            order=order,
         )
 
-    def _driven(self, order: tuple[int, ...]) -> BoolArray:
+    @cached_property
+    def _unseen(self) -> FloatArray:
+        return unseen_share(self.records)
+
+    @cached_property
+    def _undamped(self) -> tuple[FloatArray, FloatArray]:
+        return _not_of_a_damper(self.records)
+
+    def _answered(self, order: tuple[int, ...]) -> BoolArray:
         """Whether the command of each joint answers the perturbation of its trial, (n,)."""
         answers = np.zeros(len(order))
         for k, (column, row) in enumerate(zip(self.columns, order, strict=True)):
@@ -322,10 +340,14 @@ def _fit_robot(
     estimate: ImpedanceEstimate,
     locked: ComplexArray,
     driven: ComplexArray,
-    order: tuple[int, ...],
-    records: Sequence[TrialRecord],
-) -> RobotBalance:
-    """Fit what the commands move by robot, friction of locked joints and lag of their drives."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Fit what the commands move by robot, friction of locked joints and lag of their drives.
+
+    Returns
+    -------
+    terms, covariance, friction : ndarray
+        As a :class:`RobotBalance` has them.
+    """
     n, s = estimate.joints, 2j * np.pi * estimate.f
     terms, covariance = np.zeros((_TERMS, n, n)), np.zeros((_TERMS, _TERMS, n, n))
     friction = np.zeros((n, n))
@@ -344,17 +366,7 @@ def _fit_robot(
         taken = terms[3:5, i, j] @ regressors[3:5]
         whole = float(np.linalg.norm(estimate.Z[i, j] / s))
         friction[i, j] = float(np.linalg.norm(taken / s)) / max(whole, np.finfo(float).tiny)
-    undamped, pace = _not_of_a_damper(records)
-    return RobotBalance(
-        terms=terms,
-        covariance=covariance,
-        friction=friction,
-        unseen=unseen_share(records),
-        undamped=undamped,
-        driven=np.ones(n, dtype=np.bool_),
-        rubbing=np.abs(np.diag(terms[1])) * np.diag(undamped) * pace,
-        order=order,
-    )
+    return terms, covariance, friction
 
 
 def _least_squares(
@@ -620,7 +632,7 @@ def judge_balance(
     problems += crossed
     wrong = [str(one.values["name"]) for one in crossed]
     unbalanced = _beyond(shares, errors)
-    nothing = unbalanced & (np.abs(shares + 1.0) <= _NOT_ALL + 2.0 * errors) & ~balance.driven
+    nothing = unbalanced & (np.abs(shares + 1.0) <= _NOT_ALL + 2.0 * errors) & ~balance.answered
     unbalanced &= ~np.diag(_springs(every))
     if (nothing & ~np.isin(names, wrong)).any():
         # The arm moves, but not by these commands.
