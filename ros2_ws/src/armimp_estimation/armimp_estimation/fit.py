@@ -662,9 +662,14 @@ class _Elements:
                     told, error, likely, positive=True, elsewhere=evidence
                 )
                 evidence = of_row if row == own else evidence
-                of_term = square * _apply(self.coefficients(row), terms[row]) ** 2
-                change[:, row] = np.maximum(change[:, row], of_term)
+                change[:, row] = np.maximum(
+                    change[:, row], square * self._shift(row, terms[row]) ** 2
+                )
         return change
+
+    def _shift(self, row: int, term: ComplexArray) -> FloatArray:
+        """What a term (n_freq,) of an element is in M, B and K, (3,)."""
+        return _apply(self.coefficients(row), term)
 
     def _change_by_coupling(self, Z: ComplexArray) -> FloatArray:
         """Squared change of M, B and K, (3, n²), by channels whose amplifiers pass nothing slow.
@@ -678,18 +683,18 @@ class _Elements:
         change = np.zeros((3, n * n))
         for corner, (axis, possible) in product(_CORNERS, enumerate(self.without_slow)):
             w = 2.0 * np.pi * corner
-            effect, mask = (
-                (-w / (s + w) * Z, own) if axis == 0 else (w / s * Z, np.swapaxes(own, 1, 2))
-            )
-            channels = np.where(mask, effect, 0.0).reshape(n, n * n, -1)[possible]
+            effect = (-w / (s + w) if axis == 0 else w / s) * Z
+            channels = np.where(np.moveaxis(own, 1, 1 + axis), effect, 0.0)
+            channels = channels.reshape(n, n * n, -1)[possible]
             told = [self.common_coefficient(terms)[:2] for terms in channels]
             evidence = [hidden_square(*one, _COUPLED, positive=True)[1] for one in told]
             for terms, one, of_one in zip(channels, told, evidence, strict=True):
                 others = max(sum(evidence) - of_one, 0.0)
                 square, _ = hidden_square(*one, _COUPLED, positive=True, elsewhere=others)
-                for row, of_mbk in enumerate(self.coefficients_of_all):
-                    of_term = square * _apply(of_mbk, terms[row]) ** 2
-                    change[:, row] = np.maximum(change[:, row], of_term)
+                shifts = np.stack(
+                    [self._shift(row, term) for row, term in enumerate(terms)], axis=1
+                )
+                change = np.maximum(change, square * shifts**2)
         return change
 
     def coefficient_of(self, term: ComplexArray, row: int) -> tuple[float, float]:
