@@ -123,15 +123,23 @@ def test_an_inertia_that_is_not_symmetric_is_refused() -> None:
 
 
 @pytest.mark.parametrize(("apart", "valid"), [(0.0, False), (0.3, True)])
-def test_inertia_may_be_uneven_where_trials_have_other_postures(apart: float, valid: bool) -> None:
-    arm = dataclasses.replace(TWO_JOINT_ARM, M=TWO_JOINT_ARM.M * [[1.0, 1.2], [1.0, 1.0]])
-    first, second = synthetic_trials(LOOP, arm=arm)
-    position = second.record.position + np.array([[apart], [0.0]])
-    moved = dataclasses.replace(
-        second, record=dataclasses.replace(second.record, position=position)
-    )
-    result = identify([first, moved], ("welch_full",), config=CONFIG)
-    assert result.verdict.impedance is valid
+def test_inertia_may_differ_between_trials_that_have_other_postures(
+    apart: float, valid: bool
+) -> None:
+    # Locked joints give way, so that each trial shows its own inertia of both joints.
+    loop = dataclasses.replace(LOOP, lock_stiffness=100.0)
+    bent = dataclasses.replace(TWO_JOINT_ARM, M=TWO_JOINT_ARM.M * [[1.1, 1.2], [1.2, 1.0]])
+    first = synthetic_trials(loop)[0]
+    record = synthetic_trial(bent, 1, loop, 1)
+    position = record.position + np.array([[apart], [0.0]])
+    second = TrialData.of(dataclasses.replace(record, position=position), welch=WELCH)
+    result = identify([first, second], ("lpm_full",), config=CONFIG)
+    assert result.valid is valid
+    fit = result.estimators["lpm_full"].fit
+    inertia = np.stack((TWO_JOINT_ARM.M[:, 0], bent.M[:, 1]), axis=1)
+    if valid:
+        assert (np.abs(fit.mbk.M - inertia) < 3.5 * fit.M_se).all()
+        assert (fit.M_se < 0.3 * inertia).all()
 
 
 @pytest.mark.parametrize(

@@ -181,6 +181,7 @@ class LpmFull:
         if jump is None and delay_uncertainty == half_period:
             told += joints_held(impedance, f, half_period)
             lost += untold_friction(records, impedance, f, bending)
+        told += postures_apart(records, impedance, R, inverse, f)
         systematics = (*told, *lost, *skewed)
         variance = np.asarray(sum(np.abs(one) ** 2 for one in systematics))
         for k, column in enumerate(columns):
@@ -511,6 +512,8 @@ def unresolved(
     return leads, lost
 
 
+_APART = 0.02
+"""Distance of the postures of two trials that is none, rad."""
 _FRICTION, _OVERCOME = 2.0, 3.0
 """Assumption: what a robot's joint may have of Coulomb friction F_c, N·m, and relative to the rms
 of a perturbation that moves it nonetheless."""
@@ -562,6 +565,37 @@ def joints_held(impedance: ComplexArray, f: FloatArray, half_period: float) -> l
         effect = np.zeros_like(impedance)
         effect[i, k] = _inertia(impedance[i, k], f) * cubed
         effects.append(effect)
+    return effects
+
+
+def postures_apart(
+    records: Sequence[TrialRecord],
+    impedance: ComplexArray,
+    R: ComplexArray,
+    inverse: ComplexArray,
+    f: FloatArray,
+) -> list[ComplexArray]:
+    """What inertia that changes with the posture does to the impedance, if trials have others.
+
+    A joint that is locked in trial k shows the inertia at the posture there, with its small motion
+    R_jk, not that of its own trial. By a distance of postures M_ij changes by that share of
+    ``√(M_ii M_jj)`` at most.
+
+    Returns
+    -------
+    list of (n, n, n_freq) NDArray
+        Standard errors, whose shape over frequency is known so well that data can tell their size.
+    """
+    postures = np.stack([record.position.mean(axis=1) for record in records])
+    size = np.sqrt(np.abs(np.diag(_inertia(impedance, f))))
+    effects = []
+    for i, j, k in np.ndindex(impedance.shape[0], *impedance.shape[:2]):
+        apart = float(np.linalg.norm(postures[j] - postures[k]))
+        if j != k and apart > _APART:
+            effect = np.zeros_like(impedance)
+            change = size[i] * size[j] * apart / np.sqrt(3.0)
+            effect[i] = change * (2j * np.pi * f) ** 2 * R[j, k] * inverse[k]
+            effects.append(effect)
     return effects
 
 
