@@ -38,7 +38,8 @@ period, makes what they tell of value and slope wrong."""
 _OF_OTHERS, _CHATTER_SEEN = 0.95, 0.2
 """Share of what steps explain from which on commands are of other samples, and of torques, from
 which on that can be seen."""
-_MOTION_EXPLAINS = 0.99
+_LEFT = 0.01
+"""Power that motion and jumps may leave of a torque, relative to what jumps alone explain."""
 _SHOWN = 0.5
 """Power of changes of torques, relative to that of the jumps they should show, at least."""
 _QUICK = (2.0, 3.0, 15.0, 20.0)
@@ -157,8 +158,8 @@ def update_jump(
         τ_before = -½ D Δu + M (θ_{k+1} - 2θ_k + θ_{k-1})/L² + B (θ_{k+1} - θ_{k-1})/2L + K θ
 
     is fitted by least squares above 2 Hz, where a person does little, and the slope, which hardly
-    matters then, is taken as 0. Errors of the angles would bias that, so it has to explain nearly
-    all of it. Each torque is taken from chatter if that tells it, else from the motion.
+    matters then, is taken as 0. Errors of the angles would bias that, so what it leaves has to be
+    little beside what D alone explains. Each torque is taken from chatter if that tells it, else from the motion.
 
     Readings that are late or have passed a low-pass show a step later, and more slowly. The poles
     of the low-pass are taken from them, and as the answers to a step, a ramp and a parabola of the
@@ -191,12 +192,12 @@ def update_jump(
             return None
     if not known.prompt:
         return None
-    moved, explained = _from_motion(records)
+    moved, left = _from_motion(records)
     jump = HoldCorrection(
         torque=np.where(sure[:, None], jump.torque, moved.torque),
         slope=np.where(sure[:, None], jump.slope, moved.slope),
     )
-    told = (sure | (explained > _MOTION_EXPLAINS) & _shows(*chatter, moved)).all()
+    told = (sure | (left < _LEFT) & _shows(*chatter, moved)).all()
     return jump if told and _is_share_of_inertia(jump.torque) else None
 
 
@@ -302,6 +303,7 @@ def _lags(reading: TorqueReading, rate: float) -> tuple[FloatArray, FloatArray, 
 
 
 def _from_motion(records: Sequence[TrialRecord]) -> tuple[HoldCorrection, FloatArray]:
+    """Jumps, and what is left of each torque relative to what they alone explain of it, (n,)."""
     inputs, outputs = [], []
     for record in records:
         angle = record.position - record.position.mean(axis=1, keepdims=True)
@@ -314,8 +316,12 @@ def _from_motion(records: Sequence[TrialRecord]) -> tuple[HoldCorrection, FloatA
         inputs.append(_quick(moved, record.rate))
         outputs.append(_quick(torque[:, 1:-1], record.rate))
     coefficients, explained = regress(inputs, outputs)
-    transmission = coefficients[:, : records[0].joints]
-    return HoldCorrection(torque=transmission, slope=np.zeros_like(transmission)), explained
+    n = records[0].joints
+    _, without = regress([rows[n:] for rows in inputs], outputs)
+    by_jumps = np.maximum(explained - without, np.finfo(np.float64).tiny)
+    transmission = coefficients[:, :n]
+    jump = HoldCorrection(torque=transmission, slope=np.zeros_like(transmission))
+    return jump, (1.0 - explained) / by_jumps
 
 
 def _quick(signals: FloatArray, rate: float) -> FloatArray:

@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 
 from armimp_common.arrays import BoolArray, FloatArray
+from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import Calibration, MBKFit
 from armimp_estimation.mbk import UNITS
 from armimp_estimation.problems import Problem, ProblemCode, problem
@@ -32,22 +33,23 @@ LARGEST_MOTION = 1.5
 ASYMMETRY = 0.07
 """Share of ``√(M_ii M_jj)`` by which elements of an inertia off the diagonal may differ, beside
 chance: 0.05 is that of the arm that the paper found."""
+_TOP = 0.8
 _ERRORS = 5.0
 _UNEVEN = 3.0
 _NOTICED = 2.0
 
 
 def judge_matrices(
-    estimator: str, names: Sequence[str], fit: MBKFit, apart: float = 0.0
+    names: Sequence[str], estimate: ImpedanceEstimate, fit: MBKFit, apart: float = 0.0
 ) -> list[Problem]:
     """Find matrices that no arm has.
 
     Parameters
     ----------
-    estimator : str
-        Name of the estimator.
     names : sequence of str
         Joint names.
+    estimate : ImpedanceEstimate
+        The impedance.
     fit : MBKFit
         Matrices and their standard errors.
     apart : float
@@ -60,16 +62,17 @@ def judge_matrices(
         "B": (fit.mbk.B, fit.B_se),
         "K": (fit.mbk.K, fit.K_se),
     }
-    for letter, (matrix, errors) in matrices.items():
+    own = [(letter, np.diag(one), np.diag(se)) for letter, (one, se) in matrices.items()]
+    for letter, values, errors in [("M", *_quick_inertia(estimate)), *own]:
         low, high = RANGES[letter]
-        for name, value, error in zip(names, np.diag(matrix), np.diag(errors), strict=True):
+        for name, value, error in zip(names, values, errors, strict=True):
             margin = _ERRORS * error
             # Written so that NaN is a problem, too.
             if not (value + margin >= low and value - margin <= high):
                 problems.append(
                     problem(
                         ProblemCode.IMPLAUSIBLE_VALUE,
-                        estimator=estimator,
+                        estimator=estimate.name,
                         matrix=letter,
                         name=name,
                         value=float(value),
@@ -89,7 +92,7 @@ def judge_matrices(
         problems.append(
             problem(
                 ProblemCode.IMPLAUSIBLE_INERTIA,
-                estimator=estimator,
+                estimator=estimate.name,
                 matrix=letter,
                 value=value,
                 error=error,
@@ -102,13 +105,27 @@ def judge_matrices(
         problems.append(
             problem(
                 ProblemCode.UNEVEN_INERTIA,
-                estimator=estimator,
+                estimator=estimate.name,
                 name=f"{names[i]} and {names[j]}",
                 value=float(M[i, j]),
                 other=float(M[j, i]),
             )
         )
     return problems
+
+
+def _quick_inertia(estimate: ImpedanceEstimate) -> tuple[FloatArray, FloatArray]:
+    """Largest inertia that joints may have at the upper end of the band, and its noise, each (n,).
+
+    It is ``|Z|/ω²``. Whatever else may be wrong with a torque, one that passed a low-pass shows
+    none at all.
+    """
+    top = estimate.f >= _TOP * estimate.f[-1]
+    square = (2.0 * np.pi * estimate.f[top]) ** 2
+    Z = np.einsum("iif->if", estimate.Z)[:, top] / square
+    variance = np.einsum("iif->if", estimate.without_systematics().variance)[:, top] / square**2
+    error = np.sqrt(np.mean(variance, axis=1) / square.size)
+    return np.median(np.abs(Z), axis=1), error
 
 
 def uneven(M: FloatArray, errors: FloatArray, share: float, chance: float = _ERRORS) -> BoolArray:

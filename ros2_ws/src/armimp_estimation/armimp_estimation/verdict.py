@@ -209,7 +209,7 @@ def judge_estimate(
         and lack of fit says no more than that.
     """
     name = estimate.name
-    problems = judge_matrices(name, names, fit, apart)
+    problems = judge_matrices(names, estimate, fit, apart)
     problems += [
         problem(
             ProblemCode.LACK_OF_FIT,

@@ -533,8 +533,8 @@ def untold_friction(
     """
     turning = 2j * np.pi * f
     effects = []
+    inertia = _possible(_inertia(impedance, f))
     for k, record in enumerate(records):
-        inertia = _inertia(impedance[:, k], f)
         amplitude = np.sqrt(2.0) * max(
             float(np.std(speed_of(record.position[k], record.rate, float(f[-1])))), _TINY
         )
@@ -542,7 +542,7 @@ def untold_friction(
         friction = min(_FRICTION, _OVERCOME * float(np.std(record.perturbation[k])))
         largest = 0.25 / record.rate * 4.0 * friction / (np.pi * amplitude)
         effect = np.zeros_like(impedance)
-        effect[:, k] = largest / np.sqrt(3.0) * (inertia / abs(inertia[k]))[:, None] * of_one
+        effect[:, k] = largest / np.sqrt(3.0) * (inertia[:, k] / inertia[k, k])[:, None] * of_one
         effects.append(effect)
     return effects
 
@@ -621,7 +621,7 @@ def _reversals(
     inertia = _inertia(impedance, f)
     # With one trial alone, no more is known than the inertia of its joint. All of it may be
     # singular, as of channels that show the same, of which the verdict tells.
-    whole = np.linalg.pinv(inertia) if len(records) == len(inertia) else None
+    whole = np.linalg.pinv(_possible(inertia)) if len(records) == len(inertia) else None
     for number, record in enumerate(records):
         k = record.perturbed_joint
         steps = np.diff(record.torque, axis=1)
@@ -639,6 +639,17 @@ def _inertia(impedance: ComplexArray, f: FloatArray) -> FloatArray:
     high = f >= 0.8 * f[-1]
     squared = (2.0 * np.pi * f[high]) ** 2
     return np.asarray(-np.mean(impedance.real[..., high] / squared, axis=-1))
+
+
+def _possible(inertia: FloatArray) -> FloatArray:
+    """Inertia, (n, n), of joints that have as much of their own as their coupling asks for.
+
+    ``M_kk ≥ M_ik²/M_ii`` for any i; a transducer that shows nothing quick shows less.
+    """
+    own = np.maximum(np.abs(np.diag(inertia)), _TINY)
+    possible = inertia.copy()
+    np.fill_diagonal(possible, np.max(inertia**2 / own[:, None], axis=0))
+    return possible
 
 
 def _unit(rows: int, channels: int, f: FloatArray) -> ComplexArray:
