@@ -5,10 +5,10 @@ perturbed joint, in the band. If stiffness falls or grows with the angle, e foll
 half of its rms, and no further; if it is another one in either direction, ``|θ|``; if a spring of
 short range yields, a play operator of the angle (the spring's stretch: Brokate & Sprekels,
 *Hysteresis and Phase Transitions*, ch. 2); if friction is left in it, the sign of ``θ̇``; if
-stiffness changes over the trial, ``θ t``, or is larger at its begin, ``θ exp(-t)``. If the
+stiffness changes over the trial, ``θ t``, or at once, or is larger at its begin, ``θ exp(-t)``. If the
 transducer is not linear, e follows the torque τ̂, up to the end of the perturbation: ``|τ̂|`` if it
 shows more in one direction, ``τ̂³`` if its gain changes with the torque, the sign of τ̂ if small
-torques don't show, ``τ̂ t`` if its gain changes over the trial, a play operator of it if it has
+torques don't show, ``τ̂ t`` if its gain changes over the trial, or at once, a play operator of it if it has
 hysteresis. Terms and e are taken without
 all that any linear filter makes of angle and perturbation, and the coefficient is found with what
 of the term turns with the sign of the perturbation, or the same term of what that alone causes, as
@@ -83,6 +83,10 @@ _RATE = 200.0
 _MOST_ENDS = 0.2
 _PART = 1.5
 """Seconds of a part: motion and torque of a person hardly are alike any more after it."""
+_FEWEST_PARTS = 2
+"""Parts on either side of a change at once, at least."""
+_SHORT = 0.75
+"""And where a step is looked for."""
 _BEYOND_CHANCE = 4.0
 _NEGLIGIBLE = 0.003
 _UNFELT = 0.001
@@ -265,6 +269,8 @@ class Deviation:
     too."""
     at_lines: bool = False
     """Whether the lines of a multisine tell it."""
+    looks: int = 1
+    """At how many times it was looked for."""
     slack: float = 0.0
     """Torque by which the transducer lags on either way, or that it shows as none, N·m."""
 
@@ -282,11 +288,11 @@ class Deviation:
         """Standard error that it is, relative to what was found: less if it may be chance.
 
         Other joints of an arm tell how likely it is, `elsewhere`. Where it is `declared` how linear
-        transducers are, what doesn't stand out of them is chance.
+        transducers are, what doesn't stand out of them is chance, but for their drift.
         """
         if self.significant:
             return 1.0
-        if declared and self.of_transducer:
+        if declared and self.of_transducer and self.name not in _IN_TIME:
             return 0.0
         return float(np.sqrt(self._odds(elsewhere)[0])) / abs(self.share) if self.share else 0.0
 
@@ -316,11 +322,15 @@ class Deviation:
 
     @property
     def _errors(self) -> float:
-        """Standard errors of a normal distribution that are as unlikely."""
-        if not self.error > 0.0:
-            return 0.0
-        chance = float(stdtr(self.freedom, -abs(self.share) / self.error))
-        return float(-ndtri(max(chance, np.finfo(float).tiny)))
+        return _normal_errors(self.share, self.error, self.freedom, self.looks)
+
+
+def _normal_errors(value: float, error: float, freedom: float, looks: int = 1) -> float:
+    """Standard errors of a normal distribution that are as unlikely, if looked for so often."""
+    if not error > 0.0:
+        return 0.0
+    chance = looks * float(stdtr(freedom, -abs(value) / error))
+    return float(-ndtri(min(max(chance, np.finfo(float).tiny), 0.5)))
 
 
 class _Band:
@@ -510,6 +520,12 @@ def deviations(
     signals, known = actual / sizes, known / sizes
     loaded = known + np.array([0.0, 0.0, 0.0, 1.0])[:, None] * load / sizes
     linear = _Linear(band.filters(record.position[k])[:, kept], forces[:, kept])
+    smooth = linear
+    if record.periods is not None:
+        # Filters with as many bands as there are lines follow what comes at once.
+        steady = _Band(replace(record, periods=None))
+        filtered = (steady.filters(one)[:, kept] for one in (record.position[k], pushes))
+        smooth = _Linear(*filtered)
     inner = band.inner(rest)
     equal = np.ones(band.f.size)
     white = band.weights(inner)
@@ -535,7 +551,13 @@ def deviations(
         told = _slope(instrument, linear.removed(term), remains)
         if np.linalg.norm(linear.unlike(alone)) <= _TOLD * np.linalg.norm(alone):
             told = told[0], np.inf, told[2]
-        at_lines = False
+        at_lines, looks = False, 1
+        if name in _AT_ONCE:
+            signal = _AT_ONCE[name]
+            parts = [band.signal(weights * band.of(of[signal]))[kept] for of in (known, signals)]
+            step, ends = _step(*parts, smooth.removed(band.signal(weights * left)[kept]))
+            if _normal_errors(*step, ends) > _normal_errors(*told):
+                told, looks = step, ends
         if record.periods is not None and name not in _IN_TIME:
             signal = shown if of_gain or name in _LOST else moved
             of_lines = _slope_at_lines(band.lines, signal, bent[2], bent[1], left, shown)
@@ -544,7 +566,7 @@ def deviations(
         # What M, B and K are alike of it: the derivatives 2, 1, 0.
         alike = np.linalg.lstsq(motion[2::-1, kept].T, band.signal(bent[1])[kept], rcond=None)[0]
         deviation = _deviation(name, told, alike, own, sizes[:, 0])
-        found[name] = replace(deviation, at_lines=at_lines)
+        found[name] = replace(deviation, at_lines=at_lines, looks=looks)
     return found
 
 
@@ -597,6 +619,8 @@ def _deviation(
 
 _IN_TIME = {"time", "onset", "drift"}
 """Terms that differ from period to period."""
+_AT_ONCE = {"time": 0, "drift": 3}
+"""Those that may come at once, too, and which of the signals they are a change of."""
 _LOST: Mapping[str, tuple[float, Callable[[FloatArray, float], FloatArray]]] = {
     "slack": (_OWN_LAG, lambda torque, slack: -slack * play(torque, slack)),
     "dead zone": (_OWN_ZONE, lambda torque, zone: -np.clip(torque, -zone, zone)),
@@ -693,11 +717,18 @@ def _slope(
 
     All are signals (N,) at the lower rate.
     """
-    count = max(round(left.size / (_RATE * _PART)), 3)
+    return _ratio(*_by_parts(instrument, term, left))
+
+
+def _by_parts(
+    instrument: FloatArray, term: FloatArray, left: FloatArray, seconds: float = _PART
+) -> tuple[FloatArray, FloatArray]:
+    """Sums of products of the instrument with what is left, and with the term, by part."""
+    count = max(round(left.size / (_RATE * seconds)), 3)
     parts = [np.array_split(one, count) for one in (instrument, term, left)]
     products = np.array([np.sum(p * q) for p, _, q in zip(*parts, strict=True)])
     squares = np.array([np.sum(p * q) for p, q, _ in zip(*parts, strict=True)])
-    return _ratio(products, squares)
+    return products, squares
 
 
 def _slope_at_lines(
@@ -728,6 +759,42 @@ def _slope_at_lines(
         products.append(weight * (np.conj(cause) * rest).real)
         squares.append(weight * (np.conj(cause) * bent).real)
     return _ratio(np.concatenate(products), np.concatenate(squares))
+
+
+def _step(
+    instrument: FloatArray, term: FloatArray, left: FloatArray
+) -> tuple[tuple[float, float, float], int]:
+    """Largest change of a coefficient from one part to the next, relative to its standard error.
+
+    The error is that of a change there, from the scatter within both sides, which should be alike
+    (two-sample t test).
+
+    Returns
+    -------
+    told : tuple of float
+        As :func:`_slope` gives it.
+    looks : int
+        Between how many parts it was looked for.
+    """
+    products, squares = _by_parts(instrument, term, left, _SHORT)
+    best, looks = (0.0, np.inf, 1.0), 1
+    total = float(np.sum(squares))
+    if not (squares > 0.0).all():
+        return best, looks
+    freedom = total**2 / float(np.sum(squares**2)) - 2.0
+    if freedom < 1.0:
+        return best, looks
+    ends = range(_FEWEST_PARTS, len(squares) - _FEWEST_PARTS + 1)
+    for end in ends:
+        sides = slice(None, end), slice(end, None)
+        sizes = np.array([np.sum(squares[side]) for side in sides])
+        slopes = np.array([np.sum(products[side]) for side in sides]) / sizes
+        fitted = np.repeat(slopes, (end, len(squares) - end)) * squares
+        scatter = float(np.sum((products - fitted) ** 2 / squares)) / (len(squares) - 2)
+        change, error = slopes[1] - slopes[0], np.sqrt(scatter * np.sum(1.0 / sizes))
+        if abs(change) * best[1] > abs(best[0]) * error:
+            best = float(change), float(error), freedom
+    return best, max(len(ends), looks)
 
 
 def _ratio(products: FloatArray, squares: FloatArray) -> tuple[float, float, float]:
