@@ -337,7 +337,11 @@ class _Band:
     """Signals of a record within the band, at a rate that suffices for them, without its ends."""
 
     def __init__(
-        self, record: TrialRecord, edges: tuple[tuple[float, float], tuple[float, float]] = BAND
+        self,
+        record: TrialRecord,
+        edges: tuple[tuple[float, float], tuple[float, float]] = BAND,
+        *,
+        by_lines: bool = True,
     ) -> None:
         f = np.fft.rfftfreq(record.samples, 1.0 / record.rate)
         (foot, top), (shoulder, end) = edges
@@ -353,7 +357,7 @@ class _Band:
         self.kept = slice(ends, self.samples - ends)
         self._which: NDArray[np.int64] = np.floor((self.f - self.f[0]) / _WIDTH).astype(np.int64)
         self._parts = self._which
-        if record.periods is not None:
+        if by_lines and record.periods is not None:
             bins = np.arange(self.bins.start, self.bins.stop)
             lines = record.periods.lines * record.periods.count
             self._parts = np.where(np.isin(bins, lines), np.searchsorted(lines, bins), -1)
@@ -523,7 +527,7 @@ def deviations(
     smooth = linear
     if record.periods is not None:
         # Filters with as many bands as there are lines follow what comes at once.
-        steady = _Band(replace(record, periods=None))
+        steady = _Band(record, by_lines=False)
         filtered = (steady.filters(one)[:, kept] for one in (record.position[k], pushes))
         smooth = _Linear(*filtered)
     inner = band.inner(rest)
