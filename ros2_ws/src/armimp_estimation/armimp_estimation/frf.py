@@ -6,6 +6,7 @@ The perturbation is known exactly, so both are unbiased by any disturbance in th
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 
@@ -156,7 +157,7 @@ def _covariance(trial: TrialData) -> ComplexArray:
 def order_trials(trials: Sequence[TrialData]) -> tuple[TrialData, ...]:
     """Sort trials by perturbed joint, and check that they make a whole decomposition.
 
-    Where the perturbation of one has no power, the spectra of all are left out.
+    Where the perturbation of one has no power, or no line, the spectra of all are left out.
 
     Raises
     ------
@@ -164,6 +165,10 @@ def order_trials(trials: Sequence[TrialData]) -> tuple[TrialData, ...]:
         If a joint has no trial or several, if the trials are of different arms, rates or
         frequencies, or if a trial perturbs other joints too.
     """
+    grids = [trial.f for trial in trials]
+    common = reduce(np.intersect1d, grids, grids[0]) if grids else np.zeros(0)
+    if common.size and any(f.size > common.size for f in grids):
+        trials = [replace(one, spectra=one.spectra.at(common)) for one in trials]
     for contradiction in _contradictions(trials):
         raise DataError(contradiction, "trials_incomplete")
     first = trials[0]

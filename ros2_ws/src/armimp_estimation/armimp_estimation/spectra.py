@@ -179,9 +179,8 @@ class CrossSpectra:
     (lags, n_freq)."""
 
     def at(self, f: FloatArray) -> "CrossSpectra":
-        """Return those at some frequencies, Hz: the lines of a periodic signal."""
-        resolution = float(self.f[1] - self.f[0]) if self.f.size > 1 else float(self.f[0])
-        kept = np.flatnonzero(np.isin(np.rint(self.f / resolution), np.rint(f / resolution)))
+        """Return those at some frequencies, Hz, such as the lines of a periodic signal."""
+        kept = np.flatnonzero(np.isin(np.round(self.f, 9), np.round(f, 9)))
         correlation = np.zeros((len(self.bin_correlation), kept.size))
         for lag in range(min(correlation.shape)):
             lower, upper = kept[: kept.size - lag], kept[lag:]

@@ -59,7 +59,7 @@ def test_when_nobody_declares_a_gain_and_no_command_confirms_it_expect_it_in_the
     assert (fit.K_se > 0.1 * np.abs(fit.mbk.K)).all()
 
 
-@pytest.mark.parametrize("periods", [(1024, 768), (1024, 6144)], ids=["other", "none"])
+@pytest.mark.parametrize("periods", [(1024, 768), (1024, 6144), (512, 768)])
 def test_trials_may_be_perturbed_with_different_periods_or_none(periods: tuple[int, int]) -> None:
     repeated = []
     for joint, period in enumerate(periods):
