@@ -71,8 +71,10 @@ _TINY = float(np.finfo(np.float64).tiny)
 _WINDOW = 0.5
 _VALUES = 3
 _CHANGES = 5
-_OF_COMMAND = 0.02
-"""Share of a torque beside its command below which it is none on the arm: a robot has inertia."""
+_OF_COMMAND, _SCALED = 0.02, 0.005
+"""Share of a torque beside its command, or a multiple of it, below which it is none on the arm: a
+robot has inertia, but hardly any beside a heavy arm."""
+_SAME = 0.03
 _LAGS = 4
 RESOLVED_SHARE = 0.25
 """Share of the motion of a locked joint that may be unseen where its motion counts as resolved."""
@@ -123,7 +125,7 @@ def judge_signals(record: TrialRecord) -> list[Problem]:
                 found.append((ProblemCode.TORQUE_REPEATS, {"percent": 100.0 * share}))
             if stream == TORQUE_SENSORS and joint == record.perturbed_joint:
                 factor, share = beside_command(record)
-                if share < _OF_COMMAND:
+                if share < (_OF_COMMAND if abs(factor - 1.0) < _SAME else _SCALED):
                     about = {"factor": factor, "percent": 100.0 * share}
                     found.append((ProblemCode.TORQUE_IS_COMMAND, about))
             problems += [
