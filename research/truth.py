@@ -173,6 +173,12 @@ def _waning(share: float) -> Change:
     return lambda torque: torque * (1.0 - share * np.linspace(-0.5, 0.5, torque.shape[1]))
 
 
+def _stepped(share: float) -> Change:
+    return lambda torque: (
+        torque * (1.0 + share * (np.arange(torque.shape[1]) > 0.3 * torque.shape[1]))
+    )
+
+
 def _ramped(share: float) -> Change:
     return lambda torque: torque * (1.0 + share * np.linspace(0.0, 1.0, torque.shape[1]))
 
@@ -602,6 +608,9 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         add(MUST, "torque compressed, multisine", (f"{share:g}", periodic))
     for share in (0.02, 0.1):
         add(MUST, "gain that drifts", (f"{share:g}", {"readings": changed(torque=_waning(share))}))
+    for share in (0.02, 0.1, 0.3):
+        stepped = {"readings": changed(torque=_stepped(share))}
+        add(MUST, "gain that changes at once", (f"{share:g}", stepped))
     for share in (0.02, 0.05, 0.1):
         ramped = {"readings": changed(torque=_ramped(share))}
         add(MUST, "gain that grows", (f"{share:g}", ramped))

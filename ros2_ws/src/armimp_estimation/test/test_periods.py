@@ -191,6 +191,32 @@ def test_arms_that_bend_or_change_show_beside_a_response_that_m_b_and_k_do_not_d
     assert found or not shown
 
 
+@pytest.mark.parametrize("periodic", [False, True])
+@pytest.mark.parametrize(("gain", "stiffness"), [(0.0, 0.0), (0.1, 0.0), (0.0, 0.2)])
+def test_a_gain_or_a_stiffness_that_changes_at_once_is_found(
+    gain: float, stiffness: float, periodic: bool
+) -> None:
+    random = np.random.default_rng(3)
+    source = multisine(10.0, np.arange(1, 60))
+    if not periodic:
+        source = lagging_behind(random.standard_normal(source.size), 0.9)
+    angle = lagging_behind(source, np.exp(-1e-3 / 0.05))
+    angle *= 0.045 / np.std(angle)
+    later = np.arange(angle.size) > 0.7 * angle.size
+    arm = MBK(M=np.array([[0.02]]), B=np.array([[0.2]]), K=np.array([[8.0]]))
+    s = 2j * np.pi * np.fft.rfftfreq(angle.size, 1e-3)
+    impedance = arm.impedance(s.imag / (2.0 * np.pi))[0, 0]
+    torque = np.fft.irfft(impedance * np.fft.rfft(angle), angle.size)
+    torque = torque * (1.0 + gain * later) + stiffness * 8.0 * later * angle
+    record = elbow(source, angle, torque + 0.01 * random.standard_normal(angle.size))
+    found = {name: one for name, one in deviations(record, arm).items() if one.significant}
+    assert gain or stiffness or not found
+    if gain:
+        assert found["drift"].share == pytest.approx(gain, rel=0.3)
+    if stiffness:
+        assert found["time"].share == pytest.approx(stiffness, rel=0.3)
+
+
 @pytest.mark.parametrize(
     ("bend", "found"),
     [(lambda x: 0.0 * x, set()), (lambda x: x**2, {"even"}), (lambda x: x**3, {"odd"})],

@@ -241,6 +241,19 @@ def test_without_chatter_the_motion_tells(smooth: list[TrialRecord]) -> None:
     np.testing.assert_allclose(found.torque, TRANSMISSION, atol=0.08 * np.max(TRANSMISSION))
 
 
+def test_what_noise_of_angles_leaves_to_the_commands_tells_no_jump(
+    smooth: list[TrialRecord],
+) -> None:
+    random = np.random.default_rng(4)
+    noisy = [
+        dataclasses.replace(
+            one, position=one.position + 2e-5 * random.standard_normal(one.position.shape)
+        )
+        for one in smooth
+    ]
+    assert update_jump(noisy) is None
+
+
 @pytest.mark.parametrize("rig", ["chattering", pytest.param("smooth", marks=pytest.mark.slow)])
 def test_viscosity_is_right_with_commands_and_nearly_so_without(
     rig: str, request: pytest.FixtureRequest
