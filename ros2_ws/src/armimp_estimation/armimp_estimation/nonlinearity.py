@@ -558,8 +558,9 @@ def deviations(
         at_lines, looks = False, 1
         if name in _AT_ONCE:
             signal = _AT_ONCE[name]
-            parts = [band.signal(weights * band.of(of[signal]))[kept] for of in (known, signals)]
-            step, ends = _step(*parts, smooth.removed(band.signal(weights * left)[kept]))
+            seen = [nearly * band.of(of[signal]) for of in (known, signals)]
+            parts = [band.signal(one)[kept] for one in (*seen, nearly * left)]
+            step, ends = _step(parts[0], parts[1], smooth.removed(parts[2]))
             if _normal_errors(*step, ends) > _normal_errors(*told):
                 told, looks = step, ends
         if record.periods is not None and name not in _IN_TIME:
