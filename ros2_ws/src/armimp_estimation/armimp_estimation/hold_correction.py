@@ -159,7 +159,8 @@ def update_jump(
 
     is fitted by least squares above 2 Hz, where a person does little, and the slope, which hardly
     matters then, is taken as 0. Errors of the angles would bias that, so what it leaves has to be
-    little beside what D alone explains. Each torque is taken from chatter if that tells it, else from the motion.
+    little beside what D alone explains. Each torque is taken from chatter if that tells it, else
+    from the motion.
 
     Readings that are late or have passed a low-pass show a step later, and more slowly. The poles
     of the low-pass are taken from them, and as the answers to a step, a ramp and a parabola of the

@@ -5,11 +5,11 @@ perturbed joint, in the band. If stiffness falls or grows with the angle, e foll
 half of its rms, and no further; if it is another one in either direction, ``|θ|``; if a spring of
 short range yields, a play operator of the angle (the spring's stretch: Brokate & Sprekels,
 *Hysteresis and Phase Transitions*, ch. 2); if friction is left in it, the sign of ``θ̇``; if
-stiffness changes over the trial, ``θ t``, or at once, or is larger at its begin, ``θ exp(-t)``. If the
-transducer is not linear, e follows the torque τ̂, up to the end of the perturbation: ``|τ̂|`` if it
-shows more in one direction, ``τ̂³`` if its gain changes with the torque, the sign of τ̂ if small
-torques don't show, ``τ̂ t`` if its gain changes over the trial, or at once, a play operator of it if it has
-hysteresis. Terms and e are taken without
+stiffness changes over the trial, ``θ t``, or at once, or is larger at its begin, ``θ exp(-t)``. If
+the transducer is not linear, e follows the torque τ̂, up to the end of the perturbation: ``|τ̂|`` if
+it shows more in one direction, ``τ̂³`` if its gain changes with the torque, the sign of τ̂ if small
+torques don't show, ``τ̂ t`` if its gain changes over the trial, or at once, a play operator of it if
+it has hysteresis. Terms and e are taken without
 all that any linear filter makes of angle and perturbation, and the coefficient is found with what
 of the term turns with the sign of the perturbation, or the same term of what that alone causes, as
 the instrument (Söderström & Stoica, *Instrumental Variable Methods for System Identification*): so
@@ -322,11 +322,15 @@ class Deviation:
 
     @property
     def _errors(self) -> float:
-        return _normal_errors(self.share, self.error, self.freedom, self.looks)
+        return _normal_errors((self.share, self.error, self.freedom), self.looks)
 
 
-def _normal_errors(value: float, error: float, freedom: float, looks: int = 1) -> float:
-    """Standard errors of a normal distribution that are as unlikely, if looked for so often."""
+def _normal_errors(told: tuple[float, float, float], looks: int) -> float:
+    """Standard errors of a normal distribution that are as unlikely, if looked for so often.
+
+    Of a value, its standard error, and that's degrees of freedom.
+    """
+    value, error, freedom = told
     if not error > 0.0:
         return 0.0
     chance = looks * float(stdtr(freedom, -abs(value) / error))
@@ -524,12 +528,6 @@ def deviations(
     signals, known = actual / sizes, known / sizes
     loaded = known + np.array([0.0, 0.0, 0.0, 1.0])[:, None] * load / sizes
     linear = _Linear(band.filters(record.position[k])[:, kept], forces[:, kept])
-    smooth = linear
-    if record.periods is not None:
-        # Filters with as many bands as there are lines follow what comes at once.
-        steady = _Band(record, by_lines=False)
-        filtered = (steady.filters(one)[:, kept] for one in (record.position[k], pushes))
-        smooth = _Linear(*filtered)
     inner = band.inner(rest)
     equal = np.ones(band.f.size)
     white = band.weights(inner)
@@ -539,6 +537,8 @@ def deviations(
     weighed = [
         (one, linear.removed(band.signal(one * left)[kept])) for one in (equal, nearly, white)
     ]
+    smooth = linear if record.periods is None else _smooth_linear(record)
+    steady = smooth.removed(band.signal(nearly * left)[kept])
     found = {}
     for name, one in TERMS.items():
         of_gain = one.doubted > 0.0
@@ -557,12 +557,13 @@ def deviations(
             told = told[0], np.inf, told[2]
         at_lines, looks = False, 1
         if name in _AT_ONCE:
-            signal = _AT_ONCE[name]
-            seen = [nearly * band.of(of[signal]) for of in (known, signals)]
-            parts = [band.signal(one)[kept] for one in (*seen, nearly * left)]
-            step, ends = _step(parts[0], parts[1], smooth.removed(parts[2]))
-            if _normal_errors(*step, ends) > _normal_errors(*told):
-                told, looks = step, ends
+            which = _AT_ONCE[name]
+            seen = [band.signal(nearly * band.of(of[which]))[kept] for of in (known, signals)]
+            told, looks = max(
+                (told, looks),
+                _step(seen[0], seen[1], steady),
+                key=lambda one: _normal_errors(*one),
+            )
         if record.periods is not None and name not in _IN_TIME:
             signal = shown if of_gain or name in _LOST else moved
             of_lines = _slope_at_lines(band.lines, signal, bent[2], bent[1], left, shown)
@@ -713,6 +714,17 @@ class _Linear:
         """What is orthogonal to perturbation and motion of a signal (N,) of the perturbation."""
         signal = signal - self._onto(signal)
         return np.asarray(signal - (self._inverse @ (self._motion @ signal)) @ self._caused)
+
+
+def _smooth_linear(record: TrialRecord) -> _Linear:
+    """Filters for a periodic perturbation that can't follow what comes at once.
+
+    With as many bands as there are lines, they can.
+    """
+    band, k = _Band(record, by_lines=False), record.perturbed_joint
+    signals = (record.position[k], record.perturbation[k])
+    motion, forces = (band.filters(one)[:, band.kept] for one in signals)
+    return _Linear(motion, forces)
 
 
 def _slope(

@@ -124,10 +124,12 @@ def judge_signals(record: TrialRecord) -> list[Problem]:
             if stream == TORQUE_SENSORS and not resampled and (share := repeating(signal)):
                 found.append((ProblemCode.TORQUE_REPEATS, {"percent": 100.0 * share}))
             if stream == TORQUE_SENSORS and joint == record.perturbed_joint:
-                factor, share = beside_command(record)
-                if share < (_OF_COMMAND if abs(factor - 1.0) < _SAME else _SCALED):
-                    about = {"factor": factor, "percent": 100.0 * share}
-                    found.append((ProblemCode.TORQUE_IS_COMMAND, about))
+                for source in ("command", "perturbation"):
+                    factor, share = _copied(record, source)
+                    as_it_is = source == "command" and abs(factor - 1.0) < _SAME
+                    if share < (_OF_COMMAND if as_it_is else _SCALED):
+                        about = {"source": source, "factor": factor, "percent": 100.0 * share}
+                        found.append((ProblemCode.TORQUE_IS_COMMAND, about))
             problems += [
                 problem(code, trial=record.trial, stream=stream, name=name, **values)
                 for code, values in found
@@ -537,28 +539,19 @@ def repeating(signal: FloatArray) -> float:
     return 0.0
 
 
-def beside_command(record: TrialRecord) -> tuple[float, float]:
-    """How the torque of the perturbed joint follows its command.
+def _copied(record: TrialRecord, source: str) -> tuple[float, float]:
+    """Torque of the perturbed joint per command or perturbation, up to 3 samples late.
 
-    Parameters
-    ----------
-    record : TrialRecord
-        Without commands, the share is 1.
-
-    Returns
-    -------
-    factor, share : float, float
-        Torque per command, up to 3 samples late, and the rms of the rest per rms of the torque.
+    And the rms of the rest per rms of the torque, 1 without commands.
     """
-    torque = record.torque[record.perturbed_joint]
-    best = (0.0, 1.0)
-    if record.command is None or record.samples <= _LAGS or not np.ptp(torque):
+    k, best = record.perturbed_joint, (0.0, 1.0)
+    torque, streams = record.torque[k], getattr(record, source)
+    if streams is None or record.samples <= _LAGS or not np.ptp(torque):
         return best
-    command = record.command[record.perturbed_joint]
     for lag in range(_LAGS):
-        given, shown = command[: torque.size - lag], torque[lag:]
+        given, shown = streams[k, : torque.size - lag], torque[lag:]
         given, shown = given - np.mean(given), shown - np.mean(shown)
-        factor = float(given @ shown) / max(float(given @ given), np.finfo(np.float64).tiny)
+        factor = float(given @ shown) / max(float(given @ given), _TINY)
         share = float(np.std(shown - factor * given)) / float(np.std(torque))
         best = min(best, (factor, share), key=lambda one: one[1])
     return best

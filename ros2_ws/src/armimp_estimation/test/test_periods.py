@@ -204,8 +204,8 @@ def test_a_gain_or_a_stiffness_that_changes_at_once_is_found(
     angle *= 0.045 / np.std(angle)
     later = np.arange(angle.size) > 0.7 * angle.size
     arm = MBK(M=np.array([[0.02]]), B=np.array([[0.2]]), K=np.array([[8.0]]))
-    s = 2j * np.pi * np.fft.rfftfreq(angle.size, 1e-3)
-    impedance = arm.impedance(s.imag / (2.0 * np.pi))[0, 0]
+    f = np.asarray(np.fft.rfftfreq(angle.size, 1e-3), dtype=np.float64)
+    impedance = arm.impedance(f)[0, 0]
     torque = np.fft.irfft(impedance * np.fft.rfft(angle), angle.size)
     torque = torque * (1.0 + gain * later) + stiffness * 8.0 * later * angle
     record = elbow(source, angle, torque + 0.01 * random.standard_normal(angle.size))

@@ -1,6 +1,7 @@
 """What is wrong with single signals, and what isn't."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -207,16 +208,22 @@ def test_a_locked_joint_that_its_law_throws_back_as_its_angle_steps_doesn_t_drop
     assert dropouts(torque, moving, angle) == (0, 0.0)
 
 
-@pytest.mark.parametrize(("inertia", "told"), [(0.0, 1), (0.1, 0)])
-def test_a_torque_that_is_only_the_command_of_a_drive_is_told_from_one_on_the_arm(
-    inertia: float, told: int
+@pytest.mark.parametrize("source", ["command", "perturbation"])
+@pytest.mark.parametrize(
+    ("factor", "inertia", "told"),
+    [(1.3, 0.0, True), (1.3, 0.1, False), (0.7, 0.02, False)],
+    ids=["copy", "arm", "heavy arm"],
+)
+def test_a_torque_that_is_only_what_the_robot_was_told_is_told_from_one_on_the_arm(
+    source: str, factor: float, inertia: float, told: bool
 ) -> None:
     record = trials_of(motion(3, 1.0))[0]
-    command = 0.1 * motion(2, 1e-3) + record.perturbation
-    torque = 1.3 * np.roll(command, 1) - inertia * motion(5, 1e-3)
-    found = judge_signals(replace(record, command=command, torque=torque))
-    codes = [one.code for one in found]
-    assert codes.count(ProblemCode.TORQUE_IS_COMMAND) == told
+    given = np.stack((motion(2, 1e-3), np.zeros(record.samples)))
+    torque = factor * np.roll(given, 1, axis=1) - inertia * motion(5, 1e-3)
+    streams: dict[str, Any] = {"torque": torque, source: given}
+    found = judge_signals(replace(record, **streams))
+    copied = [one for one in found if one.code is ProblemCode.TORQUE_IS_COMMAND]
+    assert [one.values["source"] for one in copied] == [source] * told
 
 
 def trials_of(locked: np.ndarray) -> list[TrialRecord]:

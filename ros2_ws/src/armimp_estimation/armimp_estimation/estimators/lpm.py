@@ -647,7 +647,7 @@ def _possible(inertia: FloatArray) -> FloatArray:
     ``M_kk ≥ M_ik²/M_ii`` for any i; a transducer that shows nothing quick shows less.
     """
     own = np.maximum(np.abs(np.diag(inertia)), _TINY)
-    possible = inertia.copy()
+    possible: FloatArray = inertia.copy()
     np.fill_diagonal(possible, np.max(inertia**2 / own[:, None], axis=0))
     return possible
 
