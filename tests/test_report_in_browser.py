@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
-import base64
 import json
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 
 from armimp_bringup.cli import main
 from armimp_estimation.report import write_report
 from armimp_estimation.result import load_result
-from support.browser import Browser
+from support.browser import EXECUTABLE, Browser, started
 from support.results import METADATA, make_result
 from support.synthetic_bags import synthetic_recording
 
 HOSTILE = "\"'><script>window.hacked = 1</script><img src=x onerror='window.hacked = 1'>"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    if EXECUTABLE is None:
+        pytest.skip("there is no chromium to look at the report with (apt-get install chromium)")
+    with started() as browser:
+        yield browser
 
 
 @pytest.fixture(scope="module")
@@ -108,12 +116,12 @@ def test_the_end_of_a_trial_is_shown_in_full(page: Browser) -> None:
 
 def test_page_and_plots_follow_the_colour_scheme_of_the_system_but_on_paper(page: Browser) -> None:
     ink = "document.querySelector('#trace-2 .canvas').layout.font.color"  # drawn last
-    for scheme, colour, paper in (
+    schemes: tuple[tuple[Literal["dark", "light"], str, str], ...] = (
         ("dark", "#e3e7eb", "rgb(21, 25, 29)"),
         ("light", "#1d2329", "rgb(255, 255, 255)"),
-    ):
-        wanted = [{"name": "prefers-color-scheme", "value": scheme}]
-        page.call("Emulation.setEmulatedMedia", features=wanted)
+    )
+    for scheme, colour, paper in schemes:
+        page.page.emulate_media(color_scheme=scheme)
         page.wait_for(f"{ink} === '{colour}'")
         assert page.value("getComputedStyle(document.body).backgroundColor") == paper
         page.value("dispatchEvent(new Event('beforeprint'))")
@@ -153,8 +161,7 @@ def test_print_shows_everything_and_leaves_the_screen_as_it_was(page: Browser) -
         " window.folded = document.querySelectorAll('details:not([open])').length;"
         " window.printed = " + width + "; })"
     )
-    printed = base64.b64decode(page.call("Page.printToPDF")["data"])
-    assert printed.startswith(b"%PDF")
+    assert page.page.pdf().startswith(b"%PDF")
     assert page.value("window.folded") == 0
     assert int(page.value("window.printed")) < int(before)
     page.wait_for(f"{width} === '{before}'")
