@@ -31,7 +31,7 @@ pytestmark = pytest.mark.usefixtures("environment")
 stepped = pytest.mark.parametrize(
     "step", [CLOCK_STEPS[0], pytest.param(CLOCK_STEPS[1], marks=pytest.mark.slow)]
 )
-PATIENCE = 80
+PATIENCE = 40
 """Periods until watchdogs take the torque away, so that no stall of the machine wakes them."""
 LIMIT = 0.2
 """Then torque is zero, this long after the last sample (s): a requirement of safety."""
