@@ -149,18 +149,12 @@ AFTER = 150
 """Ticks that are watched after the stop."""
 
 
-def _fastest(
-    friction: int,
-    resolution: int,
-    stop_tick: int,
-    ramp_time: float,
-    law: control_presets.LawName = "observer",
-) -> tuple[float, ...]:
+def _fastest(friction: int, resolution: int, stop_tick: int, ramp_time: float) -> tuple[float, ...]:
     """Largest speed of a joint in the 50 ms before a stop, and after it, rad/s; 0 s: at once."""
     config = study_plant(friction, sensors=sim_presets.sensors(resolution))
     plant, arm, robot = Plant([config]), config.arm, config.robot
     controller = Controller(
-        preset_law(robot.mass_matrix(arm.theta_0), arm.theta_0, law),
+        preset_law(robot.mass_matrix(arm.theta_0), arm.theta_0),
         safety=control_presets.safety(2, 9.0).model_copy(update={"ramp_time": ramp_time}),
     )
     signal = perturbation(
@@ -183,27 +177,15 @@ def _fastest(
     return float(speed[stop_tick - 50 : stop_tick - 4].max()), float(speed[stop_tick - 4 :].max())
 
 
-STOPS = range(2000, 2600, 37)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("ramp_time", [0.0, control_presets.safety(2, 9.0).ramp_time])
 @pytest.mark.parametrize(("friction", "resolution"), [(0, 3), (3, 3), (3, 1)])
 def test_after_a_stop_the_arm_is_hardly_faster_than_it_was_in_a_trial(
     friction: int, resolution: int, ramp_time: float
 ) -> None:
-    pairs = [_fastest(friction, resolution, tick, ramp_time) for tick in STOPS]
+    pairs = [_fastest(friction, resolution, tick, ramp_time) for tick in range(2000, 2600, 37)]
     before, after = np.max(pairs, axis=0)
     assert after < 1.3 * before
-
-
-@pytest.mark.slow
-def test_ramp_of_fifty_milliseconds_pushes_on_with_a_peak_of_chatter_if_the_law_chatters() -> None:
-    laws: tuple[tuple[control_presets.LawName, bool], ...] = (("observer", False), ("tde", True))
-    for law, pushes in laws:
-        pairs = [_fastest(0, 3, tick, 0.05, law) for tick in STOPS]
-        before, after = np.max(pairs, axis=0)
-        assert bool(after > 1.5 * before) is pushes
 
 
 # --- A joint that is far from its posture by the time it gets locked ----------------------------
