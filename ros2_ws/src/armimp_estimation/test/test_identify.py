@@ -229,18 +229,23 @@ def test_each_code_has_one_sentence_that_its_values_fill_and_advice() -> None:
         assert "\n" not in sentence
 
 
-def test_a_problem_of_the_parameters_leaves_the_impedance_valid() -> None:
-    fit = Problem(code=ProblemCode.LACK_OF_FIT, concern=Concern.PARAMETERS, estimator="lpm_full")
-    assert Verdict.of([fit], "lpm_full") == Verdict(impedance=True, parameters=False)
-    assert Verdict.of([fit], "welch_siso") == Verdict(impedance=True, parameters=True)
+FIT = Problem(code=ProblemCode.LACK_OF_FIT, concern=Concern.PARAMETERS, estimator="lpm_full")
+STUCK = Problem(code=ProblemCode.STUCK)
+NOTE = Problem(code=ProblemCode.DELAY_CORRECTED, severity=Severity.NOTE)
 
 
-def test_a_problem_of_the_impedance_spoils_the_parameters_and_a_note_nothing() -> None:
-    stuck = Problem(code=ProblemCode.STUCK)
-    note = Problem(code=ProblemCode.DELAY_CORRECTED, severity=Severity.NOTE)
-    assert Verdict.of([stuck], "any") == Verdict(impedance=False, parameters=False)
-    assert Verdict.of([note], "any") == Verdict(impedance=True, parameters=True)
-
-
-def test_without_an_estimator_nothing_can_be_trusted() -> None:
-    assert Verdict.of([]) == Verdict(impedance=False, parameters=False)
+@pytest.mark.parametrize(
+    ("problem", "estimators", "impedance", "parameters"),
+    [
+        (FIT, ["lpm_full"], True, False),
+        (FIT, ["welch_siso"], True, True),
+        (STUCK, ["any"], False, False),
+        (NOTE, ["any"], True, True),
+        (NOTE, [], False, False),
+    ],
+)
+def test_a_problem_spoils_what_it_concerns_and_a_note_nothing(
+    problem: Problem, estimators: list[str], impedance: bool, parameters: bool
+) -> None:
+    verdict = Verdict(impedance=impedance, parameters=parameters)
+    assert Verdict.of([problem], *estimators) == verdict
