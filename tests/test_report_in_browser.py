@@ -198,22 +198,23 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return directory
 
 
+VISIBLE = "document.querySelector('#overlay-1-2 .canvas').data.filter((trace) => trace.visible)"
+
+
 @pytest.fixture
 def study_page(browser: Browser, study: Path) -> Browser:
     browser.open(study / "report.html")
     return browser
 
 
-def _name(friction: int, resolution: int, perturbation: int) -> str:
-    levels = f"friction {friction}, resolution {resolution}, perturbation {perturbation}"
-    return f"welch_siso, {levels}"
-
-
 def _visible(browser: Browser) -> Any:
-    return browser.value(
-        "document.querySelector('#overlay-1-2 .canvas').data"
-        ".filter((trace) => trace.visible).map((trace) => trace.name)"
-    )
+    return browser.value(f"{VISIBLE}.map((trace) => trace.name)")
+
+
+def _curves(*levels: tuple[int, int, int]) -> list[str]:
+    """Names of the curves of these levels, three in each panel, and of the truth."""
+    names = (f"welch_siso, friction {f}, resolution {r}, perturbation {p}" for f, r, p in levels)
+    return [*(name for name in names for _ in range(3)), "truth", "truth"]
 
 
 @pytest.mark.slow
@@ -234,17 +235,9 @@ def test_study_report_is_drawn_without_complaint_and_without_the_network(
 
 @pytest.mark.slow
 def test_curves_are_chosen_by_estimator_perturbation_and_levels(study_page: Browser) -> None:
-    levels = [(0, 0, 1), (0, 3, 1), (3, 0, 1), (3, 3, 1)]
-    shown = [_name(*one) for one in levels]
-    per_panel = [name for name in shown for _ in range(3)]
-    assert _visible(study_page) == [*per_panel, "truth", "truth"]
+    assert _visible(study_page) == _curves((0, 0, 1), (0, 3, 1), (3, 0, 1), (3, 3, 1))
     study_page.value("document.querySelector(\"input[data-switch='perturbation:3']\").click()")
     study_page.value("document.querySelector(\"input[data-switch='friction:0']\").click()")
-    study_page.wait_for("document.querySelector('#overlay-1-2 .canvas').data[0].visible === false")
-    study_page.wait_for(
-        "document.querySelector('#overlay-1-2 .canvas').data"
-        ".filter((trace) => trace.visible).length === 8"
-    )
-    per_panel = [name for name in (_name(3, 0, 3), _name(3, 3, 3)) for _ in range(3)]
-    assert _visible(study_page) == [*per_panel, "truth", "truth"]
+    study_page.wait_for(f"{VISIBLE}.length === 8")
+    assert _visible(study_page) == _curves((3, 0, 3), (3, 3, 3))
     assert study_page.said() == []

@@ -1,6 +1,7 @@
 """What all estimators promise, against closed loops with known truth."""
 
 import dataclasses
+import functools
 from collections.abc import Mapping
 
 import numpy as np
@@ -37,6 +38,7 @@ SIMULTANEOUS = TorqueReading(timing=TorqueTiming.SIMULTANEOUS)
 SISO, FULL, DIRECT = WelchSiso(), WelchFull(), Direct()
 LPM = LpmFull(config=LpmConfig(reading=SIMULTANEOUS))
 UNBIASED: list[Estimator] = [SISO, FULL, LPM]
+slow = functools.partial(pytest.param, marks=pytest.mark.slow)
 every = pytest.mark.parametrize("estimator", [*UNBIASED, DIRECT], ids=lambda one: one.name)
 arms = pytest.mark.parametrize("arm", [TWO_JOINT_ARM, THREE_JOINT_ARM], ids=["two", "three"])
 
@@ -96,14 +98,9 @@ def test_standard_errors_of_the_direct_one_have_the_bias_of_the_loop() -> None:
     ("estimator", "changes", "runs"),
     [
         # Voluntary torque is kept small: the variance is one of first order.
-        pytest.param(SISO, {"torque_noise": 0.5, "voluntary": 0.3}, 150, marks=pytest.mark.slow),
-        pytest.param(
-            FULL,
-            {"torque_noise": 0.5, "voluntary": 0.3, "lock_stiffness": 300.0},
-            150,
-            marks=pytest.mark.slow,
-        ),
-        pytest.param(LPM, {"torque_noise": 0.3, "voluntary": 0.1}, 40, marks=pytest.mark.slow),
+        slow(SISO, {"torque_noise": 0.5, "voluntary": 0.3}, 150),
+        slow(FULL, {"torque_noise": 0.5, "voluntary": 0.3, "lock_stiffness": 300.0}, 150),
+        slow(LPM, {"torque_noise": 0.3, "voluntary": 0.1}, 40),
         (LPM, {"torque_noise": 0.3, "voluntary": 0.1, "lock_stiffness": 300.0}, 40),
         # Outside the loop.
         (DIRECT, {"torque_noise": 0.5}, 80),
