@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -65,13 +64,12 @@ class ClosedLoop:
         perturbation, position, torque, command = np.moveaxis(np.array(self._ticks), 0, 2)
         trials = []
         for status in self._statuses:
-            if status.phase is not Phase.PERTURB or status.start_ns is None:
-                continue
-            first = status.start_ns // PERIOD_NS
-            span = np.s_[:, first : first + status.ticks]
-            told = {"trial": status.trial, "perturbed_joint": status.joint}
-            record = made_record(position[span], torque[span], perturbation[span], **told)
-            trials.append(TrialData.of(replace(record, command=command[span])))
+            if status.phase is Phase.PERTURB and status.start_ns is not None:
+                first = status.start_ns // PERIOD_NS
+                span = np.s_[:, first : first + status.ticks]
+                told = {"trial": status.trial, "perturbed_joint": status.joint}
+                arrays = (position[span], torque[span], perturbation[span])
+                trials.append(TrialData.of(made_record(*arrays, command=command[span], **told)))
         arm = self._parameters.simulator.arm
         truth = MBK(M=arm.M, B=arm.B, K=arm.K)
         found = identify(trials, ("lpm_full",), truth)
