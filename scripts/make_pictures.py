@@ -8,7 +8,6 @@ take up to an hour; only what draws their figures counts as their source, not al
 from __future__ import annotations
 
 import ast
-import base64
 import hashlib
 import json
 import shutil
@@ -112,20 +111,17 @@ def _is_said(statement: ast.stmt) -> bool:
 def _photograph(page: Path, picture: Path) -> None:
     """Take a picture of the top of a page with a headless browser."""
     sys.path.insert(0, str(ROOT / "tests"))
-    from support.browser import Browser
+    from support.browser import EXECUTABLE, started
 
-    executable = shutil.which("chromium")
-    if executable is None:
+    if EXECUTABLE is None:
         sys.exit("the picture of the report needs chromium (apt-get install chromium)")
-    with tempfile.TemporaryDirectory() as profile:
-        browser = Browser(executable, Path(profile))
+    with started() as browser:
         browser.open(page, width=_WIDTH)
-        clip = {"x": 0, "y": 0, "width": _WIDTH, "height": _HEIGHT, "scale": 1}
-        taken = browser.call(
-            "Page.captureScreenshot", format="png", captureBeyondViewport=True, clip=clip
+        browser.page.screenshot(
+            path=picture,
+            full_page=True,
+            clip={"x": 0.0, "y": 0.0, "width": float(_WIDTH), "height": float(_HEIGHT)},
         )
-        picture.write_bytes(base64.b64decode(taken["data"]))
-        browser.close()
 
 
 def stored() -> dict[str, str]:

@@ -14,9 +14,10 @@ from robot_description import robot_description
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.parameters import node_parameters
+from armimp_common import qos
 from armimp_common.schema import defaults, descriptions, flatten, leaves, to_params_yaml
 from armimp_common.status import Progress, StoppingDecision, TimingFigures, TrialStatus
-from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
+from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, MESSAGE_TYPES, SIM_NODE
 from armimp_estimation.alignment.lost_samples import StreamCount
 from armimp_estimation.fit import CommonDelay
 from armimp_estimation.metadata import Timing
@@ -81,7 +82,26 @@ def generated() -> dict[Path, str]:
         page = _with_tables(page, f"### `{node}`", [table])
     for heading, kinds in _KEYS.items():
         page = _with_tables(page, heading, [key_table(kind) for kind in kinds])
+    page = _with_contract(page)
     return {**{SOURCES / name: text for name, text in texts.items()}, PAGE: page}
+
+
+def _with_contract(page: str) -> str:
+    """Fill in type and quality of service of each topic; the rest of its row stays as it is."""
+    for topic, kind in MESSAGE_TYPES.items():
+        profile, cell = qos.PROFILES[topic], r"[^|\n]+\|"
+        reliability, durability = (
+            one.name.lower().replace("_", " ") for one in (profile.reliability, profile.durability)
+        )
+        page, number = re.subn(
+            rf"^(\| `{topic}` \|){cell}({cell}{cell}){cell}{cell}{cell}",
+            rf"\1 `{kind}` |\2 {reliability} | {profile.depth} | {durability} |",
+            page,
+            flags=re.MULTILINE,
+        )
+        if number != 1:
+            raise SystemExit(f"{PAGE}: {number} rows of {topic!r} with its quality of service")
+    return page
 
 
 def _with_tables(page: str, heading: str, tables: Sequence[str]) -> str:

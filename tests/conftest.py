@@ -3,7 +3,6 @@
 import fcntl
 import functools
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -22,7 +21,6 @@ from armimp_bringup.driver_check.rules import judge
 from armimp_bringup.graph import DomainClaim
 from armimp_bringup.orchestrator import run_experiment
 from armimp_estimation.summary import SUMMARY_FILE, read_summary
-from support.browser import Browser
 from support.graph import PATIENCE, hosted
 from support.runs import FinishedRun, Run
 
@@ -70,17 +68,6 @@ def separate(run: Run) -> FinishedRun:
 def other_seed(run: Run) -> FinishedRun:
     """The default experiment, but short, with another seed."""
     return run(seed=2)
-
-
-@pytest.fixture(scope="session")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    """A headless browser to look at reports with."""
-    executable = shutil.which("chromium")
-    if executable is None:
-        pytest.skip("there is no chromium to look at the report with (apt-get install chromium)")
-    started = Browser(executable, tmp_path_factory.mktemp("profile"))
-    yield started
-    started.close()
 
 
 @pytest.fixture

@@ -52,19 +52,20 @@ class Killer:
         with self._events.open("a") as events:
             events.write(line + "\n")
 
-    def await_witness(self) -> None:
-        """Return when the witness listens."""
-        _await(self._seen)
+    def await_witness(self, what: str = "") -> None:
+        """Return when the witness listens, or has done this."""
+        file = self._seen.with_suffix(what)
+        wait_until(file.exists, f"{file.name} of the witness", PATIENCE)
 
     def await_motion(self) -> None:
         """Tell when the witness has seen some of a perturbation."""
-        _await(self._seen.with_suffix(".moving"))
+        self.await_witness(".moving")
         self.reach(MOVING)
 
     def before(self, transition: str) -> None:
         """A transition is to be asked for."""
         if transition == "activate" and (" " in self.phase or self.phase == MOVING):
-            _await(self._seen.with_suffix(".known"))
+            self.await_witness(".known")
 
     def reach(self, phase: str, *, node: str | None = None) -> None:
         """A phase has come; a phase of nodes counts only for the victim, if it is a node."""
@@ -75,17 +76,11 @@ class Killer:
 
     def _kill(self) -> None:
         assert self.nodes is not None
-        if self._victim == SUPERVISOR_NODE:
-            process = os.getpid()
-        else:
-            process = self.nodes.processes[self._victim].pid
+        nodes = {name: one.pid for name, one in self.nodes.processes.items()}
+        process = nodes.get(self._victim, os.getpid())
         self.blind_until = time.monotonic() + self._blind
         self.note(f"killed {time.monotonic()!r}")
         os.kill(process, signal.SIGKILL)
-
-
-def _await(file: Path) -> None:
-    wait_until(file.exists, f"{file.name} of the witness", PATIENCE)
 
 
 def install(killer: Killer) -> None:
@@ -120,13 +115,8 @@ def install(killer: Killer) -> None:
             killer.reach(f"{values['phase']} {values['trial']}")
             super()._on_trial(message)
 
-    for name, kind in (
-        ("GraphContext", Told),
-        ("SeparateNodes", Kept),
-        ("LifecycleManager", Manager),
-        ("Supervisor", Listener),
-    ):
-        setattr(orchestrator, name, kind)
+    for kind in (Told, Kept, Manager, Listener):
+        setattr(orchestrator, kind.__bases__[0].__name__, kind)
     # Figures of what is left of the experiment would only keep the test waiting.
     setattr(presentation, "_draw", lambda *_: None)  # noqa: B010
 

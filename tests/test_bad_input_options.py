@@ -75,13 +75,9 @@ OF_OTHERS: list[tuple[tuple[str, ...], int, str]] = [
     *(
         (("reproduce", *options), 2, words)
         for options, words in (
-            (("--only", "friction=7"), "--only 'friction=7': 'friction=7' is not one of friction"),
             (("--seeds", "1:"), "--seeds '1:': '1:' is neither a seed nor a range"),
-            (("--workers", "0"), "--workers must be at least 1, got 0"),
             (("--workers", "two"), "Invalid value for '--workers'"),
             (("--workers", "2", "--scheduler", "tcp://x:1"), "--workers is for threads"),
-            (("--joints", "9"), "joints"),
-            (("--duration", "1"), "duration"),
             (("--estimator", "guess"), "there is no 'guess', only welch_siso"),
             (("--config", "nowhere.yaml"), "nowhere.yaml: No such file or directory"),
         )

@@ -26,14 +26,13 @@ from support.fault_figures import Figures
 from support.graph import CLOCK_STEPS
 from support.processes import permitted_priority
 from support.runs import FinishedRun
-from support.stalls import StallWitness
 
 pytestmark = pytest.mark.usefixtures("environment")
 stepped = pytest.mark.parametrize(
     "step", [CLOCK_STEPS[0], pytest.param(CLOCK_STEPS[1], marks=pytest.mark.slow)]
 )
-PATIENCE = 100
-"""Periods until watchdogs take the torque away, so that no stall of a busy machine wakes them."""
+PATIENCE = 40
+"""Periods until watchdogs take the torque away, so that no stall of the machine wakes them."""
 LIMIT = 0.2
 """Then torque is zero, this long after the last sample (s): a requirement of safety."""
 SHORT = {"duration": 2.0}
@@ -183,7 +182,7 @@ def test_when_the_rig_falls_silent_after_the_clock_was_set_expect_zero_torque_in
     target: str,
     step: float,
 ) -> None:
-    """As its drives receive it; a watchdog as patient as it may be is woken by nothing else."""
+    """As its drives receive it."""
     config = {
         "mode": "realtime",
         "joints": 1,
@@ -192,10 +191,7 @@ def test_when_the_rig_falls_silent_after_the_clock_was_set_expect_zero_torque_in
         "arm_sim": {"watchdog_ticks": PATIENCE},
     }
     log = tmp_path / "log"
-    with StallWitness(tmp_path / "stalls") as witness:
-        status = attack(
-            tmp_path, wall_clock, target, step, config, CLOCK_TICK="50", RIG_LOG=str(log)
-        )
+    status = attack(tmp_path, wall_clock, target, step, config, CLOCK_TICK="50", RIG_LOG=str(log))
 
     assert status == 1
     problems = read_summary(tmp_path / "out" / "summary.json").problems
@@ -204,10 +200,8 @@ def test_when_the_rig_falls_silent_after_the_clock_was_set_expect_zero_torque_in
     (silent,) = [moment for moment, what in noted if what == "sample"]
     last = max(moment for moment, what in noted if what == "torque")
     safe = min(moment for moment, what in noted if what == "zero" and moment > last)
-    stalls = sum(max(min(end, safe) - max(begin, silent), 0.0) for begin, end in witness.stalls)
     figures.add(
         f"clock set ({target}), then the rig silent",
         zero_torque_after=(1e3 * (safe - silent), "ms"),
-        of_which_the_machine_stalled=(1e3 * stalls, "ms"),
     )
-    assert safe - silent < LIMIT + stalls
+    assert safe - silent < LIMIT

@@ -1,11 +1,9 @@
 """The workspace builds, installs and tests with colcon, as in a full ROS 2 installation."""
 
 import os
-import shlex
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -60,8 +58,8 @@ class Workspace:
     def share(self, package: str) -> Path:
         return self.install / package / "share" / package
 
-    def colcon(self, verb: str, *arguments: str) -> str:
-        """Run colcon, whose products stay out of the sources, and return what it says."""
+    def colcon(self, verb: str, *arguments: str) -> None:
+        """Run colcon, whose products stay out of the sources."""
         # By the module, so that the interpreter of this test becomes that of the executables.
         command = [sys.executable, "-m", "colcon", "--log-base", str(self.root / "log"), verb]
         command += ["--base-paths", *map(str, FOLDERS), "--build-base", str(self.root / "build")]
@@ -71,17 +69,6 @@ class Workspace:
             [*command, *arguments], capture_output=True, text=True, cwd=self.root, check=False
         )
         assert done.returncode == 0, done.stdout + done.stderr
-        return done.stdout
-
-    def sourced(self, command: str) -> list[str]:
-        """Return a command for a shell that has sourced the workspace."""
-        setup = shlex.quote(str(self.install / "setup.bash"))
-        return ["bash", "-c", f"source {setup} && {command}"]
-
-
-def environment() -> Mapping[str, str]:
-    """The environment of somebody who has no other way to the packages than the workspace."""
-    return {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
 
 
 @pytest.fixture(scope="module")
@@ -119,10 +106,12 @@ def test_every_package_is_installed_where_ros_looks(workspace: Workspace, packag
 def test_an_installed_node_takes_part_in_the_graph(workspace: Workspace, node: Node) -> None:
     executable = workspace.install / "armimp_sim" / "lib" / "armimp_sim" / SIM_NODE
     parameters = workspace.share("armimp_sim") / "config" / f"{SIM_NODE}.yaml"
-    command = f"exec {shlex.quote(str(executable))} --ros-args --params-file "
+    node_command = [str(executable), "--ros-args", "--params-file", str(parameters)]
+    sourced = 'source "$0" && exec "$@"'
     process = subprocess.Popen(
-        workspace.sourced(command + shlex.quote(str(parameters))),
-        env=environment(),
+        ["bash", "-c", sourced, str(workspace.install / "setup.bash"), *node_command],
+        # Somebody who has no other way to the packages than the workspace.
+        env={name: value for name, value in os.environ.items() if name != "PYTHONPATH"},
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,

@@ -90,11 +90,6 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Seen:
     return Seen(directory=directory, screens=screens(command, 80))
 
 
-@pytest.fixture(scope="module")
-def experiment(seen: Seen) -> Path:
-    return seen.directory
-
-
 def bags(directory: Path) -> list[str]:
     return sorted(str(path) for path in (directory / "bags").iterdir())
 
@@ -104,8 +99,8 @@ def printed(capfd: pytest.CaptureFixture[str]) -> dict[str, Any]:
     return loaded
 
 
-def test_a_run_leaves_bags_summary_curves_figure_and_parameters(experiment: Path) -> None:
-    assert {path.name for path in experiment.iterdir()} == {
+def test_a_run_leaves_bags_summary_curves_figure_and_parameters(seen: Seen) -> None:
+    assert {path.name for path in seen.directory.iterdir()} == {
         "bags",
         "coherence.pdf",
         "coherence.png",
@@ -118,7 +113,7 @@ def test_a_run_leaves_bags_summary_curves_figure_and_parameters(experiment: Path
         "traces.pdf",
         "traces.png",
     }
-    summary = json.loads((experiment / "summary.json").read_text())
+    summary = json.loads((seen.directory / "summary.json").read_text())
     assert summary["valid"] is True
     assert [trial["bag"] for trial in summary["trials"]] == [
         "bags/trial_1_joint_1",
@@ -131,14 +126,14 @@ def test_a_run_leaves_bags_summary_curves_figure_and_parameters(experiment: Path
 
 
 def test_estimate_and_replay_give_the_numbers_of_the_live_run_to_the_last_digit(
-    experiment: Path, capfd: pytest.CaptureFixture[str]
+    seen: Seen, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    live = json.loads((experiment / "summary.json").read_text())
+    live = json.loads((seen.directory / "summary.json").read_text())
     capfd.readouterr()
 
-    assert main(["estimate", str(experiment), "--json"]) == 0
+    assert main(["estimate", str(seen.directory), "--json"]) == 0
     estimated = printed(capfd)
-    assert main(["replay", *bags(experiment), "--json"]) == 0
+    assert main(["replay", *bags(seen.directory), "--json"]) == 0
     replayed = printed(capfd)
 
     assert estimated["estimators"] == live["estimators"]
@@ -148,10 +143,10 @@ def test_estimate_and_replay_give_the_numbers_of_the_live_run_to_the_last_digit(
 
 
 def test_a_recording_without_trial_statuses_is_replayed_too(
-    experiment: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    seen: Seen, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     copies = []
-    for bag in bags(experiment):
+    for bag in bags(seen.directory):
         untold = (one for one in iterate_messages(Path(bag)) if one[0] != TRIAL)
         copies.append(str(write_bag(tmp_path / Path(bag).name, untold, {})))
     capfd.readouterr()

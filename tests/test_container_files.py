@@ -24,12 +24,8 @@ def instructions(name: str) -> list[tuple[str, str]]:
     return [(line.split()[0], line.split(maxsplit=1)[1]) for line in lines]
 
 
-def compose() -> Any:
-    return yaml.safe_load((DOCKER / "compose.yaml").read_text(encoding="utf-8"))
-
-
-def nodes() -> dict[str, Any]:
-    return {name: service for name, service in compose()["services"].items() if name != "armimp"}
+SERVICES: dict[str, Any] = yaml.safe_load((DOCKER / "compose.yaml").read_text("utf-8"))["services"]
+NODES = {name: service for name, service in SERVICES.items() if name != "armimp"}
 
 
 @pytest.mark.parametrize("name", DOCKERFILES)
@@ -48,8 +44,8 @@ def test_images_copy_and_run_what_is_there_and_end_as_an_ordinary_user(name: str
 
 
 def test_every_node_has_a_container_with_its_parameters() -> None:
-    assert sorted(nodes()) == sorted((SIM_NODE, CONTROLLER_NODE, ESTIMATOR_NODE))
-    for name, service in nodes().items():
+    assert sorted(NODES) == sorted((SIM_NODE, CONTROLLER_NODE, ESTIMATOR_NODE))
+    for name, service in NODES.items():
         executable, *_, parameters = service["command"]
         assert executable == name
         assert parameters.startswith(INSIDE)
@@ -58,10 +54,10 @@ def test_every_node_has_a_container_with_its_parameters() -> None:
 
 
 def test_the_orchestrator_starts_after_the_nodes_in_their_network_and_their_domain() -> None:
-    services = compose()["services"]
-    assert set(services["armimp"]["depends_on"]) == set(nodes())
-    assert services["armimp"]["command"][:4] == ["armimp", "run", "--processes", "external"]
+    orchestrator = SERVICES["armimp"]
+    assert set(orchestrator["depends_on"]) == set(NODES)
+    assert orchestrator["command"][:4] == ["armimp", "run", "--processes", "external"]
     for key in ("environment", "networks", "volumes", "image"):
-        assert all(service[key] == services["armimp"][key] for service in services.values())
-    profile = services["armimp"]["environment"]["FASTRTPS_DEFAULT_PROFILES_FILE"]
+        assert all(service[key] == orchestrator[key] for service in NODES.values())
+    profile = orchestrator["environment"]["FASTRTPS_DEFAULT_PROFILES_FILE"]
     assert (ROOT / profile.removeprefix(INSIDE)).is_file()

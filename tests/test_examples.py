@@ -24,23 +24,13 @@ EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 BY_NUMBER = {path.name[:2]: path for path in EXAMPLES}
 
 
-@pytest.fixture
-def example(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> "Example":
-    return Example(monkeypatch, capsys)
-
-
-class Example:
-    """Runs an example in this process, which has compiled and imported most of it already."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-        self._monkeypatch, self._capsys = monkeypatch, capsys
-
-    def __call__(self, number: str, *arguments: str) -> str:
-        path = str(BY_NUMBER[number])
-        self._monkeypatch.setattr(sys, "argv", [path, *arguments])
-        self._capsys.readouterr()
+def printed(number: str, *arguments: str) -> str:
+    """What an example prints, run in this process, which has compiled and imported most already."""
+    path, out = str(BY_NUMBER[number]), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(out):
+        patch.setattr(sys, "argv", [path, *arguments])
         runpy.run_path(path, run_name="__main__")
-        return self._capsys.readouterr().out
+    return out.getvalue()
 
 
 def numbers(text: str) -> list[float]:
@@ -56,8 +46,8 @@ def test_they_are_numbered_without_a_gap_and_all_in_the_list() -> None:
         assert f"examples/{path.name}" in path.read_text(encoding="utf-8"), "how to start it"
 
 
-def test_one_experiment_is_simulated_and_estimated(example: Example) -> None:
-    out = example("01")
+def test_one_experiment_is_simulated_and_estimated() -> None:
+    out = printed("01")
     lines = [line for line in out.splitlines() if " = " in line]
     assert len(lines) == 12
     for line in lines:
@@ -67,8 +57,8 @@ def test_one_experiment_is_simulated_and_estimated(example: Example) -> None:
     assert out.endswith("valid\n")
 
 
-def test_estimators_are_compared(example: Example) -> None:
-    rows = {line.split()[0]: numbers(line) for line in example("02").splitlines()[1:]}
+def test_estimators_are_compared() -> None:
+    rows = {line.split()[0]: numbers(line) for line in printed("02").splitlines()[1:]}
     assert set(rows) == {"welch_siso", "welch_full", "lpm_full", "direct"}
     assert rows["lpm_full"][0] > 99.7
     assert rows["welch_siso"][0] > 99.5
@@ -76,8 +66,8 @@ def test_estimators_are_compared(example: Example) -> None:
     assert rows["lpm_full"][2] < 1.0 < rows["welch_siso"][2]
 
 
-def test_who_ignores_the_loop_is_biased_by_voluntary_torque(example: Example) -> None:
-    found = {line.split()[0]: numbers(line) for line in example("03").splitlines()}
+def test_who_ignores_the_loop_is_biased_by_voluntary_torque() -> None:
+    found = {line.split()[0]: numbers(line) for line in printed("03").splitlines()}
     mean, uncertain = found["direct"][:2]
     assert mean < -10.0
     assert abs(mean) > 4.0 * uncertain
@@ -85,8 +75,8 @@ def test_who_ignores_the_loop_is_biased_by_voluntary_torque(example: Example) ->
     assert abs(mean) < 4.0 * uncertain
 
 
-def test_other_friction_changes_the_rig_and_not_the_result(example: Example) -> None:
-    lines = example("04").splitlines()
+def test_other_friction_changes_the_rig_and_not_the_result() -> None:
+    lines = printed("04").splitlines()
     assert [line.split()[0] for line in lines] == ["none", "dahl", "viscous"]
     speeds = [numbers(line)[:2] for line in lines]
     assert speeds == [[0.0, 0.0], [1.5, 0.75], [0.8, 0.8]]
@@ -100,24 +90,17 @@ def test_other_friction_changes_the_rig_and_not_the_result(example: Example) -> 
 def ran(environment: None, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """The experiment of example 05 and what it printed."""
     directory = tmp_path_factory.mktemp("examples") / "out"
-    path, printed = str(BY_NUMBER["05"]), io.StringIO()
-    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(printed):
-        patch.setattr(sys, "argv", [path, str(directory)])
-        runpy.run_path(path, run_name="__main__")
-    return directory, printed.getvalue()
+    return directory, printed("05", str(directory))
 
 
 def test_an_experiment_runs_through_the_graph(ran: tuple[Path, str]) -> None:
-    _, out = ran
-    assert "trial 1 of 2: joint 1\n" in out
-    assert "trial 2 of 2: joint 2\n" in out
-    assert "joint 2: 10000 samples, 0 lost" in out
-    assert "\nvalid\n" in out
-    assert out.endswith("bags: trial_1_joint_1 trial_2_joint_2\n")
+    for line in ("trial 2 of 2: joint 2\n", "joint 2: 10000 samples, 0 lost", "\nvalid\n"):
+        assert line in ran[1]
+    assert ran[1].endswith("bags: trial_1_joint_1 trial_2_joint_2\n")
 
 
-def test_a_bag_is_read_with_rosbags_alone(ran: tuple[Path, str], example: Example) -> None:
-    out = example("06", str(ran[0] / "bags" / "trial_1_joint_1"))
+def test_a_bag_is_read_with_rosbags_alone(ran: tuple[Path, str]) -> None:
+    out = printed("06", str(ran[0] / "bags" / "trial_1_joint_1"))
     assert re.search(r"^ 105\d\d sensor_msgs/msg/JointState +/torque_sensors$", out, re.M)
     assert "10000 samples from 0.500 s to 10.499 s" in out
     assert "seed 1, friction level 3" in out
@@ -139,12 +122,10 @@ def test_a_node_hears_the_results(ran: tuple[Path, str], monkeypatch: pytest.Mon
         player._spinner.spin(lambda: bool(heard))
 
     monkeypatch.setattr(BagPlayer, "play", play_and_wait)
+    command, pipe = [sys.executable, str(BY_NUMBER["07"])], subprocess.PIPE
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
     with subprocess.Popen(
-        [sys.executable, str(BY_NUMBER["07"])],
-        env={**os.environ, "ROS_DOMAIN_ID": str(domain)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
+        command, env=environment, stdout=pipe, stderr=pipe, text=True
     ) as listener:
         assert listener.stdout is not None
         assert listener.stderr is not None
@@ -162,17 +143,14 @@ def test_a_node_hears_the_results(ran: tuple[Path, str], monkeypatch: pytest.Mon
     assert "impedance_estimator: column 1: trial 1" in out
     assert "impedance_estimator: impedance: valid" in out
     (stiffness,) = re.findall(r"K row by row: (.*) N", out)
-    assert [float(one) for one in stiffness.split()] == [
-        value for row in summary.estimators["lpm_full"].K for value in row
-    ]
+    found = [float(one) for one in stiffness.split()]
+    assert found == [value for row in summary.estimators["lpm_full"].K for value in row]
 
 
-def test_an_estimator_of_ones_own_works_on_records_and_on_bags(
-    ran: tuple[Path, str], example: Example
-) -> None:
+def test_an_estimator_of_ones_own_works_on_records_and_on_bags(ran: tuple[Path, str]) -> None:
     bags = [str(path) for path in sorted((ran[0] / "bags").iterdir())]
     for arguments in ([], bags):
-        out = example("08", *arguments)
+        out = printed("08", *arguments)
         rows = {line.split()[0]: numbers(line) for line in out.splitlines()}
         truth = rows["truth"]
         error = {
@@ -182,7 +160,7 @@ def test_an_estimator_of_ones_own_works_on_records_and_on_bags(
         assert error["welch_shifted"] < error["welch_siso"]
 
 
-def test_a_law_in_plain_python_holds_joints_better_with_feed_forward(example: Example) -> None:
-    without, with_it = (numbers(line)[1:3] for line in example("09").splitlines())
+def test_a_law_in_plain_python_holds_joints_better_with_feed_forward() -> None:
+    without, with_it = (numbers(line)[1:3] for line in printed("09").splitlines())
     assert all(one > 0.02 for one in without)
     assert all(b < 0.9 * a for a, b in zip(without, with_it, strict=True))

@@ -20,20 +20,10 @@ def offline(**options: Any) -> list[TrialRecord]:
     return run_offline([node_parameters(config, None)])[0]
 
 
-def test_default_experiment_is_valid(composed: FinishedRun) -> None:
-    assert composed.summary.problems == []
-    assert composed.summary.valid
-
-
-def test_composed_and_separate_processes_record_the_same_bits(
+def test_composed_and_separate_processes_record_the_same_bits_and_give_the_same_results(
     composed: FinishedRun, separate: FinishedRun
 ) -> None:
     composed.assert_same_streams(separate)
-
-
-def test_composed_and_separate_processes_give_the_same_results(
-    composed: FinishedRun, separate: FinishedRun
-) -> None:
     assert composed.summary.problems == separate.summary.problems
     assert composed.summary.estimators == separate.summary.estimators
     assert composed.summary.truth == separate.summary.truth

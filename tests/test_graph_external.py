@@ -29,11 +29,11 @@ Processes = dict[str, subprocess.Popen[bytes]]
 @pytest.fixture
 def started(start: Callable[..., subprocess.Popen[bytes]]) -> Processes:
     """The three nodes, each as somebody else would start it: with its own default parameters."""
-    files = {
-        name: SOURCES / package / "config" / f"{name}.yaml" for name, package in PACKAGES.items()
-    }
     return {
-        name: start(["-m", f"{package}.node"], "--params-file", str(files[name]))
+        name: start(
+            ["-m", f"{package}.node"],
+            *("--params-file", str(SOURCES / package / "config" / f"{name}.yaml")),
+        )
         for name, package in PACKAGES.items()
     }
 

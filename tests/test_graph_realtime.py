@@ -17,10 +17,7 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import run_experiment
 from armimp_common.heartbeat import Presence
 from armimp_common.status import Progress
-from armimp_common.topics import (
-    CONTROLLER_NODE,
-    SIM_NODE,
-)
+from armimp_common.topics import CONTROLLER_NODE, SIM_NODE
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.summary import Summary
 from support.processes import permitted_priority, processes_of
@@ -77,16 +74,14 @@ def test_a_run_reports_its_timing_and_is_valid_unless_that_is_beyond_a_limit(
 def test_when_one_side_is_held_up_for_long_expect_the_other_to_end_the_run(
     tmp_path: Path, node: str, watchdog: str
 ) -> None:
-    directory, held = tmp_path / "out", 0
+    directory, held = tmp_path / "out", list[int]()
 
     def on_progress(progress: Progress) -> None:
-        nonlocal held
         if not held:
-            (process,) = processes_of(MODULES[node], directory)
-            os.kill(process, signal.SIGSTOP)
+            held.extend(processes_of(MODULES[node], directory))
+            os.kill(held[0], signal.SIGSTOP)
             time.sleep(HELD)
-            os.kill(process, signal.SIGCONT)
-            held += 1
+            os.kill(held[0], signal.SIGCONT)
 
     summary = run_experiment(patient(), directory, on_progress=on_progress).summary
 

@@ -118,7 +118,9 @@ def test_published_result_is_the_stored_one(account: Account) -> None:
             assert published == np.ravel(getattr(result, key)).tolist()
 
 
-def test_progress_grows_in_every_trial(account: Account) -> None:
+def test_progress_grows_in_every_trial_and_tells_the_coherence_of_two_segments_and_more(
+    account: Account,
+) -> None:
     order = [(progress.trial, progress.samples) for progress in account.progress]
     assert order == sorted(order)
     assert {progress.trial for progress in account.progress} == {1, 2}
@@ -129,9 +131,6 @@ def test_progress_grows_in_every_trial(account: Account) -> None:
     phases = {progress.phase for progress in account.progress}
     assert phases <= {Phase.SETTLE, Phase.PERTURB, Phase.REST}
     assert account.progress[-1].rate > 0.0
-
-
-def test_progress_tells_the_coherence_as_soon_as_there_are_two_segments(account: Account) -> None:
     welch = WelchConfig.for_samples(2_000)
     assert max(progress.samples for progress in account.progress) >= welch.segment + welch.step
     for progress in account.progress:

@@ -2,80 +2,53 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
 
 import pytest
 
 from support.fault_figures import Figures
-from support.hostile_bags import ATTACKS, QUICK
+from support.hostile_bags import ATTACKS, QUICK, Outcome, tried
 
-_MOST_MEMORY: Final = 1.5e9
-_MOST_TIME: Final = 30.0
-_NOTES = ("note: ", "armimp: note: ", "trial ")
-_VERDICT: Final = "armimp: not valid: "
-_MOST_REASONS: Final = 5
-_LONGEST_LINE: Final = 1300
-NAMED: Final = ("/dev/zero", "parameter '", "not valid: ")
+MOST_MEMORY, MOST_TIME = 1.5e9, 30.0
+NOTES = ("note: ", "armimp: note: ", "trial ")
+NAMED = ("/dev/zero", "parameter '", "not valid: ")
 """What a line may name in the place of the file: a device, a parameter, a verdict."""
 
 
-def outcomes(names: Sequence[str], directory: Path) -> Iterator[dict[str, Any]]:
-    """What the command made of the files of these attacks, all from one process."""
-    command = [sys.executable, "-m", "support.hostile_bags", str(directory), *names]
-    here = Path(__file__).resolve().parent
-    with subprocess.Popen(command, cwd=here, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        yield from map(json.loads, process.stdout)
-    assert process.returncode == 0
-
-
-def faults_of(outcome: dict[str, Any], directory: Path) -> list[str]:
+def faults_of(outcome: Outcome, directory: Path) -> list[str]:
     """What is wrong with an outcome, in words; time is that of the processor."""
-    said = outcome["err"]
-    complaints = [line for line in said.splitlines() if not line.startswith(_NOTES)]
+    status, said = outcome.told.status, outcome.told.err
+    complaints = [line for line in said.splitlines() if not line.startswith(NOTES)]
     # A file that could be read to its end has a verdict, with a line for each of its reasons.
-    refusals = [line for line in complaints if not line.startswith(_VERDICT)]
-    found = [
-        (outcome["status"] not in (0, 1, 2), f"ended with {outcome['status']}"),
-        ("Traceback" in said, "traceback"),
-        (bool(outcome["status"]) and not complaints, "no reason"),
-        (
-            len(refusals) > 1 or (bool(refusals) and refusals != complaints),
-            f"{refusals} refused it",
+    verdicts = [line for line in complaints if line.startswith("armimp: not valid: ")]
+    found = {
+        f"ended with {status}": status not in (0, 1, 2),
+        "traceback": "Traceback" in said,
+        "no reason": bool(status) and not complaints,
+        "refused by more than one line": len(complaints) > 1 and verdicts != complaints,
+        "too many reasons": len(complaints) > 5,
+        "no line of ours": not all(line.startswith("armimp: ") for line in complaints),
+        "a line beyond reading": any(len(line) > 1300 for line in complaints),
+        "file not named": not all(
+            any(name in line for name in (str(directory), *NAMED)) for line in complaints
         ),
-        (len(complaints) > _MOST_REASONS, f"{len(complaints)} reasons"),
-        (any(not line.startswith("armimp: ") for line in complaints), "no line of ours"),
-        (any(len(line) > _LONGEST_LINE for line in complaints), "a line beyond reading"),
-        (
-            not all(any(name in line for name in (str(directory), *NAMED)) for line in complaints),
-            "file not named",
-        ),
-        (outcome["seconds"] > _MOST_TIME, f"{outcome['seconds']:.0f} s"),
-        (outcome["memory"] > _MOST_MEMORY, f"{outcome['memory'] / 1e9:.2f} GB"),
-        (not outcome["untouched"], "another file was touched"),
-    ]
-    return [reason for wrong, reason in found if wrong]
+        f"{outcome.seconds:.0f} s": outcome.seconds > MOST_TIME,
+        f"{outcome.memory / 1e9:.2f} GB": outcome.memory > MOST_MEMORY,
+        "another file was touched": not outcome.untouched,
+    }
+    return [reason for reason, wrong in found.items() if wrong]
 
 
 def withstood(names: Sequence[str], directory: Path, figures: Figures) -> None:
-    wrong = {}
-    tried = 0
-    for outcome in outcomes(names, directory):
-        tried += 1
+    for name in names:
+        outcome = tried(name, directory / name.replace(" ", "_"))
         figures.add(
             "hostile file",
-            processor_time=(outcome["seconds"], "s"),
-            memory=(outcome["memory"] / 1e6, "MB"),
+            processor_time=(outcome.seconds, "s"),
+            memory=(outcome.memory / 1e6, "MB"),
         )
-        if problems := faults_of(outcome, directory):
-            wrong[outcome["name"]] = (problems, outcome["err"][-500:])
-    assert tried == len(names)
-    assert wrong == {}
+        assert faults_of(outcome, directory) == [], (name, outcome.told.err[-500:])
 
 
 def test_a_hostile_file_gets_one_line_in_bounded_memory_and_touches_nothing(

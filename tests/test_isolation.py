@@ -2,10 +2,8 @@
 
 import json
 import os
-import socket
 import subprocess
 import sys
-from collections.abc import Sequence
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
@@ -92,52 +90,19 @@ def graph_of(process: "subprocess.Popen[str]", directory: Path) -> dict[int, set
     return {number: endpoints(number) for number in (process.pid, *map(int, children))}
 
 
-def own_address() -> str:
-    """The address by which other machines reach this one."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            # Nothing is sent by this.
-            probe.connect(("192.0.2.1", 9))
-        except OSError:
-            pytest.skip("this machine has no network")
-        return str(probe.getsockname()[0])
-
-
-def refused(address: str, ports: Sequence[int]) -> list[bool]:
-    """Whether this machine says of each port that nobody listens there, by UDP."""
-    found = []
-    for port in ports:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-            sender.settimeout(0.2)
-            sender.connect((address, port))
-            try:
-                sender.send(b"RTPS")
-                sender.recv(1)
-            except ConnectionRefusedError:
-                found.append(True)
-            except TimeoutError:
-                found.append(False)
-    return found
-
-
 @pytest.mark.parametrize("processes", ["composed", "separate"])
 def test_nothing_of_an_experiment_can_be_reached_from_other_machines(
     tmp_path: Path, processes: str
 ) -> None:
+    """As sockets that are bound to the loopback interface hear nobody else."""
     experiment = start(tmp_path / "out", "--processes", processes)
     try:
         graph = graph_of(experiment, tmp_path / "out")
-        ports = sorted({one.port for found in graph.values() for one in found})
-        inside = refused("127.0.0.1", ports)
-        outside = refused(own_address(), ports)
     finally:
         experiment.terminate()
         experiment.communicate(timeout=PATIENCE)
 
     assert len(graph) == (1 if processes == "composed" else 1 + len(NODES))
-    # Each has two ports at least, for discovery and for data, on the loopback interface.
+    # Each has two ports at least, for discovery and for data.
     assert all(len(found) >= 2 for found in graph.values())
     assert all(ip_address(one.ip).is_loopback for found in graph.values() for one in found)
-    # From the outside, as opposed to from the inside, the machine itself says so.
-    assert not any(inside)
-    assert all(outside)

@@ -22,15 +22,13 @@ Array = NDArray[np.float64]
 TICKS = 400
 
 
-def _arrays(trial: TrialRecord) -> dict[str, Array]:
-    return {
-        name: getattr(trial, name) for name in ("position", "torque", "command", "perturbation")
-    }
+def _arrays(trial: TrialRecord) -> Array:
+    """Angles, torques, commands and perturbations, (4, n, N)."""
+    return np.stack([trial.position, trial.torque, np.array(trial.command), trial.perturbation])
 
 
 def _same(one: TrialRecord, other: TrialRecord) -> bool:
-    others = _arrays(other)
-    return all(np.array_equal(values, others[name]) for name, values in _arrays(one).items())
+    return np.array_equal(_arrays(one), _arrays(other))
 
 
 @pytest.mark.parametrize("joints", [2, 3])
@@ -41,16 +39,13 @@ def test_records_have_the_shapes_and_order_that_are_stated(joints: int) -> None:
         (50 + k * 510) * PERIOD_NS for k in range(joints)
     ]
     for trial in trials:
-        for values in _arrays(trial).values():
-            assert values.shape == (joints, TICKS)
-            assert values.flags.c_contiguous
-            assert np.all(np.isfinite(values))
+        assert _arrays(trial).shape == (4, joints, TICKS)
+        assert np.all(np.isfinite(_arrays(trial)))
+        assert trial.position.flags.c_contiguous
         others = np.delete(trial.perturbation, trial.perturbed_joint, axis=0)
         assert np.array_equal(others, np.zeros((joints - 1, TICKS)))
-        assert (
-            np.max(np.abs(trial.perturbation))
-            == brief_rig(joints=joints).controller.perturbation.peak[trial.perturbed_joint]
-        )
+        peak = brief_rig(joints=joints).controller.perturbation.peak[trial.perturbed_joint]
+        assert np.max(np.abs(trial.perturbation)) == peak
         # The perturbed joint moves most, about the posture.
         deflection = trial.position - human_arm(joints).theta_0[:, None]
         assert np.argmax(np.std(deflection, axis=1)) == trial.perturbed_joint
@@ -60,8 +55,7 @@ def test_same_seed_gives_the_same_bits_and_another_seed_other_ones() -> None:
     first, again, other = (run_offline([brief_rig(seed=seed)])[0] for seed in (3, 3, 8))
     assert all(_same(one, two) for one, two in zip(first, again, strict=True))
     for one, two in zip(first, other, strict=True):
-        for name, values in _arrays(one).items():
-            assert not np.array_equal(values, _arrays(two)[name]), name
+        assert not any(map(np.array_equal, _arrays(one), _arrays(two)))
 
 
 def _another(level: int) -> NodeParameters:
@@ -88,8 +82,7 @@ def test_experiments_side_by_side_give_the_bits_that_each_gives_alone() -> None:
     assert len(together) == 3
     for rig, trials in zip(rigs, together, strict=True):
         (alone,) = run_offline([rig])
-        assert len(alone) == len(trials) == 2
-        assert all(_same(one, many) for one, many in zip(alone, trials, strict=True))
+        assert list(map(_same, alone, trials)) == [True, True]
 
 
 @pytest.mark.parametrize(

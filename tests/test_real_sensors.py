@@ -2,84 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import pytest
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.offline import run_offline, simulate
-from armimp_bringup.parameters import NodeParameters, node_parameters
+from armimp_bringup.offline import run_offline
+from armimp_bringup.parameters import node_parameters
 from armimp_common.status import Phase, TrialStatus
 from armimp_common.topics import PERIOD_NS
 from armimp_control.trial_sequencer import TrialSequencer
 from armimp_estimation.metadata import Metadata
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_sim.simulator import SimulatedRig
-from support.synthetic_trials import worst_errors
-
-TARE = {"tare": {"duration": 0.6, "wait": 0.4}}
-OFFSET, DRIFT = [0.8, -0.5], [0.02, -0.01]
-DURATION = 20.0
-
-
-def chosen(
-    sensors: Mapping[str, Any] | None = None,
-    *,
-    lag: float = 0.0,
-    duration: float = DURATION,
-    **levels: Any,
-) -> ExperimentConfig:
-    """An experiment with the given `sensors.torque.…`."""
-    config = {
-        "duration": duration,
-        "arm_sim": {
-            "sensors": {"torque": sensors or {}},
-            "actuators": {"bandwidth": 0.5 / np.pi / lag if lag else 0.0},
-        },
-        "imbic_controller": TARE,
-        **levels,
-    }
-    return ExperimentConfig.model_validate(config)
-
-
-CASES: dict[str, ExperimentConfig] = {
-    "prompt": chosen(),
-    "offset and drift": chosen({"offset": OFFSET, "drift": DRIFT}),
-    "delay": chosen({"delay": 0.002}),
-    "filter": chosen({"cutoff": 200.0}),
-    "lag": chosen(lag=0.001),
-    "everything": chosen(
-        {"offset": OFFSET, "drift": DRIFT, "delay": 0.0017, "cutoff": 200.0}, lag=0.0003
-    ),
-}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", CASES)
-def test_what_is_known_of_the_sensors_costs_no_accuracy(name: str) -> None:
-    (experiment,) = simulate([CASES[name]])
-    result = experiment.identify(["lpm_full"]).estimators["lpm_full"]
-    found = worst_errors(result.fit.mbk, experiment.truth)
-    assert found["M"] < 0.004
-    assert found["B"] < 0.006
-    assert found["K"] < 0.006
-    assert result.vaf is not None
-    assert np.min(result.vaf) > 99.9
 
 
 @pytest.mark.slow
 def test_node_and_study_take_the_same_tare_and_give_the_same_bits() -> None:
-    sensors = {"offset": OFFSET, "drift": [0.4, 0.2], "noise": 0.005}
-    config = chosen(sensors, duration=10.0, rig="realistic", internal_model="observer")
-    calm = {**config.arm_sim, "voluntary": {"rms": 0.02}}  # or there is no tare
-    case = node_parameters(config.model_copy(update={"arm_sim": calm}), None)
-    short = {"duration": 0.2, "settle": 0.05, "rest": 0.5}
-    controller = case.controller.model_copy(
-        update={"sequence": case.controller.sequence.model_copy(update=short)}
+    config = ExperimentConfig.model_validate(
+        {
+            "rig": "realistic",
+            "internal_model": "observer",
+            "arm_sim": {
+                "sensors.torque": {"offset": [0.8, -0.5], "drift": [0.4, 0.2], "noise": 0.005},
+                "actuators.bandwidth": 0.0,
+                "voluntary.rms": 0.02,  # or there is no tare
+            },
+            "imbic_controller": {
+                "tare": {"duration": 0.6, "wait": 0.4},
+                "sequence": {"duration": 0.2, "settle": 0.05, "rest": 0.5},
+            },
+        }
     )
-    case = NodeParameters(simulator=case.simulator, controller=controller, estimator=case.estimator)
+    case = node_parameters(config, None)
     (trials,) = run_offline([case])
 
     statuses: list[TrialStatus] = []

@@ -33,38 +33,29 @@ MOST_LOST = 100
 RECORDER = """
 import os, struct, sys, time
 from pathlib import Path
-from armimp_common.topics import TRIAL
-from armimp_common.cdr import decode_trial_status
 from armimp_estimation.alignment.synchronizer import TOGETHER
 from armimp_estimation.recorder import TrialRecorder
+from support.streams import record
 from support.synthetic_bags import recorded_arm
-from support.streams import fed_synchronizer
 
 directory, trial, samples = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
 arm = recorded_arm(samples)
 ticks = 60 + samples + 60
 begin = (trial - 1) * ticks * 1_000_000
-recording = TrialRecorder(arm.records[0].joint_names, directory, {}, lambda *_: None)
 
-def on_samples(samples):
-    if samples % TOGETHER == 0:
-        recording.add(synchronizer.take())
-        recording.flush()
+def paced():
+    began, present = time.monotonic(), begin
+    for message in arm.messages:
+        stamp = message[1]
+        if begin <= stamp < begin + ticks * 1_000_000:
+            if stamp > present:
+                os.write(1, struct.pack("<q", (present - begin) // 1_000_000))
+                present = stamp
+                time.sleep(max(began + (stamp - begin) / 1e9 - time.monotonic(), 0.0))
+            yield message
 
-synchronizer, receivers = fed_synchronizer(on_samples)
-messages = [m for m in arm.messages if begin <= m[1] < begin + ticks * 1_000_000]
-began = time.monotonic()
-present = begin
-for topic, stamp, raw in messages:
-    if stamp > present:
-        os.write(1, struct.pack("<q", (present - begin) // 1_000_000))
-        present = stamp
-        time.sleep(max(began + (stamp - begin) / 1e9 - time.monotonic(), 0.0))
-    if topic == TRIAL:
-        recording.add(synchronizer.take())
-        recording.add_status(decode_trial_status(raw))
-    else:
-        receivers[topic](raw)
+recorder = TrialRecorder(arm.records[0].joint_names, directory, {}, lambda *_: None)
+record(recorder, paced(), TOGETHER, recorder.flush)
 """
 
 

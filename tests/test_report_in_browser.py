@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
-import base64
 import json
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 
 from armimp_bringup.cli import main
 from armimp_estimation.report import write_report
 from armimp_estimation.result import load_result
-from support.browser import Browser
+from support.browser import EXECUTABLE, Browser, started
 from support.results import METADATA, make_result
 from support.synthetic_bags import synthetic_recording
 
 HOSTILE = "\"'><script>window.hacked = 1</script><img src=x onerror='window.hacked = 1'>"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    if EXECUTABLE is None:
+        pytest.skip("there is no chromium to look at the report with (apt-get install chromium)")
+    with started() as browser:
+        yield browser
 
 
 @pytest.fixture(scope="module")
@@ -108,12 +116,12 @@ def test_the_end_of_a_trial_is_shown_in_full(page: Browser) -> None:
 
 def test_page_and_plots_follow_the_colour_scheme_of_the_system_but_on_paper(page: Browser) -> None:
     ink = "document.querySelector('#trace-2 .canvas').layout.font.color"  # drawn last
-    for scheme, colour, paper in (
+    schemes: tuple[tuple[Literal["dark", "light"], str, str], ...] = (
         ("dark", "#e3e7eb", "rgb(21, 25, 29)"),
         ("light", "#1d2329", "rgb(255, 255, 255)"),
-    ):
-        wanted = [{"name": "prefers-color-scheme", "value": scheme}]
-        page.call("Emulation.setEmulatedMedia", features=wanted)
+    )
+    for scheme, colour, paper in schemes:
+        page.page.emulate_media(color_scheme=scheme)
         page.wait_for(f"{ink} === '{colour}'")
         assert page.value("getComputedStyle(document.body).backgroundColor") == paper
         page.value("dispatchEvent(new Event('beforeprint'))")
@@ -153,8 +161,7 @@ def test_print_shows_everything_and_leaves_the_screen_as_it_was(page: Browser) -
         " window.folded = document.querySelectorAll('details:not([open])').length;"
         " window.printed = " + width + "; })"
     )
-    printed = base64.b64decode(page.call("Page.printToPDF")["data"])
-    assert printed.startswith(b"%PDF")
+    assert page.page.pdf().startswith(b"%PDF")
     assert page.value("window.folded") == 0
     assert int(page.value("window.printed")) < int(before)
     page.wait_for(f"{width} === '{before}'")
@@ -191,22 +198,23 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return directory
 
 
+VISIBLE = "document.querySelector('#overlay-1-2 .canvas').data.filter((trace) => trace.visible)"
+
+
 @pytest.fixture
 def study_page(browser: Browser, study: Path) -> Browser:
     browser.open(study / "report.html")
     return browser
 
 
-def _name(friction: int, resolution: int, perturbation: int) -> str:
-    levels = f"friction {friction}, resolution {resolution}, perturbation {perturbation}"
-    return f"welch_siso, {levels}"
-
-
 def _visible(browser: Browser) -> Any:
-    return browser.value(
-        "document.querySelector('#overlay-1-2 .canvas').data"
-        ".filter((trace) => trace.visible).map((trace) => trace.name)"
-    )
+    return browser.value(f"{VISIBLE}.map((trace) => trace.name)")
+
+
+def _curves(*levels: tuple[int, int, int]) -> list[str]:
+    """Names of the curves of these levels, three in each panel, and of the truth."""
+    names = (f"welch_siso, friction {f}, resolution {r}, perturbation {p}" for f, r, p in levels)
+    return [*(name for name in names for _ in range(3)), "truth", "truth"]
 
 
 @pytest.mark.slow
@@ -227,17 +235,9 @@ def test_study_report_is_drawn_without_complaint_and_without_the_network(
 
 @pytest.mark.slow
 def test_curves_are_chosen_by_estimator_perturbation_and_levels(study_page: Browser) -> None:
-    levels = [(0, 0, 1), (0, 3, 1), (3, 0, 1), (3, 3, 1)]
-    shown = [_name(*one) for one in levels]
-    per_panel = [name for name in shown for _ in range(3)]
-    assert _visible(study_page) == [*per_panel, "truth", "truth"]
+    assert _visible(study_page) == _curves((0, 0, 1), (0, 3, 1), (3, 0, 1), (3, 3, 1))
     study_page.value("document.querySelector(\"input[data-switch='perturbation:3']\").click()")
     study_page.value("document.querySelector(\"input[data-switch='friction:0']\").click()")
-    study_page.wait_for("document.querySelector('#overlay-1-2 .canvas').data[0].visible === false")
-    study_page.wait_for(
-        "document.querySelector('#overlay-1-2 .canvas').data"
-        ".filter((trace) => trace.visible).length === 8"
-    )
-    per_panel = [name for name in (_name(3, 0, 3), _name(3, 3, 3)) for _ in range(3)]
-    assert _visible(study_page) == [*per_panel, "truth", "truth"]
+    study_page.wait_for(f"{VISIBLE}.length === 8")
+    assert _visible(study_page) == _curves((3, 0, 3), (3, 3, 3))
     assert study_page.said() == []

@@ -5,7 +5,6 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -21,18 +20,8 @@ TOLERANCE = 0.01
 """Relative, and absolute: other processors and versions round differently."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Step:
-    """A block of commands, and what the page shows of their output."""
-
-    commands: str
-    shown: tuple[str, ...]
-
-
-STEPS = [
-    Step(commands=one["commands"], shown=tuple((one["shown"] or "").splitlines()))
-    for one in BLOCK.finditer(PAGE)
-]
+STEPS = [(one["commands"], (one["shown"] or "").splitlines()) for one in BLOCK.finditer(PAGE)]
+"""Each block of commands, and what the page shows of their output."""
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +56,7 @@ def _same(shown: str, real: str) -> bool:
     return abs(a - b) <= TOLERANCE * (1.0 + abs(a))
 
 
-def missing(shown: tuple[str, ...], real: list[str]) -> Iterator[str]:
+def missing(shown: list[str], real: list[str]) -> Iterator[str]:
     """Lines of the page that the output does not have in this order; `…` stands for any."""
     rest = iter(real)
     for line in shown:
@@ -78,9 +67,9 @@ def missing(shown: tuple[str, ...], real: list[str]) -> Iterator[str]:
 
 
 def test_every_command_runs_and_prints_what_the_page_shows(folder: Path) -> None:
-    for step in STEPS[1:]:
+    for commands, shown in STEPS[1:]:
         done = subprocess.run(
-            ["bash", "-e", "-c", step.commands],
+            ["bash", "-e", "-c", commands],
             cwd=folder,
             env={**os.environ, "COLUMNS": "120"},
             stdout=subprocess.PIPE,
@@ -88,7 +77,7 @@ def test_every_command_runs_and_prints_what_the_page_shows(folder: Path) -> None
             text=True,
             check=False,
         )
-        assert done.returncode == 0, f"{step.commands}\n{done.stdout}"
-        lost = list(missing(step.shown, done.stdout.splitlines()))
-        assert not lost, f"{step.commands}\n{done.stdout}\nnot printed: {lost}"
+        assert done.returncode == 0, f"{commands}\n{done.stdout}"
+        lost = list(missing(shown, done.stdout.splitlines()))
+        assert not lost, f"{commands}\n{done.stdout}\nnot printed: {lost}"
     assert (folder / "results" / "first" / "report.html").exists()

@@ -38,16 +38,14 @@ def test_the_project_has_the_packages_versions_and_commands_of_the_workspace() -
 @pytest.mark.timeout(1200)
 def test_the_wheel_identifies_an_arm_in_an_empty_environment(tmp_path: Path) -> None:
     trials = armimp.simulate(duration=20.0, seed=1).trials
-    names = ("perturbation", "position", "torque")
     arrays: dict[str, Any] = {
-        name: np.stack([getattr(one, name) for one in trials]) for name in names
+        name: np.stack([getattr(one, name) for one in trials])
+        for name in ("perturbation", "position", "torque")
     }
     np.savez(tmp_path / "recording.npz", **arrays)
-    environment = {
-        name: value
-        for name, value in os.environ.items()
-        if name not in ("PYTHONPATH", "LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
-    }
+    environment = dict(os.environ)
+    for name in ("PYTHONPATH", "LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE"):
+        environment.pop(name, None)
 
     def run(*command: str) -> str:
         done = subprocess.run(

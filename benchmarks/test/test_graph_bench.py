@@ -1,6 +1,7 @@
 """The benchmark of the node graph: what is measured is told apart, and adds up."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -17,15 +18,9 @@ PARTS = TickParts(plant=25e-6, law=3e-6, codecs=4e-6, recording=5e-6)
 
 
 def figures(processes: Processes, tick: float, lost: int = 0) -> dict[str, Measured]:
+    same: dict[str, Any] = {"plant": 25e-6, "lost": lost, "loops": [1e-3, 2e-3]}
     rounds = [
-        Round(
-            bare=bare,
-            ticks=[tick - spread, tick + spread],
-            plant=25e-6,
-            lost=lost,
-            loops=[1e-3, 2e-3],
-            stolen=spread,
-        )
+        Round(bare=bare, ticks=[tick - spread, tick + spread], stolen=spread, **same)
         for bare, spread in ((39e-6, 1e-6), (40e-6, 0.0), (90e-6, 5e-6))
     ]
     measured = graph_figures(processes, rounds, [PARTS], limit=5.0)

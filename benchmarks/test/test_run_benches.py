@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -18,24 +16,13 @@ from benchmarks.study import TARGET
 
 pytestmark = pytest.mark.slow
 
-Measure = Callable[[str], tuple[int, dict[str, Any]]]
 
-
-@pytest.fixture
-def measure(capsys: pytest.CaptureFixture[str]) -> Measure:
-    """Run a benchmark; gives its status and figures."""
-
-    def run(name: str) -> tuple[int, dict[str, Any]]:
-        status = main([name, "--json"])
-        figures: dict[str, Any] = json.loads(capsys.readouterr().out)["benchmarks"][name]
-        return status, figures
-
-    return run
-
-
-def test_a_real_run_is_measured(measure: Measure, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_real_run_is_measured(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr(growth, "CASES", ((1, 10.0),))
-    _, figures = measure("growth")
+    main(["growth", "--json"])
+    figures = json.loads(capsys.readouterr().out)["benchmarks"]["growth"]
     values = {key.removeprefix("1_joints_10_s_"): one["value"] for key, one in figures.items()}
     assert values["rate"] > 100.0
     assert values["outside"] > 0.1
@@ -72,17 +59,12 @@ def test_reading_and_estimating_are_timed_against_the_limit(
 # --- `make bench ARGS=study`: figures that are positive and consistent, and the file ------------
 
 
-@pytest.fixture
-def brief(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Measurements as short as they can be."""
+def test_study_is_timed_in_one_lane_in_many_and_as_a_whole(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # Measurements as short as they can be.
     for name, value in (("TRIAL", 10.0), ("_SCALAR", 0.02), ("_BATCH", 0.02), ("_REPEATS", 1)):
         monkeypatch.setattr(study, name, value)
-
-
-@pytest.mark.usefixtures("brief")
-def test_study_is_timed_in_one_lane_in_many_and_as_a_whole(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
     status = main(["study", "--json"])
     told = capsys.readouterr()
     record = json.loads(told.out)

@@ -2,42 +2,34 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections import Counter, defaultdict
 
 import pytest
-
-
-@dataclass
-class _Hazard:
-    times: int = 0
-    worst: dict[str, tuple[float, str]] = field(default_factory=dict)
 
 
 class Figures:
     """Keeps, for each hazard, how often it was tried and the worst that came of it."""
 
     def __init__(self) -> None:
-        self._hazards: dict[str, _Hazard] = {}
+        self._times: Counter[str] = Counter()
+        self._worst: dict[str, dict[str, tuple[float, str]]] = defaultdict(dict)
 
     def add(self, hazard: str, times: int = 1, **worst: tuple[float, str]) -> None:
         """Note what one try, or several, gave."""
-        known = self._hazards.setdefault(hazard, _Hazard())
-        known.times += times
-        for name, (value, unit) in worst.items():
-            largest = max(value, known.worst.get(name, (value, unit))[0])
-            known.worst[name] = (largest, unit)
+        self._times[hazard] += times
+        known = self._worst[hazard]
+        for name, figure in worst.items():
+            known[name] = max(figure, known.get(name, figure))
 
     def lines(self) -> list[str]:
         """Return one line for each hazard."""
         found = []
-        for name, hazard in self._hazards.items():
-            figures = (
-                " ".join(filter(None, (quantity.replace("_", " "), _text(value), unit)))
-                for quantity, (value, unit) in hazard.worst.items()
+        for hazard, times in self._times.items():
+            figures = ", ".join(
+                f"{name.replace('_', ' ')} {_text(value)} {unit}".rstrip()
+                for name, (value, unit) in self._worst[hazard].items()
             )
-            found.append(
-                ": ".join(filter(None, (f"{name}, {hazard.times:,} ×", ", ".join(figures))))
-            )
+            found.append(f"{hazard}, {times:,} ×: {figures}".removesuffix(": "))
         return found
 
 

@@ -1,4 +1,4 @@
-"""Files made to harm whoever reads them; ``python -m`` tries the command.
+"""Files made to harm whoever reads them.
 
 Every function takes an empty directory and returns what stands after ``armimp``. What must stay as
 it was is in ``witness`` beside the directory. All but the links are below 10 MB.
@@ -6,29 +6,27 @@ it was is in ``witness`` beside the directory. All but the links are below 10 MB
 
 from __future__ import annotations
 
-import importlib
-import json
 import os
 import resource
 import signal
 import sqlite3
 import struct
-import sys
 import time
-import traceback
 from collections.abc import Callable, Iterable
-from contextlib import closing, redirect_stderr, suppress
-from io import BytesIO, StringIO
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import closing, suppress
+from dataclasses import dataclass
+from io import BytesIO
 from itertools import count, islice, pairwise
+from multiprocessing import get_context
 from pathlib import Path
-from typing import Final, NoReturn, TypeAlias
+from typing import Final, TypeAlias, TypeVar
 
 import lz4.frame
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Chunk, Header, McapRecord, Metadata, Schema
 
-from armimp_bringup.cli import main, program
 from armimp_common.cdr import CommandEncoder, JointStateEncoder, encode_trial_status
 from armimp_common.topics import (
     COMMANDS,
@@ -43,9 +41,11 @@ from armimp_common.topics import (
 from armimp_estimation.bags.mcap_reader import MAGIC
 from armimp_estimation.bags.metadata_yaml import bag_information, dump
 from armimp_estimation.bags.writer import HEAD as OUR_HEAD
+from support.command import Told, call
 from support.streams import trial_status
 from support.synthetic_bags import recorded_arm
 
+T = TypeVar("T")
 Arguments: TypeAlias = tuple[str, ...]
 Attack: TypeAlias = Callable[[Path], Arguments]
 Message: TypeAlias = tuple[str, int, bytes]
@@ -238,7 +238,7 @@ def database(directory: Path, script: str) -> Arguments:
 
 
 _COUNTING: Final = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n)"
-_TOPICS_TABLE = _SCHEMA.strip().splitlines()[0]
+_TOPICS_TABLE: Final = _SCHEMA.strip().splitlines()[0]
 
 
 @attack
@@ -452,31 +452,43 @@ _KILLED_AFTER: Final = 240
 """Seconds."""
 _ADDRESS_SPACE: Final = 8 << 30
 """Bytes, so that what fails does not take the machine with it."""
+_SERVER: Final = get_context("forkserver")
+"""Its processes have imported everything already, and their memory counts from nothing."""
+_SERVER.set_forkserver_preload(
+    [
+        __name__,
+        *(f"armimp_bringup.{module}" for module in ("offline_estimate", "orchestrator")),
+        *(f"armimp_bringup.{module}" for module in ("presentation", "terminal")),
+    ]
+)
 
 
-def forked(work: Callable[[], object], said: Path) -> tuple[int, resource.struct_rusage]:
-    """Run something in a process of its own with its output in a file; status and usage.
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What the command made of the file of an attack: processor time in s, memory in bytes."""
 
-    A fork has everything imported already, and its memory counts from nothing.
-    """
-    pid = os.fork()
-    if not pid:
-        try:
-            signal.alarm(_KILLED_AFTER)
-            limits = (_ADDRESS_SPACE, _ADDRESS_SPACE)
-            resource.setrlimit(resource.RLIMIT_AS, limits)
-            nothing = os.open(os.devnull, os.O_RDWR)
-            text_file = os.open(said, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
-            for number, file in enumerate((nothing, nothing, text_file)):
-                os.dup2(file, number)
-            work()
-            os._exit(0)
-        except BaseException:  # noqa: BLE001 (all that would end the interpreter)
-            traceback.print_exc()
-            sys.stderr.flush()
-            os._exit(99)
-    _, status, usage = os.wait4(pid, 0)
-    return os.waitstatus_to_exitcode(status), usage
+    told: Told
+    seconds: float
+    memory: float
+    untouched: bool
+
+
+def _written(name: str, directory: Path) -> Arguments:
+    return ATTACKS[name](directory)
+
+
+def _read(arguments: Arguments, directory: Path) -> tuple[Told, float, float]:
+    os.chdir(directory)
+    signal.alarm(_KILLED_AFTER)
+    resource.setrlimit(resource.RLIMIT_AS, (_ADDRESS_SPACE, _ADDRESS_SPACE))
+    told = call(*arguments)
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    return told, usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024.0
+
+
+def _alone(work: Callable[..., T], *arguments: object) -> T:
+    with ProcessPoolExecutor(1, _SERVER) as process:
+        return process.submit(work, *arguments).result()
 
 
 def witnessed(directory: Path) -> dict[str, bytes]:
@@ -485,47 +497,15 @@ def witnessed(directory: Path) -> dict[str, bytes]:
     return {str(path): path.read_bytes() for path in inside if path.is_file()}
 
 
-def tried(name: str, directory: Path) -> dict[str, object]:
+def tried(name: str, directory: Path) -> Outcome:
     """Let the command read the file of an attack in an empty directory, and measure."""
     inside = directory / "inside"
     inside.mkdir(parents=True)
     (directory / WITNESS).mkdir()
     for name_of_file in ("canary", ".canary"):
         (directory / WITNESS / name_of_file).write_bytes(b"ten years of work")
-    arguments, said = directory / "arguments", directory / "err"
-
-    def make() -> None:
-        arguments.write_text(json.dumps(ATTACKS[name](inside)))
-
-    def read() -> NoReturn:
-        os.chdir(directory)
-        sys.argv = ["armimp", *json.loads(arguments.read_text())]
-        program()
-
-    status, _ = forked(make, said)
-    if status:
-        raise RuntimeError(f"{name}: {said.read_text()}")
+    arguments = _alone(_written, name, inside)
     before = witnessed(directory)
-    status, usage = forked(read, said)
-    return {
-        "name": name,
-        "status": status,
-        "err": said.read_bytes().decode(errors="replace")[-20_000:],
-        "seconds": usage.ru_utime + usage.ru_stime,
-        "memory": usage.ru_maxrss * 1024.0,
-        "untouched": witnessed(directory) == before,
-    }
-
-
-if __name__ == "__main__":
-    # What the command imports when it is needed, once for all of them.
-    for module in ("offline_estimate", "orchestrator", "presentation", "terminal"):
-        importlib.import_module(f"armimp_bringup.{module}")
-    # Numba gets ready once, by the first matrix.
-    arm_inertia = config(Path(sys.argv[1]), "arm_sim: {arm: {inertia: [1.0]}}")
-    with redirect_stderr(StringIO()):
-        main(arm_inertia)
-
-    for one in sys.argv[2:]:
-        outcome = tried(one, Path(sys.argv[1]) / one.replace(" ", "_"))
-        print(json.dumps(outcome), flush=True)
+    told, seconds, memory = _alone(_read, arguments, directory)
+    untouched = witnessed(directory) == before
+    return Outcome(told=told, seconds=seconds, memory=memory, untouched=untouched)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import random
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +22,9 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.graph import DomainClaim
 from armimp_bringup.orchestrator import run_experiment
 from armimp_common import qos, topics
-from armimp_common.cdr import CommandEncoder, command_number
+from armimp_common.cdr import CommandEncoder, JointStateEncoder, command_number
 from armimp_common.executor import Spinner
-from armimp_common.pubsub import JointStatePublisher, subscribe_raw
+from armimp_common.pubsub import subscribe_raw
 from armimp_common.status import (
     Level,
     Phase,
@@ -67,99 +68,88 @@ class Stranger(Node):
         return self._last
 
 
-Act = Callable[[Stranger], object]
+@dataclass(frozen=True, kw_only=True)
+class Act:
+    """Messages, or bytes that should be some, which a stranger publishes."""
 
+    topic: str
+    kind: Any
+    contents: Sequence[Any] = ()
+    profile: Any = None
+    listeners: int = 1
+    """For so many it waits; discovery needs nobody who spins."""
+    leave: bool = False
 
-def heard(publisher: Any, listeners: int = 1) -> None:
-    """Wait until a publisher is matched; discovery needs nobody who spins."""
-    wait_until(
-        lambda: bool(publisher.get_subscription_count() >= listeners),
-        f"somebody hears {publisher.topic_name}",
-        PATIENCE,
-    )
-
-
-def command(torque: float, number: int, times: int = 1, *, leave: bool = False) -> Act:
-    """Command torque on both joints; number −1 is that which comes next, as far as one can know."""
-
-    def act(node: Stranger) -> object:
-        publisher = node.create_publisher(Float64MultiArray, topics.COMMANDS, qos.SAMPLE)
-        heard(publisher, 3)
-        encode = CommandEncoder(2).encode
-        first = number if number >= 0 else node.last_number() + 1
-        for _ in range(times):
-            publisher.publish(encode((torque, torque), first))
-        if leave:
+    def __call__(self, node: Stranger) -> object:
+        """Publish them; return what must be kept for as long as the stranger is to stay."""
+        profile = self.profile or qos.PROFILES[self.topic]
+        publisher = node.create_publisher(self.kind, self.topic, profile)
+        wait_until(
+            lambda: bool(publisher.get_subscription_count() >= self.listeners),
+            f"somebody hears {self.topic}",
+            PATIENCE,
+        )
+        for content in self.contents:
+            publisher.publish(content(node) if callable(content) else content)
+        if self.leave:
             publisher.wait_for_all_acked(Duration(seconds=2))
             node.destroy_publisher(publisher)
         return publisher
 
-    return act
+
+def command(torque: float, number: int | None, times: int = 1, *, leave: bool = False) -> Act:
+    """Command torque on both joints with a number, or with that which comes next."""
+
+    def encoded(node: Stranger) -> bytes:
+        return encode((torque, torque), node.last_number() + 1 if number is None else number)
+
+    encode = CommandEncoder(2).encode
+    contents = [encoded] * times
+    kind, topic = Float64MultiArray, topics.COMMANDS
+    return Act(topic=topic, kind=kind, contents=contents, listeners=3, leave=leave)
 
 
 def messages(topic: str, *contents: Any) -> Act:
-    """Publish messages of one type."""
-
-    def act(node: Stranger) -> object:
-        publisher = node.create_publisher(type(contents[0]), topic, qos.PROFILES[topic])
-        heard(publisher)
-        for content in contents:
-            publisher.publish(content)
-        return publisher
-
-    return act
-
-
-def decision(trial: int) -> DiagnosticStatus:
-    """Make a decision that a trial may end."""
-    made = StoppingDecision(trial=trial, samples=1000, enough=True, due=None, bound=0.5)
-    return status_message(made)
+    """Messages of one type."""
+    return Act(topic=topic, kind=type(contents[0]), contents=contents)
 
 
 def sample(topic: str) -> Act:
-    """Publish one sample that no rig measured, amid the others."""
-
-    def act(node: Stranger) -> object:
-        names = ("shoulder", "elbow")
-        channel = JointStatePublisher(node, topic, names, topics.VALUE_FIELD[topic])
-        heard(channel.publisher)
-        channel.publish(700 * topics.PERIOD_NS, (0.1, 0.1))
-        return channel
-
-    return act
+    """One sample that no rig measured, amid the others."""
+    encoder = JointStateEncoder(("shoulder", "elbow"), topics.VALUE_FIELD[topic])
+    raw = encoder.encode(700 * topics.PERIOD_NS, (0.1, 0.1))
+    return Act(topic=topic, kind=JointState, contents=[raw])
 
 
-def garbage(topic: str, kind: type, profile: Any) -> Act:
-    """Publish bytes that are no message of that type: none, a head alone, cut, absurd lengths."""
-
-    def act(node: Stranger) -> object:
-        publisher = node.create_publisher(kind, topic, profile)
-        heard(publisher)
-        head, good = b"\0\1\0\0", bytes(serialize_message(kind()))
-        for data in (
-            head,
-            head + b"\xff" * 60,
-            good[: len(good) // 2 + 3],
-            random.Random(1).randbytes(200),
-            head + b"\0" * 12 + b"\xff\xff\xff\x7f" + b"\0" * 64,
-        ):
-            # The middleware refuses to send more than a message of fixed size takes.
-            publisher.publish(data[: len(good)] if kind in (Clock, UInt64) else data)
-        return publisher
-
-    return act
+def garbage(topic: str, kind: type, profile: Any = None) -> Act:
+    """Bytes that are no message of that type: none, a head alone, cut, absurd lengths."""
+    head, good = b"\0\1\0\0", bytes(serialize_message(kind()))
+    contents = [
+        head,
+        head + b"\xff" * 60,
+        good[: len(good) // 2 + 3],
+        random.Random(1).randbytes(200),
+        head + b"\0" * 12 + b"\xff\xff\xff\x7f" + b"\0" * 64,
+    ]
+    if kind in (Clock, UInt64):  # of fixed size: the middleware refuses to send more
+        contents = [one[: len(good)] for one in contents]
+    return Act(topic=topic, kind=kind, contents=contents, profile=profile)
 
 
 _TYPES = {
     one.__name__: one
     for one in (JointState, Float64MultiArray, DiagnosticStatus, DiagnosticArray, UInt64, Clock)
 }
+_DECISIONS = [
+    status_message(StoppingDecision(trial=trial, samples=1000, enough=True, due=None, bound=0.5))
+    for trial in (1, 2)
+]
 ACTS: dict[str, Act] = {
     "zero command": command(0.0, 0),
     "zero command, leaves": command(0.0, 0, leave=True),
-    "next number": command(0.0, -1, leave=True),
+    "next number": command(0.0, None, leave=True),
     "wrong numbers": command(0.3, 4_000_000_000, 20),
-    "decision": messages(topics.STOPPING, decision(1), decision(2)),
+    "decision": messages(topics.STOPPING, *_DECISIONS),
     "shorter trial": messages(topics.TRIAL, status_message(trial_status(ticks=1500))),
     "all is over": messages(topics.TRIAL, status_message(trial_status(phase=Phase.DONE, trial=2))),
     "result": messages(
@@ -174,7 +164,7 @@ ACTS: dict[str, Act] = {
     },
     **{f"sample of {topic}": sample(topic) for topic in topics.VALUE_FIELD},
     **{
-        f"bytes on {topic}": garbage(topic, _TYPES[kind.rpartition("/")[2]], qos.PROFILES[topic])
+        f"bytes on {topic}": garbage(topic, _TYPES[kind.rpartition("/")[2]])
         for topic, kind in topics.MESSAGE_TYPES.items()
     },
     **{

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.errors import ConfigurationError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate, confidence_radius
 from armimp_estimation.fit import MBKFit
 from armimp_estimation.mbk import MBK
@@ -32,51 +31,27 @@ TWO_JOINT_ARM = MBK(
 
 @dataclass(frozen=True, kw_only=True)
 class SyntheticConfig:
-    """Controlled arm and disturbances of a synthetic trial.
-
-    Parameters
-    ----------
-    rate : float
-        Samples per second, Hz.
-    samples : int
-        Samples of the record, which is one period.
-    perturbation : float
-        Rms of the perturbation torque, N·m.
-    lowest : float
-        Frequency below which the perturbation has none at all, Hz.
-    bandwidth : float
-        Frequency up to which the perturbation has power, Hz (8th-order fall-off above).
-    inertia, viscosity, stiffness : float
-        Impedance that the controller gives to the perturbed joint, SI units.
-    lock_stiffness : float
-        Stiffness of locked joints, N·m/rad; they give way to the torque of the arm.
-    voluntary : float
-        Rms of the voluntary torque of each joint, N·m; it moves the arm through the loop.
-    voluntary_bandwidth : float
-        Frequency up to which the voluntary torque has power, Hz (first-order fall-off).
-    torque_noise, position_noise : float
-        Rms of white sensor noise, N·m and rad, outside the loop.
-    """
+    """Controlled arm and disturbances of a synthetic trial; SI units."""
 
     rate: float = 1000.0
     samples: int = 50_000
+    """Of the record, which is one period."""
     perturbation: float = 3.0
+    """Rms, with power from the lowest frequency to the bandwidth."""
     lowest: float = 0.0
     bandwidth: float = 15.0
     inertia: float = 0.2
     viscosity: float = 2.0
     stiffness: float = 10.0
+    """What the controller gives to the perturbed joint."""
     lock_stiffness: float = 1e9
+    """Locked joints give way to the torque of the arm."""
     voluntary: float = 0.0
+    """Rms of each joint; it moves the arm through the loop."""
     voluntary_bandwidth: float = 2.0
     torque_noise: float = 0.0
+    """Of the sensors, white and outside the loop."""
     position_noise: float = 0.0
-
-    def __post_init__(self) -> None:
-        if self.samples < 2 or not self.rate > 0.0:
-            raise ConfigurationError(
-                f"a record needs samples and a rate, got {self.samples} at {self.rate!r} Hz"
-            )
 
 
 def synthetic_trial(arm: MBK, joint: int, config: SyntheticConfig, seed: int) -> TrialRecord:
@@ -84,17 +59,6 @@ def synthetic_trial(arm: MBK, joint: int, config: SyntheticConfig, seed: int) ->
 
     The loop is ``(Y + Z) θ = x e_k - d``, where Y is the diagonal impedance that the controller
     gives to each joint, and the torque on the arm is ``τ = Z θ + d``.
-
-    Parameters
-    ----------
-    arm : MBK
-        True impedance.
-    joint : int
-        Joint to perturb, 0-based.
-    config : SyntheticConfig
-        Loop and disturbances.
-    seed : int
-        Seed of all random signals.
     """
     n, samples = arm.joints, config.samples
     rng = np.random.default_rng((seed, joint))
@@ -220,6 +184,16 @@ def stacked(arm: MBK) -> FloatArray:
 def errors_of(fit: MBKFit) -> FloatArray:
     """Standard errors of M, B and K, (3, n, n)."""
     return np.stack((fit.M_se, fit.B_se, fit.K_se))
+
+
+def off(fit: MBKFit, arm: MBK = TWO_JOINT_ARM) -> FloatArray:
+    """By how many of their standard errors M, B and K miss those of the arm, (3, n, n)."""
+    return np.abs(stacked(fit.mbk) - stacked(arm)) / errors_of(fit)
+
+
+def with_readings(trial: TrialData, **arrays: Any) -> TrialData:
+    """The trial with other readings, and the spectra that it has."""
+    return replace(trial, record=replace(trial.record, **arrays))
 
 
 def worst_errors(found: Any, true: Any) -> dict[str, float]:

@@ -14,17 +14,11 @@ from armimp_estimation.fit import fit_mbk
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData, drift_of
-from support.synthetic_trials import (
-    LOOP,
-    TWO_JOINT_ARM,
-    WELCH,
-    SyntheticConfig,
-    synthetic_trial,
-)
+from support.synthetic_trials import LOOP, WELCH, SyntheticConfig, synthetic_trial
+from support.synthetic_trials import TWO_JOINT_ARM as ARM
 
 FloatArray = NDArray[np.float64]
 
-ARM = TWO_JOINT_ARM
 LPM = LpmFull(config=LpmConfig(reading=TorqueReading(timing=TorqueTiming.SIMULTANEOUS)))
 SLOPE = np.array([0.02, -0.01])  # N·m/s
 
@@ -49,16 +43,9 @@ def test_the_slope_of_a_ramp_is_found_to_within_its_standard_error() -> None:
     assert np.sqrt(np.mean(np.square(ratios))) == pytest.approx(1.0, abs=0.35)
 
 
-def test_a_trial_without_drift_stays_as_it_is() -> None:
-    one = record(0)
-    found = drift_of(one)
-    assert found is not None
-    assert not found.significant
-    assert TrialData.of(one, welch=WELCH).record is one
-
-
 def test_drift_goes_and_offset_stays_and_nothing_else_changes() -> None:
     one = record(0)
+    assert TrialData.of(one, welch=WELCH).record is one, "without drift"
     data = TrialData.of(drifting(one), welch=WELCH)
     found = drift_of(drifting(one))
     assert found is not None

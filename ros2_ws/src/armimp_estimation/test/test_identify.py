@@ -22,8 +22,11 @@ from support.synthetic_trials import (
     TWO_JOINT_ARM,
     WELCH,
     SyntheticConfig,
+    off,
     synthetic_trial,
     synthetic_trials,
+    with_readings,
+    worst_errors,
 )
 
 CONFIG = IdentifyConfig(welch=WELCH)
@@ -41,9 +44,10 @@ def test_a_good_experiment_is_valid_and_close_to_the_truth() -> None:
         assert (one.vaf > 99.9).all()
         assert (one.fit.r2 > 0.999).all()
         assert (one.coherence_derived > 0.97).all()
-        np.testing.assert_allclose(one.fit.mbk.M, TWO_JOINT_ARM.M, rtol=0.01)
-        np.testing.assert_allclose(one.fit.mbk.B, TWO_JOINT_ARM.B, rtol=0.05)
-        np.testing.assert_allclose(one.fit.mbk.K, TWO_JOINT_ARM.K, rtol=0.03)
+        errors = worst_errors(one.fit.mbk, TWO_JOINT_ARM)
+        assert errors["M"] < 0.01
+        assert errors["B"] < 0.05
+        assert errors["K"] < 0.03
     assert [trial.k for trial in result.trials] == [1, 2]
     assert result.trials[1].lock_ratio[1] == 1.0
     assert result.trials[1].lock_ratio[0] < 1e-6
@@ -72,9 +76,7 @@ def test_trials_may_be_perturbed_with_different_periods_or_none(periods: tuple[i
         repeated.append(TrialData.of(dataclasses.replace(one, **streams), welch=WELCH))
     result = identify(repeated, ("lpm_full",), TWO_JOINT_ARM, CONFIG)
     assert result.valid, result.problems
-    found = result.estimators["lpm_full"].fit.mbk
-    for name in "MBK":
-        np.testing.assert_allclose(getattr(found, name), getattr(TWO_JOINT_ARM, name), rtol=0.01)
+    assert max(worst_errors(result.estimators["lpm_full"].fit.mbk, TWO_JOINT_ARM).values()) < 0.01
 
 
 @pytest.mark.parametrize("stream", ["position", "torque", "perturbation", "command"])
@@ -106,10 +108,7 @@ def test_a_perturbation_without_power_in_a_part_of_the_band_gives_what_the_rest_
     (note,) = [one for one in result.problems if one.code is ProblemCode.BAND_NARROWED]
     assert note.values["low"] == pytest.approx(low, abs=0.4)
     assert result.estimators["lpm_full"].estimate.f[0] == pytest.approx(low, abs=0.1)
-    for one in result.estimators.values():
-        for letter in "MBK":
-            error = np.abs(getattr(one.fit.mbk, letter) - getattr(TWO_JOINT_ARM, letter))
-            assert (error < 3.5 * getattr(one.fit, f"{letter}_se")).all()
+    assert all(off(one.fit).max() < 3.5 for one in result.estimators.values())
 
 
 def test_an_inertia_that_is_not_symmetric_is_refused() -> None:
@@ -144,11 +143,7 @@ def test_inertia_may_differ_between_trials_that_have_other_postures(
 
 @pytest.mark.parametrize(
     ("mixed", "share", "valid"),
-    [
-        ("position", -0.2, False),
-        ("position", -0.1, True),
-        ("torque", 0.2, True),
-    ],
+    [("position", -0.2, False), ("position", -0.1, True), ("torque", 0.2, True)],
 )
 def test_a_channel_that_shows_a_share_of_another_joint_is_refused_or_in_the_errors(
     mixed: str, share: float, valid: bool
@@ -156,21 +151,13 @@ def test_a_channel_that_shows_a_share_of_another_joint_is_refused_or_in_the_erro
     # Of the sign that makes this arm more uneven than it is.
     mixing = np.array([[1.0, share], [0.0, 1.0]])
     data = [
-        dataclasses.replace(
-            trial,
-            record=dataclasses.replace(
-                trial.record, **{mixed: mixing @ getattr(trial.record, mixed)}
-            ),
-        )
+        with_readings(trial, **{mixed: mixing @ getattr(trial.record, mixed)})
         for trial in synthetic_trials(LOOP)
     ]
     config = dataclasses.replace(CONFIG, calibration=Calibration.undeclared())
     result = identify(data, ("lpm_full",), config=config)
     assert result.verdict.impedance is valid
-    fit = result.estimators["lpm_full"].fit
-    for letter in "MBK":
-        error = np.abs(getattr(fit.mbk, letter) - getattr(TWO_JOINT_ARM, letter))
-        assert (error < 2.0 * getattr(fit, f"{letter}_se")).all()
+    assert off(result.estimators["lpm_full"].fit).max() < 2.0
 
 
 def test_angles_and_torques_in_another_order_than_perturbations_are_refused() -> None:
@@ -250,18 +237,23 @@ def test_each_code_has_one_sentence_that_its_values_fill_and_advice() -> None:
         assert "\n" not in sentence
 
 
-def test_a_problem_of_the_parameters_leaves_the_impedance_valid() -> None:
-    fit = Problem(code=ProblemCode.LACK_OF_FIT, concern=Concern.PARAMETERS, estimator="lpm_full")
-    assert Verdict.of([fit], "lpm_full") == Verdict(impedance=True, parameters=False)
-    assert Verdict.of([fit], "welch_siso") == Verdict(impedance=True, parameters=True)
+FIT = Problem(code=ProblemCode.LACK_OF_FIT, concern=Concern.PARAMETERS, estimator="lpm_full")
+STUCK = Problem(code=ProblemCode.STUCK)
+NOTE = Problem(code=ProblemCode.DELAY_CORRECTED, severity=Severity.NOTE)
 
 
-def test_a_problem_of_the_impedance_spoils_the_parameters_and_a_note_nothing() -> None:
-    stuck = Problem(code=ProblemCode.STUCK)
-    note = Problem(code=ProblemCode.DELAY_CORRECTED, severity=Severity.NOTE)
-    assert Verdict.of([stuck], "any") == Verdict(impedance=False, parameters=False)
-    assert Verdict.of([note], "any") == Verdict(impedance=True, parameters=True)
-
-
-def test_without_an_estimator_nothing_can_be_trusted() -> None:
-    assert Verdict.of([]) == Verdict(impedance=False, parameters=False)
+@pytest.mark.parametrize(
+    ("problem", "estimators", "impedance", "parameters"),
+    [
+        (FIT, ["lpm_full"], True, False),
+        (FIT, ["welch_siso"], True, True),
+        (STUCK, ["any"], False, False),
+        (NOTE, ["any"], True, True),
+        (NOTE, [], False, False),
+    ],
+)
+def test_a_problem_spoils_what_it_concerns_and_a_note_nothing(
+    problem: Problem, estimators: list[str], impedance: bool, parameters: bool
+) -> None:
+    verdict = Verdict(impedance=impedance, parameters=parameters)
+    assert Verdict.of([problem], *estimators) == verdict

@@ -1,6 +1,7 @@
 """Options, records and trials that make no sense are refused with one line that says why."""
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable
 from typing import Any
@@ -22,23 +23,14 @@ from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.trial import TrialData
-from support.synthetic_trials import (
-    LOOP,
-    WELCH,
-    made_record,
-    synthetic_trials,
-)
+from support.synthetic_trials import LOOP, WELCH, made_record, synthetic_trials, with_readings
 
 NAN, INFINITE = float("nan"), float("inf")
 EYE = np.eye(2)
 
 
-def of_matrices(B: np.ndarray) -> MBK:
-    return MBK(M=EYE, B=B, K=EYE)
-
-
-def radius(level: float) -> np.ndarray:
-    return confidence_radius(np.ones(1), 11.0, level)
+of_matrices = functools.partial(MBK, M=EYE, K=EYE)
+radius = functools.partial(confidence_radius, np.ones(1), 11.0)
 
 
 @pytest.mark.parametrize(
@@ -156,9 +148,8 @@ def test_when_trials_do_not_belong_together_expect_data_error(
     change: dict[str, object], message: str
 ) -> None:
     first, second = synthetic_trials()
-    record = dataclasses.replace(second.record, **change)  # type: ignore[arg-type]
     with pytest.raises(DataError, match=message):
-        order_trials([first, dataclasses.replace(second, record=record)])
+        order_trials([first, with_readings(second, **change)])
 
 
 def test_when_there_is_one_segment_only_expect_data_error() -> None:

@@ -74,9 +74,8 @@ def test_what_does_not_repeat_itself_or_has_too_few_lines_has_no_periods(signal:
 
 
 def test_segments_are_periods_where_all_trials_have_the_same_ones() -> None:
-    record = synthetic_trial(
-        TWO_JOINT_ARM, 0, dataclasses.replace(LOOP, samples=50_000, rate=1000.0), 3
-    )
+    loop = dataclasses.replace(LOOP, samples=50_000, rate=1000.0)
+    record = synthetic_trial(TWO_JOINT_ARM, 0, loop, 3)
     periodic = dataclasses.replace(record, perturbation=np.stack([multisine(12.3)[:50_000]] * 2))
     assert segments_for([[periodic], [periodic]]) == WelchConfig(segment=4096, overlap=3072)
     assert segments_for([[periodic], [record]]) == WelchConfig()
@@ -108,19 +107,10 @@ def test_response_at_the_lines_is_free_of_the_transient_and_scatter_tells_its_er
     output = lagging_behind(source, pole)
 
     def response(disturbance: Array) -> tuple[NDArray[np.complex128], Array, Array]:
-        found = local_response(
-            source,
-            (output + disturbance)[None],
-            1000.0,
-            (0.0, 15.0),
-            LocalPolynomialConfig(),
-            periods=periods,
-        )
-        return (
-            found.response[0],
-            found.combined_variance(np.ones((1, found.f.size), complex)),
-            found.f,
-        )
+        output_of_all, config = (output + disturbance)[None], LocalPolynomialConfig()
+        found = local_response(source, output_of_all, 1000.0, (0.0, 15.0), config, periods=periods)
+        variance = found.combined_variance(np.ones((1, found.f.size), complex))
+        return found.response[0], variance, found.f
 
     clean, _, f = response(np.zeros_like(source))
     assert np.allclose(f, LINES * 1000.0 / PERIOD)
@@ -144,12 +134,9 @@ def test_a_drift_beside_a_periodic_perturbation_is_found_and_none_where_there_is
     answer = lagging_behind(source, pole)
     random = np.random.default_rng(6)
     t = np.arange(source.size) / 1000.0
-    record = elbow(
-        source,
-        0.05 * answer + 1e-4 * random.standard_normal(t.size),
-        answer + slope * t + 0.02 * random.standard_normal(t.size),
-    )
-    drift = drift_of(record)
+    angle = 0.05 * answer + 1e-4 * random.standard_normal(t.size)
+    torque = answer + slope * t + 0.02 * random.standard_normal(t.size)
+    drift = drift_of(elbow(source, angle, torque))
     assert drift is not None
     assert drift.significant is (slope > 0.0)
     found, error = drift.slopes[1], drift.errors[1]
@@ -176,11 +163,8 @@ def test_arms_that_bend_or_change_show_beside_a_response_that_m_b_and_k_do_not_d
     K = 8.0
     torque = K * (lagging + cubic * angle**3 + stiffening * t * angle)
     random = np.random.default_rng(7)
-    record = elbow(
-        source,
-        angle + 1e-5 * random.standard_normal(t.size),
-        torque + 0.005 * random.standard_normal(t.size),
-    )
+    angle = angle + 1e-5 * random.standard_normal(t.size)
+    record = elbow(source, angle, torque + 0.005 * random.standard_normal(t.size))
     arm = MBK(M=np.array([[0.01]]), B=np.array([[0.01]]), K=np.array([[K]]))
     shown = {
         name
@@ -231,14 +215,9 @@ def test_torque_that_an_arm_does_not_explain_is_sorted_by_its_origin(
     angle *= 0.045 / np.std(angle)
     random = np.random.default_rng(7)
     noise = 0.01 * lagging_behind(random.standard_normal(angle.size), 0.99)
-    record = elbow(
-        source,
-        angle,
-        8.0 * angle + 0.02 * bend(angle / 0.045) + noise,
-    )
-    sorted_out = Distortion.of(
-        record, MBK(M=np.zeros((1, 1)), B=np.zeros((1, 1)), K=8.0 * np.eye(1))
-    )
+    record = elbow(source, angle, 8.0 * angle + 0.02 * bend(angle / 0.045) + noise)
+    spring = MBK(M=np.zeros((1, 1)), B=np.zeros((1, 1)), K=8.0 * np.eye(1))
+    sorted_out = Distortion.of(record, spring)
     assert sorted_out is not None
     assert {kind for kind, one in sorted_out.beside.items() if one.ratio > one.limit} == found
     assert sorted_out.count == 8

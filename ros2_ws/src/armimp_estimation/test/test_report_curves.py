@@ -1,6 +1,6 @@
 """What is drawn of a curve or a signal."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -21,26 +21,24 @@ from armimp_estimation.report.plots import (
 )
 from armimp_estimation.scores import Coherences
 from armimp_estimation.summary import ImpedanceCurve
-from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, part_of, synthetic_trial
+from support.synthetic_trials import (
+    TWO_JOINT_ARM,
+    SyntheticConfig,
+    made_estimate,
+    part_of,
+    synthetic_trial,
+)
 
 F = np.linspace(0.1, 15.0, 40)
 
 
 def stored(z: complex | np.ndarray, deviation: float = 0.1) -> ImpedanceCurve:
-    values = np.broadcast_to(np.asarray(z, dtype=np.complex128), F.shape)
-    flat = np.zeros((1, 1, F.size))
-    none = np.zeros((1, 1, F.size), dtype=np.complex128)
-    return ImpedanceCurve(
-        name="made",
-        f=F,
-        Z=values[None, None],
-        T=none,
-        R=none,
-        variance=np.full((1, 1, F.size), deviation**2),
-        averages=11.0,
-        bin_correlation=np.ones((1, F.size)),
-        coherence=Coherences(f=F, motion=flat[0], torque=flat, derived=flat),
-    )
+    values = np.broadcast_to(np.asarray(z, dtype=np.complex128), (1, 1, F.size))
+    flat, variance = np.zeros((1, 1, F.size)), np.full((1, 1, F.size), deviation**2)
+    made = made_estimate(F, values, variance=variance)
+    coherence = Coherences(f=F, motion=flat[0], torque=flat, derived=flat)
+    names = {field.name for field in fields(ImpedanceCurve)} - {"coherence"}
+    return ImpedanceCurve(**{name: getattr(made, name) for name in names}, coherence=coherence)
 
 
 def test_estimates_are_compared_with_the_truth_or_else_with_the_best_of_them() -> None:

@@ -9,7 +9,6 @@ from armimp_estimation import scores
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.frf import FrfMatrix, frf_matrix
 from armimp_estimation.mbk import MBK
-from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import CrossSpectra, SpectralAccumulator
 from armimp_estimation.trial import TrialData
 from support.synthetic_trials import (
@@ -35,13 +34,6 @@ def spectra_of(matrix: ComplexArray) -> CrossSpectra:
         effective_averages=11.2,
         bin_correlation=np.ones((1, 2)),
     )
-
-
-def moving_record() -> TrialRecord:
-    t = np.arange(1000) / 1000.0
-    wave = np.sin(2.0 * np.pi * 5.0 * t)
-    position = np.stack((1.0 + 0.01 * wave, 2.0 - 0.5 * wave, np.full(1000, 0.3)))
-    return made_record(position, trial=4, perturbed_joint=1)
 
 
 def test_vaf_is_100_for_the_truth_and_falls_with_the_square_of_a_relative_error() -> None:
@@ -89,10 +81,8 @@ def test_derived_coherence_follows_its_definition() -> None:
     derived = scores.derived_coherence(trial, 0, trial.f, impedance)
     np.testing.assert_allclose(derived, expected)
     # On a finer grid of frequencies the impedance is interpolated.
-    fine = scores.derived_coherence(
-        trial, 0, np.array([0.5, 1.5, 2.5]), np.array([2.0, 4.0, 2.0], dtype=np.complex128)
-    )
-    np.testing.assert_allclose(fine, expected)
+    f, finer = np.array([0.5, 1.5, 2.5]), np.array([2.0 + 0j, 4.0, 2.0])
+    np.testing.assert_allclose(scores.derived_coherence(trial, 0, f, finer), expected)
 
 
 def unrelated(rng: np.random.Generator) -> CrossSpectra:
@@ -103,23 +93,18 @@ def unrelated(rng: np.random.Generator) -> CrossSpectra:
 
 def test_coherence_of_unrelated_signals_exceeds_the_significance_level_as_often_as_alpha() -> None:
     rng = np.random.default_rng(8)
-    above = []
-    level = 0.0
-    for _ in range(150):
-        spectra = unrelated(rng)
-        level = scores.coherence_significance(spectra.effective_averages)
-        above.append(scores.coherence(spectra, 0, 1) > level)
+    spectra = [unrelated(rng) for _ in range(150)]
+    level = scores.coherence_significance(spectra[0].effective_averages)
     assert level == pytest.approx(0.2549, abs=1e-3)
+    above = [scores.coherence(one, 0, 1) > level for one in spectra]
     # Taking the 21 overlapped segments for independent ones, 21 % would exceed their level.
     assert 0.035 < np.mean(above) < 0.065
 
 
 def test_band_mean_of_the_coherence_of_unrelated_signals_scatters_as_expected() -> None:
     rng = np.random.default_rng(9)
-    means = []
-    for _ in range(300):
-        spectra = unrelated(rng)
-        means.append(np.mean(scores.coherence(spectra, 0, 1)))
+    means = [np.mean(scores.coherence(unrelated(rng), 0, 1)) for _ in range(300)]
+    spectra = unrelated(rng)
     spread = (scores.coherence_of_chance(spectra) - 1.0 / spectra.effective_averages) / 4.0
     assert np.mean(means) == pytest.approx(1.0 / spectra.effective_averages, abs=0.004)
     assert np.std(means) == pytest.approx(spread, rel=0.15)
@@ -142,13 +127,12 @@ def test_lock_ratio_is_the_motion_that_the_perturbation_causes_and_not_that_of_a
 
 
 def test_a_perturbed_joint_that_stands_still_or_a_torque_that_never_changes_is_an_error() -> None:
-    record = dataclasses.replace(moving_record(), perturbed_joint=2)
-    with pytest.raises(DataError, match="trial 4: joint_3 is perturbed but does not move"):
-        scores.require_motion(record)
-    record = moving_record()
-    record.torque[record.perturbed_joint] = 0.3
-    with pytest.raises(DataError, match=r"torque of joint_2 reads 0.3 N·m throughout"):
-        scores.require_motion(record)
+    wave = np.sin(np.arange(1000) / 30.0)
+    position = np.stack((wave, np.full(1000, 0.3)))
+    with pytest.raises(DataError, match="trial 4: joint_2 is perturbed but does not move"):
+        scores.require_motion(made_record(position, trial=4, perturbed_joint=1))
+    with pytest.raises(DataError, match=r"torque of joint_1 reads 0.3 N·m throughout"):
+        scores.require_motion(made_record(position, np.full((2, 1000), 0.3)))
 
 
 def test_bias_bound_is_the_share_of_torque_that_locked_joints_make() -> None:

@@ -59,32 +59,23 @@ def test_a_joint_that_rests_at_its_extreme_value_is_not_clipped(step: float) -> 
     assert clipping(np.insert(signal, top, np.full(400, signal[top]))) == []
 
 
-def test_a_joint_that_rests_with_its_torque_is_not_stuck() -> None:
-    signal = motion(1, 1e-3)
-    signal[9000:9500] = signal[9000]
-    torque = motion(2, 1e-3)
-    assert sticking(signal, RATE, torque)[1] == 1
-    torque[9000:9500] = torque[9000] + motion(3, 1e-3)[:500] / 20.0
-    assert sticking(signal, RATE, torque)[1] == 0
-
-
-def test_a_joint_that_friction_holds_while_the_person_pushes_is_not_stuck() -> None:
-    signal = motion(1, 1e-3)
-    top = int(np.argmax(signal))
-    signal = np.insert(signal, top, np.full(500, signal[top]))
-    assert sticking(signal, RATE, np.insert(motion(2, 1e-3), top, motion(3, 1e-3)[:500]))[1] == 0
-
-
 @pytest.mark.parametrize("seconds", [0.3, 1.0])
 def test_a_signal_that_keeps_its_value_for_too_long_is_stuck(seconds: float) -> None:
     signal = motion(1, 1e-3)
     signal[9000 : 9000 + int(seconds * RATE)] = signal[9000]
     longest, count, limit = sticking(signal, RATE)
-    assert count == 1
+    assert count == sticking(signal, RATE, motion(2, 1e-3))[1] == 1
     assert limit < longest == pytest.approx(seconds, abs=0.05)
 
 
-def test_a_joint_that_rests_most_of_the_time_between_pulses_is_not_stuck() -> None:
+def test_a_joint_that_rests_as_its_torque_does_or_where_friction_holds_it_is_not_stuck() -> None:
+    signal, torque, other = (motion(seed, 1e-3) for seed in (1, 2, 3))
+    top = int(np.argmax(signal))
+    held = np.insert(signal, top, np.full(500, signal[top]))
+    assert sticking(held, RATE, np.insert(torque, top, other[:500]))[1] == 0
+    signal[9000:9500], torque[9000:9500] = signal[9000], torque[9000] + other[:500] / 20.0
+    assert sticking(signal, RATE, torque)[1] == 0
+    # One that rests most of the time, between pulses.
     pulses = np.zeros(50_000)
     for start in range(3000, 50_000, 4000):
         pulses[start : start + 1000] = np.round(100.0 * np.sin(np.arange(1000) / 100.0))

@@ -27,12 +27,8 @@ LEAST = 20_000 - NOTICE_TICKS
 
 
 def column(error: float) -> FittedColumn:
-    return FittedColumn(
-        joint=1,
-        values=np.array([[1.0, 2.0]] * 3),
-        errors=np.array([[error, error]] * 3),
-        preliminary=False,
-    )
+    values, errors = np.array([[1.0, 2.0]] * 3), np.array([[error, error]] * 3)
+    return FittedColumn(joint=1, values=values, errors=errors, preliminary=False)
 
 
 def rule(planned: int = 50_000) -> StoppingRule:
@@ -52,12 +48,9 @@ def decisions(
 
 
 def test_largest_error_is_relative_and_names_its_element() -> None:
-    found = FittedColumn(
-        joint=0,
-        values=np.array([[1.0, -2.0], [10.0, 1.0], [5.0, -0.5]]),
-        errors=np.array([[0.01, 0.02], [0.05, 0.01], [0.04, 0.03]]),
-        preliminary=False,
-    )
+    values = np.array([[1.0, -2.0], [10.0, 1.0], [5.0, -0.5]])
+    errors = np.array([[0.01, 0.02], [0.05, 0.01], [0.04, 0.03]])
+    found = FittedColumn(joint=0, values=values, errors=errors, preliminary=False)
     assert largest_error(found) == (0.06, "K21")
 
 
@@ -95,17 +88,9 @@ def test_a_trial_that_is_good_enough_ends_once_and_not_before_its_least_length()
 def test_samples_that_come_late_do_not_change_what_is_considered() -> None:
     one = rule()
     one.decide(0, lambda _: None)
-    asked: list[int] = []
-
-    def found(samples: int) -> FittedColumn:
-        asked.append(samples)
-        return column(0.001)
-
-    decision = one.decide(LEAST + 1234, found)
-
-    assert asked == [LEAST]
+    decision = one.decide(LEAST + 1234, lambda samples: column(0.001 if samples == LEAST else 1.0))
     assert decision is not None
-    assert decision.samples == LEAST
+    assert (decision.samples, decision.largest) == (LEAST, 0.001)
 
 
 @pytest.mark.parametrize("planned", [1000, 20_000])
@@ -141,8 +126,7 @@ def test_intervals_of_trials_that_end_early_hold_the_truth_and_estimates_are_not
         for joint in (0, 1):
             trials.append(ended(synthetic_trial(TWO_JOINT_ARM, joint, loop, seed), trials))
         data = [TrialData.of(one, welch=WELCH) for one in trials]
-        options = FitConfig(weight_floor=LPM.config.weight_floor)
-        fit = fit_mbk(LPM.estimate(data), options)
+        fit = fit_mbk(LPM.estimate(data), FitConfig(weight_floor=LPM.config.weight_floor))
         off.append((stacked(fit.mbk) - stacked(TWO_JOINT_ARM)) / errors_of(fit))
         lengths += [one.duration for one in trials]
     assert np.percentile(lengths, 90) > 2.0 * np.percentile(lengths, 10)
