@@ -273,7 +273,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         if topic == topics.DIAGNOSTICS:
             self._note_timing(message)
         with self._giving_up():
-            self._recording.add_beside(topic, message, self._synchronizer.newest_ns)
+            self._recording.add_beside(topic, message)
 
     def _note_timing(self, message: bytes) -> None:
         """Keep the timing that the rig reports in real time."""

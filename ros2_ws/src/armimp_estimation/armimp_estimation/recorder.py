@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -182,27 +181,11 @@ class TrialRecorder:
         BagError
             If they can't be written.
         """
-        if self._start_ns is None or self._is_past(0):
-            after = messages if self._start_ns is None else self._keep_late(messages)
-            for topic, raws in after.items():
-                self._between[topic].extend(raws)
-            self._finish_if_complete()
-        else:
-            count = self._up_to_end(messages.get(PERTURBATION, ()))
-            self._keep({topic: raws[:count] for topic, raws in messages.items()})
-            self._finish_if_complete()
-            if any(len(raws) > count for raws in messages.values()):
-                self.add({topic: raws[count:] for topic, raws in messages.items()})
+        self._take(messages)
+        self._finish_if_complete()
 
-    def add_beside(self, topic: str, message: bytes, time_ns: int | None = None) -> None:
+    def add_beside(self, topic: str, message: bytes) -> None:
         """Record a message that is no sample, such as diagnostics, beside the last sample.
-
-        Parameters
-        ----------
-        topic : str
-        message : bytes
-        time_ns : int, optional
-            Stamp of the last sample (ns), if that was not added yet.
 
         Raises
         ------
@@ -210,7 +193,7 @@ class TrialRecorder:
             If it can't be written.
         """
         if self._writer is not None and self._written:
-            self._writer.write(topic, message, max(*self._log_ns.values(), time_ns or 0))
+            self._writer.write(topic, message, max(self._log_ns.values()))
 
     def progress(self) -> Progress | None:
         """Tell how far the recording is, and what the samples show so far; None between trials."""
@@ -317,29 +300,6 @@ class TrialRecorder:
             require_free_space(path, _KEPT_BETWEEN + status.ticks, len(self._joint_names))
             self._writer = BagWriter(path, metadata=self._metadata)
 
-    def _up_to_end(self, messages: Sequence[bytes]) -> int:
-        """Number of samples up to the first one that is past the end of the trial."""
-        if messages and _stamp(messages[-1]) >= self._end_ns:
-            stamps = map(_stamp, messages)
-            return next(number for number, stamp in enumerate(stamps, 1) if stamp >= self._end_ns)
-        return sys.maxsize
-
-    def _keep_late(self, messages: Mapping[str, Sequence[bytes]]) -> dict[str, list[bytes]]:
-        """Keep what belongs to a trial whose perturbation is over; return what comes after it."""
-        after: dict[str, list[bytes]] = {topic: [] for topic in messages}
-        for topic in _ORDER:
-            for message in messages.get(topic, ()):
-                stamp_ns = _stamp(message)
-                if topic == COMMANDS:
-                    late = self._streams.count(COMMANDS) < self._streams.count(PERTURBATION)
-                elif not (late := stamp_ns < self._end_ns):
-                    self._newest_ns[topic] = stamp_ns
-                if late:
-                    self._keep_one(topic, message)
-                else:
-                    after[topic].append(message)
-        return after
-
     def _begin(self, status: TrialStatus, start_ns: int) -> None:
         """Begin with the samples of a trial, and keep what came before."""
         self._start_ns, self._began = start_ns, time.monotonic()
@@ -351,11 +311,16 @@ class TrialRecorder:
         latest_ns = start_ns + status.ticks * PERIOD_NS + _STEP_BACK_NS
         # Of a trial at a later time, as when bags are replayed in any order, nothing is kept.
         if not stamps.size or np.median(stamps[-_STRAY:]) <= latest_ns:
-            self._keep(waiting)
+            self._take(waiting)
 
-    def _keep(self, messages: Mapping[str, Sequence[bytes]]) -> None:
-        """Decode and write messages of the present bag: all at once where they are in step."""
-        if stamps := stamps_in_step(messages, self._newest_ns[PERTURBATION]):
+    def _take(self, messages: Mapping[str, Sequence[bytes]]) -> None:
+        """Decode and write what belongs to the present bag: all at once where it is in step."""
+        if self._start_ns is None:
+            for topic, raws in messages.items():
+                self._between[topic].extend(raws)
+            return
+        stamps = stamps_in_step(messages, self._newest_ns[PERTURBATION])
+        if stamps and stamps[-1] < self._end_ns:
             self._write_statuses(stamps[0])
             self._count(VALUE_FIELD, stamps)
             self._log_ns = dict.fromkeys(DATA_STREAMS, stamps[-1])
@@ -366,13 +331,15 @@ class TrialRecorder:
             return
         for tick in range(max(map(len, messages.values()), default=0)):
             for topic in _ORDER:
-                if tick < len(messages.get(topic, ())):
-                    self._keep_one(topic, messages[topic][tick])
+                if tick < len(raws := messages.get(topic, ())):
+                    self._take_one(topic, raws[tick])
 
-    def _keep_one(self, topic: str, message: bytes) -> None:
+    def _take_one(self, topic: str, message: bytes) -> None:
+        past = self._is_past(0)
         if topic == COMMANDS:
             led_ns = self._newest_ns[PERTURBATION]
             stamp_ns = led_ns if led_ns >= 0 else max(*self._newest_ns.values(), 0)
+            belongs = not past or self._streams.count(COMMANDS) < self._streams.count(PERTURBATION)
         else:
             try:
                 stamp_ns = stamp_of(message)
@@ -380,6 +347,10 @@ class TrialRecorder:
                 self._refuse(topic, error)
                 return
             self._count((topic,), (stamp_ns,))
+            belongs = not past or stamp_ns < self._end_ns
+        if not belongs:  # but to the next trial
+            self._between[topic].append(message)
+            return
         self._streams.add(topic, (message,))
         # Readers sort by this time, so it must not fall within a stream.
         self._log_ns[topic] = max(stamp_ns, self._log_ns[topic])
