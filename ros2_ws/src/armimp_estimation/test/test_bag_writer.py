@@ -26,7 +26,8 @@ from armimp_estimation.bags import (
     read_bag,
     require_free_space,
 )
-from armimp_estimation.bags.metadata_yaml import FILE_NAME, absolute, qos_profiles
+from armimp_estimation.bags.metadata_yaml import FILE_NAME, qos_profiles
+from armimp_estimation.bags.raw import absolute
 from armimp_estimation.bags.writer import FLUSH_INTERVAL_NS, finish_bag, finish_bags
 from support.bag_files import iterate_messages, write_bag
 from support.fault_figures import Figures

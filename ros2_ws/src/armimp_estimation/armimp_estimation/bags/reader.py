@@ -20,7 +20,7 @@ from armimp_estimation.alignment.streams import decode_streams
 from armimp_estimation.atomic_write import open_regular, require_text
 from armimp_estimation.bags import metadata_yaml
 from armimp_estimation.bags.mcap_reader import MAGIC, read_mcap
-from armimp_estimation.bags.raw import RawMessages, TopicFilter, one_line
+from armimp_estimation.bags.raw import RawMessages, namespace_of, one_line
 from armimp_estimation.bags.sqlite_reader import read_sqlite
 
 BAGS: Final = "bags"
@@ -84,7 +84,7 @@ def read_bag(path: Path, *, namespace: str | None = None) -> BagContent:
         If the path is not a readable bag, or the bag lacks something; the message is one line
         that names the file. A trial that is there but spoiled raises only where it is estimated.
     """
-    raw = read_storage(path, contract_topic)
+    raw = read_storage(path)
     if not raw.messages:
         cut = f"; the file {raw.cut}" if raw.cut else ""
         raise BagError(f"{path}: no messages of an experiment in it{cut}")
@@ -150,11 +150,6 @@ def _joint_names(metadata: Mapping[str, str], perturbation: Sequence[bytes]) -> 
     raise defect or DataError(f"no messages of {topics.PERTURBATION}")
 
 
-def contract_topic(name: str) -> str | None:
-    """Topic of the contract of which this may be the name in a bag; None if there is none."""
-    return next((topic for topic in topics.MESSAGE_TYPES if _prefix(name, topic) is not None), None)
-
-
 def resolve_topics(
     recorded: Sequence[tuple[str, str]], *, bag: str, namespace: str | None = None
 ) -> dict[str, int]:
@@ -217,22 +212,14 @@ def _listed(names: Sequence[str]) -> str:
 
 def _candidates(recorded: Sequence[tuple[str, str]], topic: str) -> dict[int, str]:
     """Prefixes of the topics with the right name, and where there are such, the right type."""
-    prefixes = {i: _prefix(name, topic) for i, (name, _) in enumerate(recorded)}
+    prefixes = {i: namespace_of(name, topic) for i, (name, _) in enumerate(recorded)}
     named = {i: prefix for i, prefix in prefixes.items() if prefix is not None}
     typed = {i: named[i] for i in named if recorded[i][1] == topics.MESSAGE_TYPES[topic]}
     return typed or named
 
 
-def _prefix(name: str, topic: str) -> str | None:
-    """What stands before a topic of the contract; None if the name is not that of the topic."""
-    if name == topic:
-        return ""
-    tail = metadata_yaml.absolute(topic)
-    return name[: len(name) - len(tail) + 1] if name.endswith(tail) else None
-
-
-def read_storage(path: Path, wanted: TopicFilter) -> RawMessages:
-    """Read all messages of a bag, of topics that are wanted by name, in the order of log times.
+def read_storage(path: Path) -> RawMessages:
+    """Read all messages of a bag under names of the contract, in the order of log times.
 
     BagError if the path is not a readable bag, or beyond the limits.
     """
@@ -247,11 +234,11 @@ def read_storage(path: Path, wanted: TopicFilter) -> RawMessages:
             files = [path]
         else:
             raise BagError(f"{path}: does not exist")
-        known: dict[tuple[int, int], Path] = {}
-        size = sum(_size_of(file, file, known) for file in files)
-        messages = RawMessages(str(path), size, wanted)
+        messages = RawMessages(str(path), sum(file.stat().st_size for file in files))
         for file in files:
+            messages.name = str(file)
             _read_file(file, messages)
+        messages.name = str(path)
         _decompress_messages(messages)
         messages.sort()
     except OSError as error:
@@ -308,7 +295,10 @@ def require_distinct(bags: Sequence[Path]) -> None:
         with suppress(OSError):  # as the reader will say
             for file in bag.iterdir() if bag.is_dir() else (bag,):
                 if file == bag or file.name.endswith(_SUFFIXES):
-                    _size_of(file, bag, known)
+                    status = file.stat()
+                    other = known.setdefault((status.st_dev, status.st_ino), bag)
+                    if other is not bag:
+                        raise BagError(f"{bag}: is the same as {other}")
 
 
 def _holds_bag(folder: Path) -> bool:
@@ -324,45 +314,36 @@ def _natural(path: Path) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdecimal() else (0, part) for part in parts]
 
 
-def _size_of(file: Path, bag: Path, known: dict[tuple[int, int], Path]) -> int:
-    """Bytes of a file, which must not be that of another bag, or another file, that is known."""
-    status = file.stat()
-    other = known.setdefault((status.st_dev, status.st_ino), bag)
-    if other is not bag:
-        raise BagError(f"{bag}: is the same as {other}")
-    return status.st_size
-
-
 def _read_file(path: Path, into: RawMessages) -> None:
     with open_regular(path) as file:
         if file.read(len(_ZSTD_MAGIC)) != _ZSTD_MAGIC:
-            file.seek(0)
-            _read_uncompressed(path, file, str(path), into)
+            _read_uncompressed(path, file, into)
             return
         file.seek(0)
         with tempfile.TemporaryDirectory() as directory:
             copy = Path(directory) / "bag"
             into.copy_unzstd(file, copy)
             with copy.open("rb") as content:
-                _read_uncompressed(copy, content, str(path), into)
+                _read_uncompressed(copy, content, into)
 
 
-def _read_uncompressed(path: Path, file: BinaryIO, name: str, into: RawMessages) -> None:
-    size = os.fstat(file.fileno()).st_size
+def _read_uncompressed(path: Path, file: BinaryIO, into: RawMessages) -> None:
+    size = file.seek(0, os.SEEK_END)
+    file.seek(0)
     head = file.read(len(_SQLITE_MAGIC))
     file.seek(0)
     if size == 0:
-        raise BagError(f"{name}: is empty")
+        raise into.refusal("is empty")
     if head.startswith(MAGIC):
-        read_mcap(file, size, name=name, into=into)
+        read_mcap(file, size, into)
     elif head == _SQLITE_MAGIC:
-        read_sqlite(path, name=name, into=into)
+        read_sqlite(path, into)
     elif head.startswith(_ROS1_MAGIC):
-        raise BagError(f"{name}: is a ROS 1 bag; convert it with rosbags-convert")
+        raise into.refusal("is a ROS 1 bag; convert it with rosbags-convert")
     elif MAGIC.startswith(head) or _SQLITE_MAGIC.startswith(head):
-        raise BagError(f"{name}: is cut after {size} bytes, before the first message")
+        raise into.refusal(f"is cut after {size} bytes, before the first message")
     else:
-        raise BagError(f"{name}: is neither an MCAP nor an SQLite3 file")
+        raise into.refusal("is neither an MCAP nor an SQLite3 file")
 
 
 def _decompress_messages(messages: RawMessages) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import os
 import shutil
 import struct
 import tempfile
@@ -42,15 +43,13 @@ from armimp_estimation.atomic_write import open_regular
 from armimp_estimation.bags.mcap_reader import BEYOND_LENGTH, MAGIC, MESSAGE, MESSAGE_HEAD
 from armimp_estimation.bags.metadata_yaml import (
     FILE_NAME,
-    absolute,
     bag_information,
     dump,
-    is_provisional,
     message_definition,
     qos_profiles,
     write_metadata,
 )
-from armimp_estimation.bags.raw import RawMessages
+from armimp_estimation.bags.raw import RawMessages, absolute
 from armimp_estimation.bags.reader import BAGS, read_storage
 
 METADATA_RECORD: Final = "armimp"
@@ -237,8 +236,9 @@ class BagWriter:
                 with self._one_line():
                     information = self._information(self._channels)
                     self._add_metadata("rosbag2", {"serialized_metadata": dump(information)})
-                    self._append_summary()
+                    # Before the summary, since a file with a summary counts as finished.
                     write_metadata(self._path, information)
+                    self._append_summary()
         except BagError:
             if not reported:
                 raise
@@ -438,20 +438,22 @@ def require_free_space(path: Path, ticks: int, joints: int) -> None:
 def finish_bag(path: Path) -> str:
     """Finish a bag which a killed `BagWriter` left behind; any other is left alone.
 
-    Its messages are written into a new bag, which takes the place of the storage file at once and
-    then that of ``metadata.yaml``. A bag that is still being recorded is known by its lock, one
-    that is complete by its metadata. A bag behind a link stays as it is, since that may lead
+    Its messages are written into a new bag, whose ``metadata.yaml`` and then storage file take the
+    place of the old ones. A bag that is still being recorded is known by its lock, one that is
+    complete by its end. A bag behind a link stays as it is, since that may lead
     anywhere. What was done is returned, or why it could not be, in one line, empty for nothing.
     """
-    if path.is_symlink() or path.parent.is_symlink() or not is_provisional(path / FILE_NAME):
+    if path.is_symlink() or path.parent.is_symlink():
         return ""
     unfinished = f"{path}: its recorder did not finish it"
     try:
         with open_regular(path / storage_name(path)) as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if file.read(len(HEAD)) != HEAD:
+            head = file.read(len(HEAD))
+            file.seek(-len(MAGIC), os.SEEK_END)
+            if head != HEAD or file.read() == MAGIC:
                 return ""
-            messages = read_storage(path, lambda _: True)
+            messages = read_storage(path)
             try:
                 _write_anew(path, messages)
             except (BagError, OSError) as error:
@@ -476,5 +478,6 @@ def _write_anew(path: Path, messages: RawMessages) -> None:
             for index, log_time_ns, payload in messages.messages:
                 name, _ = messages.topics[index]
                 writer.write(names.get(name, name), payload, log_time_ns)
-        for file in (storage_name(path), FILE_NAME):
+        # In this order, as a storage file that is complete is never looked at again.
+        for file in (FILE_NAME, storage_name(path)):
             (copy / file).replace(path / file)
