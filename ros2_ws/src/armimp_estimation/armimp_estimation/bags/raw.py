@@ -1,8 +1,8 @@
 """The messages of a bag as they are stored, and what it may cost to read them."""
 
 from collections.abc import Iterable
+from io import BytesIO
 from operator import itemgetter
-from pathlib import Path
 from typing import BinaryIO, Final, TypeAlias
 
 import lz4.frame
@@ -118,8 +118,8 @@ class RawMessages:
         self.spend(len(content))
         return content
 
-    def copy_unzstd(self, source: BinaryIO, target: Path) -> None:
-        """Decompress a file of zstd, as far as it goes, into another one.
+    def unzstd_file(self, source: BinaryIO) -> BinaryIO:
+        """Decompress a file of zstd, as far as it goes.
 
         Raises
         ------
@@ -127,16 +127,14 @@ class RawMessages:
             If it holds more than is left.
         zstandard.ZstdError
             If it is damaged.
-        OSError
-            If the other one cannot be written.
         """
-        with (
-            zstandard.ZstdDecompressor().stream_reader(source, closefd=False) as reader,
-            target.open("xb") as file,
-        ):
+        content = BytesIO()
+        with zstandard.ZstdDecompressor().stream_reader(source) as reader:
             while piece := reader.read(_PIECE):
                 self.spend(len(piece))
-                file.write(piece)
+                content.write(piece)
+        content.seek(0)
+        return content
 
     def _require(self, size: int) -> None:
         """Refuse a piece that is too large before there is room made for it."""

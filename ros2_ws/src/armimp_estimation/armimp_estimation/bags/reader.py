@@ -2,7 +2,6 @@
 
 import os
 import re
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -316,15 +315,9 @@ def _natural(path: Path) -> list[tuple[int, str]]:
 
 def _read_file(path: Path, into: RawMessages) -> None:
     with open_regular(path) as file:
-        if file.read(len(_ZSTD_MAGIC)) != _ZSTD_MAGIC:
-            _read_uncompressed(path, file, into)
-            return
+        compressed = file.read(len(_ZSTD_MAGIC)) == _ZSTD_MAGIC
         file.seek(0)
-        with tempfile.TemporaryDirectory() as directory:
-            copy = Path(directory) / "bag"
-            into.copy_unzstd(file, copy)
-            with copy.open("rb") as content:
-                _read_uncompressed(copy, content, into)
+        _read_uncompressed(path, into.unzstd_file(file) if compressed else file, into)
 
 
 def _read_uncompressed(path: Path, file: BinaryIO, into: RawMessages) -> None:
@@ -337,7 +330,7 @@ def _read_uncompressed(path: Path, file: BinaryIO, into: RawMessages) -> None:
     if head.startswith(MAGIC):
         read_mcap(file, size, into)
     elif head == _SQLITE_MAGIC:
-        read_sqlite(path, into)
+        read_sqlite(file, Path(f"{path}-wal"), into)
     elif head.startswith(_ROS1_MAGIC):
         raise into.refusal("is a ROS 1 bag; convert it with rosbags-convert")
     elif MAGIC.startswith(head) or _SQLITE_MAGIC.startswith(head):

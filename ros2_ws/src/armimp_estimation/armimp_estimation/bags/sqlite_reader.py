@@ -5,8 +5,7 @@ import sqlite3
 import tempfile
 from contextlib import closing, suppress
 from pathlib import Path
-from typing import Final
-from urllib.parse import quote
+from typing import BinaryIO, Final
 
 from armimp_estimation.atomic_write import open_regular
 from armimp_estimation.bags.metadata_yaml import parse_custom_data
@@ -22,18 +21,20 @@ _FREE_STEPS: Final = 10_000_000
 _STEPS_PER_BYTE: Final = 4
 
 
-def read_sqlite(path: Path, into: RawMessages) -> None:
+def read_sqlite(file: BinaryIO, log: Path, into: RawMessages) -> None:
     """Read an SQLite3 storage file, up to the first damaged page.
 
-    Only plain tables are read: views and generated columns are programs of whoever made the file. A
-    file whose writer was killed may have its last messages in a write-ahead log beside it; since
-    SQLite wants to write then, a copy of both is opened. A rollback journal is ignored:
-    the recorders of ROS 2 leave none, and it may name other files that SQLite deletes.
+    Only plain tables are read: views and generated columns are programs of whoever made the file.
+    SQLite opens a copy, as it wants to write where a killed writer left its last messages in a
+    write-ahead log. A rollback journal is ignored: the recorders of ROS 2 leave none, and it may
+    name other files that SQLite deletes.
 
     Parameters
     ----------
-    path : Path
-        The file.
+    file : binary file
+        At its beginning.
+    log : Path
+        Where its write-ahead log is, if it has one.
     into : RawMessages
         Takes topics, messages, metadata and a note of the cut.
 
@@ -44,22 +45,20 @@ def read_sqlite(path: Path, into: RawMessages) -> None:
     OSError
         If it cannot be copied.
     """
-    log = Path(f"{path}-wal")
-    if not log.is_file() or not log.stat().st_size:
-        _read(path, "mode=ro&immutable=1", into)
-        return
     with tempfile.TemporaryDirectory() as directory:
-        for file in (path, log):
-            with open_regular(file) as source, (Path(directory) / file.name).open("xb") as copy:
+        path = Path(directory) / "bag.db3"
+        with path.open("xb") as copy:
+            shutil.copyfileobj(file, copy)
+        if log.is_file():
+            with open_regular(log) as source, Path(f"{path}-wal").open("xb") as copy:
                 shutil.copyfileobj(source, copy)
-        _read(Path(directory) / path.name, "mode=rw", into)
+        _read(path, into)
 
 
-def _read(path: Path, mode: str, into: RawMessages) -> None:
-    uri = f"file:{quote(str(path.absolute()))}?{mode}"
+def _read(path: Path, into: RawMessages) -> None:
     steps = iter(range(0, _FREE_STEPS + _STEPS_PER_BYTE * path.stat().st_size, _STEPS))
     try:
-        with closing(sqlite3.connect(uri, uri=True)) as database:
+        with closing(sqlite3.connect(path)) as database:
             database.set_progress_handler(lambda: next(steps, None) is None, _STEPS)
             for table in ("topics", "messages"):
                 if not _is_plain(database, table):

@@ -133,9 +133,6 @@ class BagWriter:
                     fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 self._append(HEAD)
                 self._add_metadata(METADATA_RECORD, self._custom)
-                # A killed recording keeps this one; it lists all topics, since players make their
-                # publishers from the list.
-                write_metadata(path, self._information(MESSAGE_TYPES))
             except OSError:
                 self._file.close()
                 raise
@@ -217,7 +214,7 @@ class BagWriter:
             self._flush()
 
     def close(self) -> None:
-        """Finish the file and replace the provisional ``metadata.yaml``; harmless if repeated.
+        """Write ``metadata.yaml`` and finish the file; harmless if repeated.
 
         Where there is no room for that, the bag stays unfinished, but readable.
 
@@ -234,7 +231,12 @@ class BagWriter:
                 self.flush()
             finally:
                 with self._one_line():
-                    information = self._information(self._channels)
+                    counts = {
+                        topic: self._counts[channel.id] for topic, channel in self._channels.items()
+                    }
+                    information = bag_information(
+                        storage_name(self._path), counts, self._time_range, self._custom
+                    )
                     self._add_metadata("rosbag2", {"serialized_metadata": dump(information)})
                     # Before the summary, since a file with a summary counts as finished.
                     write_metadata(self._path, information)
@@ -377,12 +379,6 @@ class BagWriter:
             self._position = start
             raise
 
-    def _information(self, topics: Iterable[str]) -> dict[str, Any]:
-        """Content of ``metadata.yaml`` with some topics."""
-        known = {topic: self._counts[channel.id] for topic, channel in self._channels.items()}
-        counts = {topic: known.get(topic, 0) for topic in topics}
-        return bag_information(storage_name(self._path), counts, self._time_range, self._custom)
-
     @contextmanager
     def _one_line(self) -> Iterator[None]:
         """Say in one line why something cannot be written."""
@@ -465,8 +461,7 @@ def finish_bag(path: Path) -> str:
 
 def finish_bags(directory: Path) -> list[str]:
     """Finish the bags below ``bags/`` of a result; return a line for each of them."""
-    bags = sorted((directory / BAGS).glob("*/" + FILE_NAME))
-    return [note for bag in bags if (note := finish_bag(bag.parent))]
+    return [note for bag in sorted((directory / BAGS).glob("*")) if (note := finish_bag(bag))]
 
 
 def _write_anew(path: Path, messages: RawMessages) -> None:
