@@ -28,7 +28,7 @@ from armimp_estimation.bags import (
 )
 from armimp_estimation.bags.metadata_yaml import FILE_NAME, qos_profiles
 from armimp_estimation.bags.raw import absolute
-from armimp_estimation.bags.writer import FLUSH_INTERVAL_NS, finish_bag, finish_bags
+from armimp_estimation.bags.writer import FLUSH_INTERVAL_NS, RECORDED, finish_bag, finish_bags
 from support.bag_files import iterate_messages, write_bag
 from support.fault_figures import Figures
 from support.synthetic_bags import Message, synthetic_recording
@@ -76,12 +76,12 @@ class TestFormat:
         schema = next(s for s in summary.schemas.values() if s.name == "sensor_msgs/msg/JointState")
         assert schema.encoding == "ros2msg"
         assert b"MSG: builtin_interfaces/Time\nint32 sec" in schema.data
+        topics_by_name = {absolute(topic): topic for topic in RECORDED}
         for channel in summary.channels.values():
             assert channel.message_encoding == "cdr"
             assert set(channel.metadata) == {"offered_qos_profiles", "topic_type_hash"}
-            topic = channel.topic.removeprefix("/")
             qos = yaml.safe_load(channel.metadata["offered_qos_profiles"])
-            assert qos == qos_profiles(topic)
+            assert qos == qos_profiles(topics_by_name[channel.topic])
         assert [record.name for record in records] == ["armimp", "rosbag2"]
         assert records[0].metadata == METADATA
         inner = yaml.safe_load(records[1].metadata["serialized_metadata"])
@@ -120,7 +120,7 @@ class TestRefusals:
             lambda: writer.write_block([0], {"/rosout": [bytes(4)]}),
         )
         for attempt in attempts:
-            with pytest.raises(BagError, match="not part of the contract: '/rosout'"):
+            with pytest.raises(BagError, match="topic is not recorded: '/rosout'"):
                 attempt()
         writer.close()
         writer.close()

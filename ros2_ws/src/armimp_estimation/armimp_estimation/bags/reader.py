@@ -55,7 +55,7 @@ class BagContent:
     trials: tuple[Trial, ...]
     """At least one; each says whether it can be estimated."""
     topics: Mapping[str, str]
-    """Name in the bag of each topic of the contract that is in it."""
+    """Name in the bag of each topic of the contract that has messages in it."""
     notes: tuple[str, ...]
     """What a user should know of the bag, one line each: a cut, damaged messages."""
     _raw: RawMessages
@@ -71,7 +71,7 @@ class BagContent:
 def read_bag(path: Path, *, namespace: str | None = None) -> BagContent:
     """Read a bag with everything that an estimate needs.
 
-    Taken are rosbag2 directories with complete, provisional or no ``metadata.yaml``, and single
+    Taken are rosbag2 directories with or without ``metadata.yaml``, and single
     MCAP or SQLite3 files, compressed or not, complete or cut. Topics may be under a namespace,
     to be given where a bag holds those of several rigs, and the joints of every message in any
     order, with further ones in those of sensors. Where there is no trial status, the trials are
@@ -84,21 +84,20 @@ def read_bag(path: Path, *, namespace: str | None = None) -> BagContent:
         that names the file. A trial that is there but spoiled raises only where it is estimated.
     """
     raw = read_storage(path)
+    cut = f" (the file {raw.cut})" if raw.cut else ""
     if not raw.messages:
-        cut = f"; the file {raw.cut}" if raw.cut else ""
         raise BagError(f"{path}: no messages of an experiment in it{cut}")
+    by_index = raw.by_topic()
     found = resolve_topics(raw.topics, bag=str(path), namespace=namespace)
+    found = {topic: index for topic, index in found.items() if by_index[index]}
+    messages = {topic: by_index[index] for topic, index in found.items()}
     for topic, content in _NEEDED.items():
         if topic not in found:
-            raise BagError(f"{path}: has no {content}: no topic {topic}")
-    by_index = raw.by_topic()
-    messages = {
-        topic: by_index[found[topic]] if topic in found else []
-        for topic in (*topics.DATA_STREAMS, topics.TRIAL)
-    }
-    if len(messages[topics.TRIAL]) > _MOST_STATUSES:
-        raise raw.refusal(f"has {len(messages[topics.TRIAL])} messages of {topics.TRIAL}")
-    statuses, defect = decode_trial_statuses(messages[topics.TRIAL])
+            raise BagError(f"{path}: has no {content}: no messages of {topic}{cut}")
+    told = messages.get(topics.TRIAL, [])
+    if len(told) > _MOST_STATUSES:
+        raise BagError(f"{path}: has {len(told)} messages of {topics.TRIAL}")
+    statuses, defect = decode_trial_statuses(told)
     try:
         joint_names = _joint_names(raw.metadata, messages[topics.PERTURBATION])
         if len(joint_names) > _MOST_JOINTS:
@@ -106,7 +105,6 @@ def read_bag(path: Path, *, namespace: str | None = None) -> BagContent:
         streams = decode_streams(joint_names, messages)
         trials = assemble_trials(streams, statuses, bag=str(path))
     except (DataError, ConfigurationError, MalformedMessageError) as error:
-        cut = f" (the file {raw.cut})" if raw.cut else ""
         raise BagError(f"{path}: {one_line(error)}{cut}") from None
     if not trials:
         last = one_line(statuses[-1].sentence)
@@ -140,13 +138,10 @@ def _joint_names(metadata: Mapping[str, str], perturbation: Sequence[bytes]) -> 
     with suppress(ValidationError):
         if names := TypeAdapter(tuple[str, ...]).validate_json(metadata.get("joint_names", "[]")):
             return names
-    defect: MalformedMessageError | None = None
     for message in perturbation:
-        try:
+        with suppress(MalformedMessageError):
             return joint_names_of(message)
-        except MalformedMessageError as error:
-            defect = defect or error
-    raise defect or DataError(f"no messages of {topics.PERTURBATION}")
+    return joint_names_of(perturbation[0])  # which says what is wrong
 
 
 def resolve_topics(

@@ -17,8 +17,9 @@ import zlib
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import zstandard
 from mcap.data_stream import RecordBuilder
@@ -38,7 +39,7 @@ from mcap.records import (
 )
 
 from armimp_common.errors import BagError
-from armimp_common.topics import DATA_STREAMS, MESSAGE_TYPES
+from armimp_common.topics import CLOCK, DATA_STREAMS, DIAGNOSTICS, MESSAGE_TYPES, TRIAL
 from armimp_estimation.atomic_write import open_regular
 from armimp_estimation.bags.mcap_reader import BEYOND_LENGTH, MAGIC, MESSAGE, MESSAGE_HEAD
 from armimp_estimation.bags.metadata_yaml import (
@@ -52,6 +53,8 @@ from armimp_estimation.bags.metadata_yaml import (
 from armimp_estimation.bags.raw import RawMessages, absolute
 from armimp_estimation.bags.reader import BAGS, read_storage
 
+RECORDED: Final = (*DATA_STREAMS, TRIAL, CLOCK, DIAGNOSTICS)
+"""Topics of the contract that bags have."""
 METADATA_RECORD: Final = "armimp"
 """Name of the MCAP metadata record with the metadata, for files that lost their directory."""
 FLUSH_INTERVAL_NS: Final = 50_000_000
@@ -83,8 +86,30 @@ HEAD: Final = MAGIC + _encoded(Header(profile="ros2", library="armimp"))
 """First bytes of all files that are written here."""
 
 
+@cache
+def _definitions() -> tuple[list[Schema], dict[str, Channel]]:
+    """Schemas and, by topic, channels with which each file begins."""
+    schemas: dict[str, Schema] = {}
+    channels: dict[str, Channel] = {}
+    for number, topic in enumerate(RECORDED, 1):
+        kind = MESSAGE_TYPES[topic]
+        text, type_hash = message_definition(kind)
+        schema = Schema(id=len(schemas) + 1, name=kind, encoding="ros2msg", data=text.encode())
+        channels[topic] = Channel(
+            id=number,
+            topic=absolute(topic),
+            message_encoding="cdr",
+            schema_id=schemas.setdefault(kind, schema).id,
+            metadata={
+                "offered_qos_profiles": dump(qos_profiles(topic)),
+                "topic_type_hash": type_hash,
+            },
+        )
+    return list(schemas.values()), channels
+
+
 class BagWriter:
-    """Writes the messages of the contract into a new bag.
+    """Writes the messages of an experiment into a new bag.
 
     A process that is killed loses at most the messages since the last chunk: 50 ms of log time
     or 256 messages, whichever is less. What it leaves behind is opened by `read_bag` as it is, and
@@ -110,11 +135,10 @@ class BagWriter:
     def __init__(self, path: Path, *, metadata: Mapping[str, str]) -> None:
         self._path = path
         self._custom = dict(metadata)
-        self._schemas: dict[str, Schema] = {}
-        self._channels: dict[str, Channel] = {}
+        self._schemas, self._channels = _definitions()
         self._chunks: list[ChunkIndex] = []
         self._metadata: list[MetadataIndex] = []
-        self._counts: dict[int, int] = {}
+        self._counts = {channel.id: 0 for channel in self._channels.values()}
         """Messages of each channel that were flushed."""
         self._chunk = bytearray()
         self._pending = 0
@@ -131,7 +155,7 @@ class BagWriter:
             try:
                 with suppress(OSError):  # Not every file system has locks.
                     fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                self._append(HEAD)
+                self._append(HEAD + _encoded(*self._schemas, *self._channels.values()))
                 self._add_metadata(METADATA_RECORD, self._custom)
             except OSError:
                 self._file.close()
@@ -151,8 +175,8 @@ class BagWriter:
         log_times : sequence of int
             Times of reception (ns), not negative, in rising order.
         messages : mapping of str to sequence of bytes
-            A message (CDR with its encapsulation header) for each of them, by topic of the
-            contract, in the order in which those of one time are written.
+            A message (CDR with its encapsulation header) for each of them, by topic of
+            :data:`RECORDED`, in the order in which those of one time are written.
 
         Raises
         ------
@@ -255,31 +279,8 @@ class BagWriter:
         self.close()
 
     def _channel(self, topic: str) -> int:
-        """Channel of a topic, which is written when there is none."""
-        if topic in self._channels:
-            return self._channels[topic].id
-        if (kind := MESSAGE_TYPES.get(topic)) is None:
-            raise BagError(f"{self._path}: topic is not part of the contract: {topic!r}")
-        text, type_hash = message_definition(kind)
-        if kind not in self._schemas:
-            schema = Schema(
-                id=len(self._schemas) + 1, name=kind, encoding="ros2msg", data=text.encode()
-            )
-            self._append(_encoded(schema))
-            self._schemas[kind] = schema
-        channel = Channel(
-            id=len(self._channels) + 1,
-            topic=absolute(topic),
-            message_encoding="cdr",
-            schema_id=self._schemas[kind].id,
-            metadata={
-                "offered_qos_profiles": dump(qos_profiles(topic)),
-                "topic_type_hash": type_hash,
-            },
-        )
-        self._append(_encoded(channel))
-        self._channels[topic] = channel
-        self._counts[channel.id] = 0
+        if (channel := self._channels.get(topic)) is None:
+            raise BagError(f"{self._path}: topic is not recorded: {topic!r}")
         return channel.id
 
     def _add_metadata(self, name: str, values: Mapping[str, str]) -> None:
@@ -354,7 +355,7 @@ class BagWriter:
         )
         end = _encoded(DataEnd(data_section_crc=0))
         summary: Iterable[McapRecord] = (
-            *(*self._schemas.values(), *self._channels.values(), statistics),
+            *(*self._schemas, *self._channels.values(), statistics),
             *(*self._chunks, *self._metadata),
         )
         start = self._position + len(end)
@@ -466,7 +467,7 @@ def finish_bags(directory: Path) -> list[str]:
 
 def _write_anew(path: Path, messages: RawMessages) -> None:
     """Replace the files of a bag by new ones with the same messages."""
-    names = {absolute(topic): topic for topic in MESSAGE_TYPES}
+    names = {absolute(topic): topic for topic in RECORDED}
     with tempfile.TemporaryDirectory(prefix=".finishing.", dir=path) as work:
         copy = Path(work) / path.name
         with BagWriter(copy, metadata=messages.metadata) as writer:
