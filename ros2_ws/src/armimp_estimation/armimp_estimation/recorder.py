@@ -224,7 +224,7 @@ class TrialRecorder:
 
     def _look(self) -> None:
         """Estimate from the samples of the present trial so far."""
-        status, samples, began = self._statuses[-1], self.samples, time.monotonic()
+        status, samples = self._statuses[-1], self.samples
         record = record_so_far(self._streams, status, samples)
         if record is not None:
             with suppress(DataError):  # too few samples
@@ -232,10 +232,6 @@ class TrialRecorder:
                 self._coherence = mean_coherences(TrialData.of(record, welch=welch))
         # Round numbers: the Fourier transform of others may take several times as long.
         self._column_of(samples // _ROUND * _ROUND)
-        if self._column is None:
-            # What can't be estimated yet is tried again soon, but in a tenth of the time.
-            ended = time.monotonic()
-            self._look_at = ended + min(9.0 * (ended - began), _SEEN_EVERY)
 
     def decide(self) -> StoppingDecision | None:
         """Decide whether the present trial has lasted long enough, if it is time."""

@@ -172,21 +172,18 @@ def resolve_topics(
         If the choice is not clear, or a topic has another type than it must have.
     """
     matches = {topic: _candidates(recorded, topic) for topic in topics.MESSAGE_TYPES}
-    if namespace is None:
-        of_needed = [set(matches[topic].values()) for topic in _NEEDED]
-        complete = sorted(set.intersection(*of_needed))
+    if namespace is not None:
+        rigs = [f"/{namespace.strip('/')}/" if namespace.strip("/") else "/"]
     else:
-        complete = [f"/{namespace.strip('/')}/" if namespace.strip("/") else "/"]
-    if len(complete) > 1:
-        names = _listed([prefix.rstrip("/") or "/" for prefix in complete])
+        rigs = sorted(set.intersection(*(set(matches[topic].values()) for topic in _NEEDED)))
+    if len(rigs) > 1:
+        names = _listed([prefix.rstrip("/") or "/" for prefix in rigs])
         raise BagError(f"{bag}: holds the topics of several rigs, choose a namespace: {names}")
     found: dict[str, int] = {}
     for topic, prefixes in matches.items():
-        chosen = list(prefixes)
-        if complete:
-            under = [i for i, prefix in prefixes.items() if prefix in (complete[0], "")]
-            # Those not needed may be recorded elsewhere, if only once.
-            chosen = under if under or topic in _NEEDED or namespace is not None else chosen
+        chosen = [i for i, prefix in prefixes.items() if prefix in (*rigs, "")] if rigs else []
+        if not chosen and namespace is None:  # those not needed may be elsewhere, if only once
+            chosen = list(prefixes)
         if len(chosen) > 1 and (topic in _NEEDED or topic == topics.TRIAL):
             names = _listed(sorted({recorded[i][0] for i in chosen}))
             raise BagError(f"{bag}: {topic} is ambiguous: {names}")
