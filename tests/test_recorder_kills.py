@@ -49,7 +49,6 @@ recording = TrialRecorder(arm.records[0].joint_names, directory, {}, lambda *_: 
 def on_samples(samples):
     if samples % TOGETHER == 0:
         recording.add(synchronizer.take())
-        recording.flush()
 
 synchronizer, receivers = fed_synchronizer(on_samples)
 messages = [m for m in arm.messages if begin <= m[1] < begin + ticks * 1_000_000]

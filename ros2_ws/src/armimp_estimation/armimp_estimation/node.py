@@ -153,7 +153,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         # Messages that came before do not count; the synchronizer discards its own.
         take_all(self._leading)
         self._synchronizer.open()
-        self._acknowledged = self._recorded = self._flushed = 0
+        self._acknowledged = self._recorded = 0
         self._seen = -1
         self._received.publish(UInt64(data=0))
         self._timer.reset()
@@ -230,9 +230,6 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         if samples - self._recorded >= self._together:
             self._recorded = samples
             self._record()
-        if self._active and samples - self._flushed >= TOGETHER:
-            self._flushed = samples
-            self._flush()
         if self._active:
             # First, so that in lockstep the decision is there before the samples go on.
             if (decision := self._recording.decide()) is not None:
@@ -262,11 +259,6 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         """Record the messages that wait for it."""
         with self._giving_up():
             self._recording.add(self._synchronizer.take(incomplete=incomplete))
-
-    def _flush(self) -> None:
-        """Hand on what was recorded, so that a kill of this process cannot reach it."""
-        with self._giving_up():
-            self._recording.flush()
 
     def _on_beside(self, topic: str, message: bytes) -> None:
         if not self._active:
@@ -374,7 +366,6 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         if self._active and self._acknowledged == self._seen:
             # Without complete samples nothing else records what has come.
             self._record()
-            self._flush()
         self._seen = self._acknowledged
         if not self._active or self._recording.status is None:
             return

@@ -277,17 +277,6 @@ class TrialRecorder:
             writer, self._writer = self._writer, None
             writer.close()
 
-    def flush(self) -> None:
-        """Hand what was recorded to the operating system, where a kill cannot reach it.
-
-        Raises
-        ------
-        BagError
-            If that fails.
-        """
-        if self._writer is not None:
-            self._writer.flush()
-
     def _open(self, status: TrialStatus) -> None:
         self.close()
         if self._directory is not None:
@@ -329,6 +318,8 @@ class TrialRecorder:
             for topic in _ORDER:
                 if tick < len(raws := messages.get(topic, ())):
                     self._take_one(topic, raws[tick])
+        if self._writer is not None:
+            self._writer.flush()  # as it does by itself with a block of samples
 
     def _take_one(self, topic: str, message: bytes) -> None:
         past = self._is_past(0)
