@@ -224,14 +224,14 @@ class TrialRecorder:
 
     def _look(self) -> None:
         """Estimate from the samples of the present trial so far."""
-        status, samples = self._statuses[-1], self.samples
-        record = record_so_far(self._streams, status, samples)
+        record = record_so_far(self._streams, self._statuses, self.samples)
         if record is not None:
             with suppress(DataError):  # too few samples
                 welch = segments_for([[record]])
                 self._coherence = mean_coherences(TrialData.of(record, welch=welch))
-        # Round numbers: the Fourier transform of others may take several times as long.
-        self._column_of(samples // _ROUND * _ROUND)
+            # Round numbers: the Fourier transform of others may take several times as long.
+            record = record.part(0, record.samples // _ROUND * _ROUND)
+        self._fit(record)
 
     def decide(self) -> StoppingDecision | None:
         """Decide whether the present trial has lasted long enough, if it is time."""
@@ -250,9 +250,11 @@ class TrialRecorder:
 
     def _column_of(self, samples: int) -> FittedColumn | None:
         """Column k as the first so many samples give it, which is shown from now on."""
+        return self._fit(record_so_far(self._streams, self._statuses, samples))
+
+    def _fit(self, record: TrialRecord | None) -> FittedColumn | None:
         self._column = None
-        record = record_so_far(self._streams, self._statuses[-1], samples)
-        if record is not None:
+        if record is not None and record.samples:
             with suppress(DataError):  # too few samples
                 self._column = self._lpm.column(record, self._past)
                 # From the end of the estimate on, which leaves a slow machine time for others.
@@ -417,39 +419,16 @@ class TrialRecorder:
         return replace(trial, bag=self._bag or None, rtf=rtf)
 
 
-def record_so_far(streams: Streams, status: TrialStatus, samples: int) -> TrialRecord | None:
+def record_so_far(
+    streams: Streams, statuses: Sequence[TrialStatus], samples: int
+) -> TrialRecord | None:
     """The first so many samples of a running trial; None where one is missing or can't be used."""
-    starts, values, stamps = [], [], []
-    for topic in (PERTURBATION, JOINT_STATES, TORQUE_SENSORS):
-        stream = streams.decode().stamped[topic]
-        if stream.malformed:
-            return None
-        starts.append(int((stream.stamps < (status.start_ns or 0)).sum()))
-        chosen = slice(starts[-1], starts[-1] + samples)
-        values.append(stream.values[:, chosen])
-        stamps.append(stream.stamps[chosen])
-    steady = (np.abs(np.diff(stamps[0]) - PERIOD_NS) < PERIOD_NS // 2).all()
-    same = all(np.array_equal(stamps[0], other) for other in stamps[1:])
-    if not (steady and same and 0 < samples == stamps[0].size):
-        return None
-    answered = slice(starts[0], starts[0] + samples)
-    known = streams.commands.count >= answered.stop and not streams.commands.defect
-    perturbation, position, torque = values
-    try:
-        return TrialRecord(
-            trial=status.trial,
-            perturbed_joint=status.joint,
-            rate=_RATE,
-            joint_names=streams.joint_names,
-            perturbation=perturbation,
-            position=position,
-            torque=torque,
-            start_ns=status.start_ns or 0,
-            seed=None,
-            command=streams.commands.values[:, answered] if known else None,
-        )
-    except DataError:  # a number that is none
-        return None
+    with suppress(DataError):
+        for trial in assemble_trials(streams, statuses):
+            begun = [one for one in trial.segments if one.start_ns == trial.window.start_ns]
+            if begun and 0 < samples <= begun[0].samples:
+                return begun[0].part(0, samples)
+    return None
 
 
 class StoppingRule:
