@@ -153,8 +153,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         # Messages that came before do not count; the synchronizer discards its own.
         take_all(self._leading)
         self._synchronizer.open()
-        self._acknowledged = self._recorded = 0
-        self._seen = -1
+        self._recorded = 0
         self._received.publish(UInt64(data=0))
         self._timer.reset()
         return super().on_activate(state)
@@ -235,7 +234,6 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             if (decision := self._recording.decide()) is not None:
                 self._announced.note(decision)
                 self._stopping.publish(status_message(decision))
-            self._acknowledged = samples
             self._received.publish(UInt64(data=samples))
 
     @contextmanager
@@ -363,10 +361,9 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             self._late.cancel()
 
     def _on_timer(self) -> None:
-        if self._active and self._acknowledged == self._seen:
+        if self._active:
             # Without complete samples nothing else records what has come.
             self._record()
-        self._seen = self._acknowledged
         if not self._active or self._recording.status is None:
             return
         if time.monotonic() - self._done_at > _STRAGGLERS:
