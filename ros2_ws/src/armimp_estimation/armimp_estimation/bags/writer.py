@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import errno
 import fcntl
-import os
 import shutil
 import struct
 import tempfile
@@ -238,7 +237,7 @@ class BagWriter:
             self._flush()
 
     def close(self) -> None:
-        """Write ``metadata.yaml`` and finish the file; harmless if repeated.
+        """Finish the file and write ``metadata.yaml``; harmless if repeated.
 
         Where there is no room for that, the bag stays unfinished, but readable.
 
@@ -262,9 +261,9 @@ class BagWriter:
                         storage_name(self._path), counts, self._time_range, self._custom
                     )
                     self._add_metadata("rosbag2", {"serialized_metadata": dump(information)})
-                    # Before the summary, since a file with a summary counts as finished.
-                    write_metadata(self._path, information)
                     self._append_summary()
+                    # Last, since a bag that has it counts as finished.
+                    write_metadata(self._path, information)
         except BagError:
             if not reported:
                 raise
@@ -435,20 +434,18 @@ def require_free_space(path: Path, ticks: int, joints: int) -> None:
 def finish_bag(path: Path) -> str:
     """Finish a bag which a killed `BagWriter` left behind; any other is left alone.
 
-    Its messages are written into a new bag, whose ``metadata.yaml`` and then storage file take the
-    place of the old ones. A bag that is still being recorded is known by its lock, one that is
-    complete by its end. A bag behind a link stays as it is, since that may lead
+    Its messages are written into a new bag, which takes the place of the storage file at once and
+    then adds its ``metadata.yaml``. A bag that is still being recorded is known by its lock, one
+    that is complete by its metadata. A bag behind a link stays as it is, since that may lead
     anywhere. What was done is returned, or why it could not be, in one line, empty for nothing.
     """
-    if path.is_symlink() or path.parent.is_symlink():
+    if path.is_symlink() or path.parent.is_symlink() or (path / FILE_NAME).exists():
         return ""
     unfinished = f"{path}: its recorder did not finish it"
     try:
         with open_regular(path / storage_name(path)) as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            head = file.read(len(HEAD))
-            file.seek(-len(MAGIC), os.SEEK_END)
-            if head != HEAD or file.read() == MAGIC:
+            if file.read(len(HEAD)) != HEAD:
                 return ""
             messages = read_storage(path)
             try:
@@ -474,6 +471,5 @@ def _write_anew(path: Path, messages: RawMessages) -> None:
             for index, log_time_ns, payload in messages.messages:
                 name, _ = messages.topics[index]
                 writer.write(names.get(name, name), payload, log_time_ns)
-        # In this order, as a storage file that is complete is never looked at again.
-        for file in (FILE_NAME, storage_name(path)):
+        for file in (storage_name(path), FILE_NAME):
             (copy / file).replace(path / file)
