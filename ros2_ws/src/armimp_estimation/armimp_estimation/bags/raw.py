@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable
 from io import BytesIO
-from operator import itemgetter
 from typing import BinaryIO, Final, TypeAlias
 
 import lz4.frame
@@ -157,7 +156,7 @@ class RawMessages:
         if all(namespace_of(name, topic) is None for topic in MESSAGE_TYPES):
             return None
         if encoding != "cdr":
-            raise self.refusal(f"topic {name} is encoded as {encoding!r}, not as cdr")
+            raise self.refusal(f"topic {entry[0]} is encoded as {encoding!r}, not as cdr")
         return index
 
     def extend(self, messages: Iterable[RawMessage]) -> None:
@@ -171,10 +170,6 @@ class RawMessages:
         before = len(self.messages)
         self.messages += messages
         self.spend(RECORD_COST * (len(self.messages) - before))
-
-    def sort(self) -> None:
-        """Bring the messages into the order of their log times, keeping that of equal ones."""
-        self.messages.sort(key=itemgetter(1))
 
     def by_topic(self) -> dict[int, list[bytes]]:
         """Messages of each topic, in recorded order."""

@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 from typing import BinaryIO, Final
 
@@ -231,7 +232,7 @@ def read_storage(path: Path) -> RawMessages:
             _read_file(file, messages)
         messages.name = str(path)
         _decompress_messages(messages)
-        messages.sort()
+        messages.messages.sort(key=itemgetter(1))  # those of one time stay in their order
     except OSError as error:
         prefix = "cannot be read: " if error.errno else ""  # else the reason is ours
         raise BagError(f"{error.filename or path}: {prefix}{error.strerror}") from None
