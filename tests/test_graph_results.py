@@ -16,6 +16,7 @@ from armimp_common.status import Level, Phase, Progress, values_of
 from armimp_common.topics import RESULT, TRIAL
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.node import ImpedanceEstimatorNode
+from armimp_estimation.problems import Problem
 from armimp_estimation.spectra import WelchConfig
 from support.graph import hosted
 from support.processes import wait_until
@@ -64,20 +65,21 @@ def account(environment: None, tmp_path_factory: pytest.TempPathFactory) -> Acco
     progress: list[Progress] = []
     estimated: list[str] = []
     on_trial = ImpedanceEstimatorNode._on_trial
-    publish = ImpedanceEstimatorNode._publish_column
+    on_finished = ImpedanceEstimatorNode._on_finished
 
     def heard(node: ImpedanceEstimatorNode, message: DiagnosticStatus) -> None:
         estimated.append(what(message))
         on_trial(node, message)
 
-    def published(node: ImpedanceEstimatorNode, trial: Trial) -> None:
-        publish(node, trial)
+    def finished(node: ImpedanceEstimatorNode, trial: Trial | Problem) -> None:
+        on_finished(node, trial)
+        assert isinstance(trial, Trial)
         estimated.append(f"column {trial.trial}")
 
     with hosted(Bystander, domain_id) as bystander, pytest.MonkeyPatch.context() as patch:
         tell_by_samples(patch)
         patch.setattr(ImpedanceEstimatorNode, "_on_trial", heard)
-        patch.setattr(ImpedanceEstimatorNode, "_publish_column", published)
+        patch.setattr(ImpedanceEstimatorNode, "_on_finished", finished)
         result = run_experiment(SHORT, directory, domain_id=domain_id, on_progress=progress.append)
         # Whoever draws needs not read the bags.
         assert [len(trial.segments) for trial in result.trials] == [1, 1]

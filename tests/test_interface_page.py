@@ -33,6 +33,9 @@ from armimp_common.topics import (
     SIM_NODE,
 )
 from armimp_control.parameters import ControllerParameters
+from armimp_estimation.alignment.assemble import Trial
+from armimp_estimation.alignment.lost_samples import StreamStatistics
+from armimp_estimation.alignment.trial_windows import TrialWindow
 from armimp_estimation.estimators.registry import estimator_names
 from armimp_estimation.identify import identify
 from armimp_estimation.metadata import READING_KEYS
@@ -40,6 +43,7 @@ from armimp_estimation.node import column_message, result_message
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.result import Result
 from armimp_estimation.summary import ImpedanceCurve, Summary, write_frf
+from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.trial import TrialData
 from armimp_sim.parameters import SimulatorParameters
 from support.pages import markdown_tables
@@ -122,7 +126,12 @@ def test_the_page_tells_the_name_of_every_record(record: type[Record]) -> None:
 def test_the_keys_of_column_and_conclusion_are_those_of_the_code(
     trials: list[TrialData], result: Result
 ) -> None:
-    column, conclusion = column_message(trials[0], 0), result_message(result)
+    record = trials[0].record
+    window = TrialWindow(
+        trial=1, joint=0, joint_name="", start_ns=0, ticks=record.samples, seed=1, ended=True
+    )
+    trial = Trial(window=window, segments=(record,), statistics=StreamStatistics())
+    column, conclusion = column_message(trial, TorqueReading()), result_message(result)
     assert _keys("Column") == _general(values_of(column))
     assert _keys("Conclusion") == _general(values_of(conclusion))
     assert column.name.replace("1", "K") in PAGE

@@ -55,7 +55,7 @@ def paced():
             yield message
 
 recorder = TrialRecorder(arm.records[0].joint_names, directory, {}, lambda *_: None)
-record(recorder, paced(), TOGETHER, recorder.flush)
+record(recorder, paced(), TOGETHER)
 """
 
 

@@ -12,8 +12,9 @@ from rosbags.typesys import Stores, get_typestore
 from armimp_common.errors import BagError
 from armimp_common.topics import MESSAGE_TYPES
 from armimp_estimation.bags import BagContent, BagWriter
-from armimp_estimation.bags.metadata_yaml import absolute, message_definition
-from armimp_estimation.bags.reader import contract_topic, read_storage, resolve_topics
+from armimp_estimation.bags.metadata_yaml import message_definition
+from armimp_estimation.bags.raw import absolute
+from armimp_estimation.bags.reader import read_storage, resolve_topics
 from armimp_estimation.record import TrialRecord
 from support.synthetic_bags import Message
 
@@ -90,7 +91,7 @@ def write_mcap(
 
 def iterate_messages(path: Path, *, namespace: str | None = None) -> Iterator[Message]:
     """The messages of the contract in a bag, in which there need not be a trial."""
-    raw = read_storage(path, contract_topic)
+    raw = read_storage(path)
     if not raw.messages:
         raise BagError(f"{path}: no messages")
     found = resolve_topics(raw.topics, bag=str(path), namespace=namespace)

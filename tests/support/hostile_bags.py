@@ -39,7 +39,6 @@ from armimp_common.topics import (
     TRIAL,
 )
 from armimp_estimation.bags.mcap_reader import MAGIC
-from armimp_estimation.bags.metadata_yaml import bag_information, dump
 from armimp_estimation.bags.writer import HEAD as OUR_HEAD
 from support.command import Told, call
 from support.streams import trial_status
@@ -355,25 +354,23 @@ for _place, (_name, _arguments) in PLACES.items():
 # --- directories ------------------------------------------------------------------------------
 
 
-def provisional(directory: Path, *content: bytes) -> Path:
+def unfinished(directory: Path, *content: bytes) -> Path:
     """A bag whose recorder was killed: whoever reads it finishes it."""
     bag = directory / "bag"
     bag.mkdir()
     (bag / "bag_0.mcap").write_bytes(b"".join((OUR_HEAD, CONTRACT, *content)))
-    information = {"rosbag2_bagfile_information": bag_information("bag_0.mcap", {}, (0, 0), {})}
-    (bag / "metadata.yaml").write_text(dump(information))
     return bag
 
 
 @attack
 def unfinished_bag_of_large_chunks(directory: Path) -> Arguments:
     content = endless(30 << 20) + bytes(30 << 20)
-    return "estimate", str(provisional(directory, zstd_chunk(content) * 200))
+    return "estimate", str(unfinished(directory, zstd_chunk(content) * 200))
 
 
 @attack
 def link_to_an_unfinished_bag_elsewhere(directory: Path) -> Arguments:
-    bag = provisional(directory.parent / WITNESS, sound())
+    bag = unfinished(directory.parent / WITNESS, sound())
     run = directory / "bags"
     run.mkdir()
     (run / "trial_1_joint_1").symlink_to(bag)

@@ -116,10 +116,7 @@ def made_record(
 
 def part_of(record: TrialRecord, start: int, stop: int) -> TrialRecord:
     """The samples of a trial from one to another, without its commands."""
-    names = ("perturbation", "position", "torque")
-    parts = {name: getattr(record, name)[:, start:stop] for name in names}
-    start_ns = record.start_ns + round(start * 1e9 / record.rate)
-    return replace(record, **parts, start_ns=start_ns, command=None)
+    return replace(record.part(start, stop), command=None)
 
 
 def made_estimate(f: FloatArray, Z: ComplexArray, **changes: Any) -> ImpedanceEstimate:

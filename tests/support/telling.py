@@ -16,7 +16,7 @@ def tell_by_samples(patch: pytest.MonkeyPatch) -> None:
     on_samples = ImpedanceEstimatorNode._on_samples
 
     def counted(estimator: ImpedanceEstimatorNode, samples: int) -> None:
-        before = estimator._acknowledged
+        before = estimator._recorded
         on_samples(estimator, samples)
         if samples // EVERY > before // EVERY:
             estimator._on_timer()

@@ -149,12 +149,12 @@ def decode_count(data: Buffer) -> int:
 class _Layout:
     """Where the numbers are in all messages whose constant bytes equal those of a parsed one.
 
-    The 8 bytes after the header are unpacked as two numbers, ``head``: a stamp, or the two numbers
-    of a command. ``order`` has the index among the doubles of each value to return.
+    The 8 bytes after the header are unpacked as two numbers: a stamp, or the two numbers of a
+    command. ``order`` has the index among the doubles of each value to return.
     """
 
     def __init__(
-        self, data: Buffer, parsed: CdrReader, head: str, numbers: Span, order: Sequence[int]
+        self, data: Buffer, parsed: CdrReader, numbers: Span, order: Sequence[int]
     ) -> None:
         self._length, self._order = len(data), list(order)
         mask = bytearray(self._length)
@@ -168,13 +168,13 @@ class _Layout:
         self._dtype = np.dtype(
             {
                 "names": ["first", "second", "values"],
-                "formats": [f"<{'u' if head[0] == 'I' else 'i'}4", "<u4", ("<f8", (count,))],
+                "formats": ["<i4", "<u4", ("<f8", (count,))],
                 "offsets": [4, 8, start],
                 "itemsize": self._length,
             }
         )
         self.unpack: Callable[[Buffer], tuple[Any, ...]] = struct.Struct(
-            f"<4x{head}{start - 12}x{count}d{self._length - end}x"
+            f"<4xiI{start - 12}x{count}d{self._length - end}x"
         ).unpack
         places = [2 + index for index in order]
         picked = slice(places[0], places[0] + len(places))
@@ -340,7 +340,7 @@ class JointStateDecoder(_Decoder):
         count = (numbers[1] - numbers[0]) // 8
         if count != len(names):
             raise reader.error(f"has {count} {self._field} values for {len(names)} joints")
-        return _Layout(data, reader, "iI", numbers, order)
+        return _Layout(data, reader, numbers, order)
 
     def _order(self, names: Sequence[bytes], reader: CdrReader) -> list[int]:
         index = {name: place for place, name in enumerate(names)}
@@ -456,7 +456,7 @@ class CommandDecoder(_Decoder):
         count = (numbers[1] - numbers[0]) // 8
         if count != self._count:
             raise reader.error(f"has {count} values for {self._count} joints")
-        return _Layout(data, reader, "II", numbers, range(count))
+        return _Layout(data, reader, numbers, range(count))
 
 
 def decode_trial_status(data: bytes) -> TrialStatus:

@@ -55,6 +55,7 @@ from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.problems import Problem, ProblemCode, problem
 from armimp_estimation.recorder import TrialRecorder
 from armimp_estimation.result import Result, conclude
+from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.trial import TrialData, segments_for
 
 _LATE_PERIOD = 0.005
@@ -152,8 +153,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         # Messages that came before do not count; the synchronizer discards its own.
         take_all(self._leading)
         self._synchronizer.open()
-        self._acknowledged = self._recorded = self._flushed = 0
-        self._seen = -1
+        self._recorded = 0
         self._received.publish(UInt64(data=0))
         self._timer.reset()
         return super().on_activate(state)
@@ -229,15 +229,11 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         if samples - self._recorded >= self._together:
             self._recorded = samples
             self._record()
-        if self._active and samples - self._flushed >= TOGETHER:
-            self._flushed = samples
-            self._flush()
         if self._active:
             # First, so that in lockstep the decision is there before the samples go on.
             if (decision := self._recording.decide()) is not None:
                 self._announced.note(decision)
                 self._stopping.publish(status_message(decision))
-            self._acknowledged = samples
             self._received.publish(UInt64(data=samples))
 
     @contextmanager
@@ -262,18 +258,13 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         with self._giving_up():
             self._recording.add(self._synchronizer.take(incomplete=incomplete))
 
-    def _flush(self) -> None:
-        """Hand on what was recorded, so that a kill of this process cannot reach it."""
-        with self._giving_up():
-            self._recording.flush()
-
     def _on_beside(self, topic: str, message: bytes) -> None:
         if not self._active:
             return
         if topic == topics.DIAGNOSTICS:
             self._note_timing(message)
         with self._giving_up():
-            self._recording.add_beside(topic, message, self._synchronizer.newest_ns)
+            self._recording.add_beside(topic, message)
 
     def _note_timing(self, message: bytes) -> None:
         """Keep the timing that the rig reports in real time."""
@@ -328,19 +319,10 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             self._note(trial)
         else:
             self._finished.append(trial)
-            self._publish_column(trial)
+            allow_gaps, reading = self._settings.allow_gaps, self._known.reading
+            self._result.publish(column_message(trial, reading, allow_gaps=allow_gaps))
         if self._ended == len(self._settings.joints):
             self._conclude()
-
-    def _publish_column(self, trial: Trial) -> None:
-        try:
-            parts = trial.intact(allow_gaps=self._settings.allow_gaps)
-            welch = segments_for([parts])
-            data = TrialData.of(*parts, welch=welch, reading=self._known.reading)
-            message = column_message(data, trial.statistics.lost)
-        except DataError as error:
-            message = failed_trial_message(trial, str(error))
-        self._result.publish(message)
 
     def _conclude(self) -> None:
         """Publish and store the result, once; without any trial there is none."""
@@ -379,11 +361,9 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             self._late.cancel()
 
     def _on_timer(self) -> None:
-        if self._active and self._acknowledged == self._seen:
+        if self._active:
             # Without complete samples nothing else records what has come.
             self._record()
-            self._flush()
-        self._seen = self._acknowledged
         if not self._active or self._recording.status is None:
             return
         if time.monotonic() - self._done_at > _STRAGGLERS:
@@ -393,33 +373,35 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             self._progress.publish(status_message(progress))
 
 
-def column_message(data: TrialData, lost: int) -> DiagnosticStatus:
-    """Tell column k of T, R and ``Z = T/R_kk`` as soon as its trial is over.
+def column_message(
+    trial: Trial, reading: TorqueReading, *, allow_gaps: bool = False
+) -> DiagnosticStatus:
+    """Tell column k of T, R and ``Z = T/R_kk`` as soon as its trial is over, or why there is none.
 
-    Raises
-    ------
-    DataError
-        If the trial tells no responses.
+    Parameters
+    ----------
+    trial : Trial
+    reading : TorqueReading
+        How torques were read.
+    allow_gaps : bool
+        As of :meth:`Trial.intact`.
     """
-    frf = frf_matrix([data])
+    k = trial.joint + 1
+    name = f"{topics.ESTIMATOR_NODE}: column {k}"
+    values = {"trial": trial.trial, "joint": k, "lost": trial.statistics.lost}
+    try:
+        parts = trial.intact(allow_gaps=allow_gaps)
+        frf = frf_matrix([TrialData.of(*parts, welch=segments_for([parts]), reading=reading)])
+    except DataError as error:
+        return make_status(name, Level.ERROR, str(error), values)
     R, T = frf.R[:, 0], frf.T[:, 0]
-    column = data.joint + 1
-    values = {"trial": data.record.trial, "joint": column, "lost": lost}
     curves = {
-        f"{name}_{i + 1}{column}": row
-        for name, curve in (("R", R), ("T", T), ("Z", T / R[data.joint]))
+        f"{letter}_{i + 1}{k}": row
+        for letter, curve in (("R", R), ("T", T), ("Z", T / R[trial.joint]))
         for i, row in enumerate(curve)
     }
-    text = f"trial {data.record.trial}: column {column} of the impedance"
-    name = f"{topics.ESTIMATOR_NODE}: column {column}"
+    text = f"trial {trial.trial}: column {k} of the impedance"
     return make_status(name, Level.OK, text, {**values, **_selected(frf.f, curves)})
-
-
-def failed_trial_message(trial: Trial, reason: str) -> DiagnosticStatus:
-    """Say that a trial cannot be estimated, and why."""
-    joint = trial.joint + 1
-    values = {"trial": trial.trial, "joint": joint, "lost": trial.statistics.lost}
-    return make_status(f"{topics.ESTIMATOR_NODE}: column {joint}", Level.ERROR, reason, values)
 
 
 def result_message(result: Result) -> DiagnosticStatus:

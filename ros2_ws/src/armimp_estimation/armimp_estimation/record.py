@@ -97,15 +97,14 @@ class TrialRecord:
         """The same without what is before the first whole period; as it is without periods."""
         if self.periods is None or self.periods.used == self.samples:
             return self
-        first = self.samples - self.periods.used
-        return replace(
-            self,
-            perturbation=self.perturbation[:, first:],
-            position=self.position[:, first:],
-            torque=self.torque[:, first:],
-            command=None if self.command is None else self.command[:, first:],
-            start_ns=self.start_ns + round(1e9 * first / self.rate),
-        )
+        return self.part(self.samples - self.periods.used)
+
+    def part(self, first: int, end: int | None = None) -> "TrialRecord":
+        """The samples from one on, to the last, or to the one before the end."""
+        names = ("perturbation", "position", "torque", "command")
+        known = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        parts = {name: values[:, first:end] for name, values in known.items()}
+        return replace(self, **parts, start_ns=self.start_ns + round(1e9 * first / self.rate))
 
     @cached_property
     def periods(self) -> Periods | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -27,9 +26,9 @@ from armimp_common.topics import (
     COMMANDS,
     DATA_STREAMS,
     JOINT_STATES,
-    NS_PER_S,
     PERIOD_NS,
     PERTURBATION,
+    RATE,
     TORQUE_SENSORS,
     TRIAL,
     VALUE_FIELD,
@@ -45,7 +44,6 @@ from armimp_estimation.record import TrialRecord
 from armimp_estimation.scores import coherence
 from armimp_estimation.trial import TrialData, segments_for
 
-_RATE = NS_PER_S / PERIOD_NS
 _ROUND = 1000
 _SEEN_EVERY = 1.0
 """Wall time between two estimates from the running trial (s); each takes some 20 ms."""
@@ -60,8 +58,8 @@ _STEP_BACK_NS = 1_000_000_000
 """Stamps that step back by more than this (ns) belong to another run."""
 _STRAY = 50
 """As many messages show together what time it is, even if some are somebody else's."""
-_DECIDED_EVERY = 2.0
-"""Time from one decision on an early end to the next (s)."""
+_DECIDED_EVERY = 2000
+"""Samples from one decision on an early end to the next."""
 _GROWTH = 10
 """Decisions on long trials are further apart, by this part of the length so far, as an estimate
 from a long record takes long."""
@@ -182,27 +180,11 @@ class TrialRecorder:
         BagError
             If they can't be written.
         """
-        if self._start_ns is None or self._is_past(0):
-            after = messages if self._start_ns is None else self._keep_late(messages)
-            for topic, raws in after.items():
-                self._between[topic].extend(raws)
-            self._finish_if_complete()
-        else:
-            count = self._up_to_end(messages.get(PERTURBATION, ()))
-            self._keep({topic: raws[:count] for topic, raws in messages.items()})
-            self._finish_if_complete()
-            if any(len(raws) > count for raws in messages.values()):
-                self.add({topic: raws[count:] for topic, raws in messages.items()})
+        self._take(messages)
+        self._finish_if_complete()
 
-    def add_beside(self, topic: str, message: bytes, time_ns: int | None = None) -> None:
+    def add_beside(self, topic: str, message: bytes) -> None:
         """Record a message that is no sample, such as diagnostics, beside the last sample.
-
-        Parameters
-        ----------
-        topic : str
-        message : bytes
-        time_ns : int, optional
-            Stamp of the last sample (ns), if that was not added yet.
 
         Raises
         ------
@@ -210,7 +192,7 @@ class TrialRecorder:
             If it can't be written.
         """
         if self._writer is not None and self._written:
-            self._writer.write(topic, message, max(*self._log_ns.values(), time_ns or 0))
+            self._writer.write(topic, message, max(self._log_ns.values()))
 
     def progress(self) -> Progress | None:
         """Tell how far the recording is, and what the samples show so far; None between trials."""
@@ -241,18 +223,14 @@ class TrialRecorder:
 
     def _look(self) -> None:
         """Estimate from the samples of the present trial so far."""
-        status, samples, began = self._statuses[-1], self.samples, time.monotonic()
-        record = record_so_far(self._streams, status, samples)
+        record = record_so_far(self._streams, self._statuses, self.samples)
         if record is not None:
             with suppress(DataError):  # too few samples
                 welch = segments_for([[record]])
                 self._coherence = mean_coherences(TrialData.of(record, welch=welch))
-        # Round numbers: the Fourier transform of others may take several times as long.
-        self._column_of(samples // _ROUND * _ROUND)
-        if self._column is None:
-            # What can't be estimated yet is tried again soon, but in a tenth of the time.
-            ended = time.monotonic()
-            self._look_at = ended + min(9.0 * (ended - began), _SEEN_EVERY)
+            # Round numbers: the Fourier transform of others may take several times as long.
+            record = record.part(0, record.samples // _ROUND * _ROUND)
+        self._fit(record)
 
     def decide(self) -> StoppingDecision | None:
         """Decide whether the present trial has lasted long enough, if it is time."""
@@ -260,20 +238,17 @@ class TrialRecorder:
         if not self._target_error or status is None or status.phase is not Phase.PERTURB:
             return None
         if self._rule is None:
-            self._rule = StoppingRule(
-                self._target_error,
-                self._least_duration,
-                trial=status.trial,
-                planned=status.ticks,
-                rate=_RATE,
-            )
+            bound, least = self._target_error, self._least_duration
+            self._rule = StoppingRule(bound, least, trial=status.trial, planned=status.ticks)
         return self._rule.decide(self.samples, self._column_of)
 
     def _column_of(self, samples: int) -> FittedColumn | None:
         """Column k as the first so many samples give it, which is shown from now on."""
+        return self._fit(record_so_far(self._streams, self._statuses, samples))
+
+    def _fit(self, record: TrialRecord | None) -> FittedColumn | None:
         self._column = None
-        record = record_so_far(self._streams, self._statuses[-1], samples)
-        if record is not None:
+        if record is not None and record.samples:
             with suppress(DataError):  # too few samples
                 self._column = self._lpm.column(record, self._past)
                 # From the end of the estimate on, which leaves a slow machine time for others.
@@ -298,17 +273,6 @@ class TrialRecorder:
             writer, self._writer = self._writer, None
             writer.close()
 
-    def flush(self) -> None:
-        """Hand what was recorded to the operating system, where a kill cannot reach it.
-
-        Raises
-        ------
-        BagError
-            If that fails.
-        """
-        if self._writer is not None:
-            self._writer.flush()
-
     def _open(self, status: TrialStatus) -> None:
         self.close()
         if self._directory is not None:
@@ -316,29 +280,6 @@ class TrialRecorder:
             path = self._directory / self._bag
             require_free_space(path, _KEPT_BETWEEN + status.ticks, len(self._joint_names))
             self._writer = BagWriter(path, metadata=self._metadata)
-
-    def _up_to_end(self, messages: Sequence[bytes]) -> int:
-        """Number of samples up to the first one that is past the end of the trial."""
-        if messages and _stamp(messages[-1]) >= self._end_ns:
-            stamps = map(_stamp, messages)
-            return next(number for number, stamp in enumerate(stamps, 1) if stamp >= self._end_ns)
-        return sys.maxsize
-
-    def _keep_late(self, messages: Mapping[str, Sequence[bytes]]) -> dict[str, list[bytes]]:
-        """Keep what belongs to a trial whose perturbation is over; return what comes after it."""
-        after: dict[str, list[bytes]] = {topic: [] for topic in messages}
-        for topic in _ORDER:
-            for message in messages.get(topic, ()):
-                stamp_ns = _stamp(message)
-                if topic == COMMANDS:
-                    late = self._streams.count(COMMANDS) < self._streams.count(PERTURBATION)
-                elif not (late := stamp_ns < self._end_ns):
-                    self._newest_ns[topic] = stamp_ns
-                if late:
-                    self._keep_one(topic, message)
-                else:
-                    after[topic].append(message)
-        return after
 
     def _begin(self, status: TrialStatus, start_ns: int) -> None:
         """Begin with the samples of a trial, and keep what came before."""
@@ -351,11 +292,16 @@ class TrialRecorder:
         latest_ns = start_ns + status.ticks * PERIOD_NS + _STEP_BACK_NS
         # Of a trial at a later time, as when bags are replayed in any order, nothing is kept.
         if not stamps.size or np.median(stamps[-_STRAY:]) <= latest_ns:
-            self._keep(waiting)
+            self._take(waiting)
 
-    def _keep(self, messages: Mapping[str, Sequence[bytes]]) -> None:
-        """Decode and write messages of the present bag: all at once where they are in step."""
-        if stamps := stamps_in_step(messages, self._newest_ns[PERTURBATION]):
+    def _take(self, messages: Mapping[str, Sequence[bytes]]) -> None:
+        """Decode and write what belongs to the present bag: all at once where it is in step."""
+        if self._start_ns is None:
+            for topic, raws in messages.items():
+                self._between[topic].extend(raws)
+            return
+        stamps = stamps_in_step(messages, self._newest_ns[PERTURBATION])
+        if stamps and stamps[-1] < self._end_ns:
             self._write_statuses(stamps[0])
             self._count(VALUE_FIELD, stamps)
             self._log_ns = dict.fromkeys(DATA_STREAMS, stamps[-1])
@@ -366,13 +312,17 @@ class TrialRecorder:
             return
         for tick in range(max(map(len, messages.values()), default=0)):
             for topic in _ORDER:
-                if tick < len(messages.get(topic, ())):
-                    self._keep_one(topic, messages[topic][tick])
+                if tick < len(raws := messages.get(topic, ())):
+                    self._take_one(topic, raws[tick])
+        if self._writer is not None:
+            self._writer.flush()  # as it does by itself with a block of samples
 
-    def _keep_one(self, topic: str, message: bytes) -> None:
+    def _take_one(self, topic: str, message: bytes) -> None:
+        past = self._is_past(0)
         if topic == COMMANDS:
             led_ns = self._newest_ns[PERTURBATION]
             stamp_ns = led_ns if led_ns >= 0 else max(*self._newest_ns.values(), 0)
+            belongs = not past or self._streams.count(COMMANDS) < self._streams.count(PERTURBATION)
         else:
             try:
                 stamp_ns = stamp_of(message)
@@ -380,6 +330,10 @@ class TrialRecorder:
                 self._refuse(topic, error)
                 return
             self._count((topic,), (stamp_ns,))
+            belongs = not past or stamp_ns < self._end_ns
+        if not belongs:  # but to the next trial
+            self._between[topic].append(message)
+            return
         self._streams.add(topic, (message,))
         # Readers sort by this time, so it must not fall within a stream.
         self._log_ns[topic] = max(stamp_ns, self._log_ns[topic])
@@ -455,43 +409,20 @@ class TrialRecorder:
         (trial,) = trials
         if trial.record is not None:
             self._past.append(trial.record)
-        rtf = trial.statistics.span / _RATE / elapsed
+        rtf = trial.statistics.span / RATE / elapsed
         return replace(trial, bag=self._bag or None, rtf=rtf)
 
 
-def record_so_far(streams: Streams, status: TrialStatus, samples: int) -> TrialRecord | None:
+def record_so_far(
+    streams: Streams, statuses: Sequence[TrialStatus], samples: int
+) -> TrialRecord | None:
     """The first so many samples of a running trial; None where one is missing or can't be used."""
-    starts, values, stamps = [], [], []
-    for topic in (PERTURBATION, JOINT_STATES, TORQUE_SENSORS):
-        stream = streams.decode().stamped[topic]
-        if stream.malformed:
-            return None
-        starts.append(int((stream.stamps < (status.start_ns or 0)).sum()))
-        chosen = slice(starts[-1], starts[-1] + samples)
-        values.append(stream.values[:, chosen])
-        stamps.append(stream.stamps[chosen])
-    steady = (np.abs(np.diff(stamps[0]) - PERIOD_NS) < PERIOD_NS // 2).all()
-    same = all(np.array_equal(stamps[0], other) for other in stamps[1:])
-    if not (steady and same and 0 < samples == stamps[0].size):
-        return None
-    answered = slice(starts[0], starts[0] + samples)
-    known = streams.commands.count >= answered.stop and not streams.commands.defect
-    perturbation, position, torque = values
-    try:
-        return TrialRecord(
-            trial=status.trial,
-            perturbed_joint=status.joint,
-            rate=_RATE,
-            joint_names=streams.joint_names,
-            perturbation=perturbation,
-            position=position,
-            torque=torque,
-            start_ns=status.start_ns or 0,
-            seed=None,
-            command=streams.commands.values[:, answered] if known else None,
-        )
-    except DataError:  # a number that is none
-        return None
+    with suppress(DataError):
+        for trial in assemble_trials(streams, statuses):
+            begun = [one for one in trial.segments if one.start_ns == trial.window.start_ns]
+            if begun and 0 < samples <= begun[0].samples:
+                return begun[0].part(0, samples)
+    return None
 
 
 class StoppingRule:
@@ -508,19 +439,14 @@ class StoppingRule:
         Number of the trial, 1-based.
     planned : int
         Samples that it has at most.
-    rate : float
-        Samples per second, Hz.
     """
 
-    def __init__(
-        self, bound: float, least: float, *, trial: int, planned: int, rate: float
-    ) -> None:
+    def __init__(self, bound: float, least: float, *, trial: int, planned: int) -> None:
         self._bound = bound
         self._trial = trial
         self._planned = planned
-        self._every = round(_DECIDED_EVERY * rate)
         self._announced = False
-        self._due: int | None = self._within(max(round(least * rate) - NOTICE_TICKS, 1))
+        self._due: int | None = self._within(max(round(least * RATE) - NOTICE_TICKS, 1))
 
     def decide(
         self, samples: int, column: Callable[[int], FittedColumn | None]
@@ -550,7 +476,7 @@ class StoppingRule:
         enough = bool(largest < self._bound)
         self._due = None
         if not enough:
-            self._due = self._within(considered + max(self._every, considered // _GROWTH))
+            self._due = self._within(considered + max(_DECIDED_EVERY, considered // _GROWTH))
         return self._decision(considered, enough=enough, largest=largest, element=element)
 
     def _within(self, samples: int) -> int | None:

@@ -23,7 +23,8 @@ from armimp_common.topics import (
     VALUE_FIELD,
 )
 from armimp_estimation.bags import read_bag
-from armimp_estimation.bags.metadata_yaml import absolute, dump
+from armimp_estimation.bags.metadata_yaml import dump
+from armimp_estimation.bags.raw import absolute
 from armimp_estimation.record import TrialRecord
 from support.bag_files import (
     iterate_messages,
@@ -280,15 +281,15 @@ class TestRefusals:
         ("text", "reason"),
         [
             ("", "not the metadata of a bag"),
-            ("\udcff\udcfe", "cannot be read: not UTF-8 text"),
-            ("a: [", "not valid YAML: "),
+            ("\udcff\udcfe", "not the metadata of a bag: 'utf-8' codec"),
+            ("a: [", "not the metadata of a bag: while parsing"),
             ("rosbag2_bagfile_information:\n  version: 9", "lists no storage files"),
             (
                 "rosbag2_bagfile_information:\n  relative_file_paths: [[a]]",
-                "lists no storage files",
+                "not the metadata of a bag: relative_file_paths.0: ",
             ),
-            ("rosbag2_bagfile_information: &a {relative_file_paths: *a}", "not valid YAML"),
-            ("[" * 100_000, "not valid YAML"),
+            ("rosbag2_bagfile_information: &a {relative_file_paths: *a}", "not the metadata of"),
+            ("[" * 100_000, "not the metadata of a bag: "),
         ],
     )
     def test_broken_metadata(self, tmp_path: Path, text: str, reason: str) -> None:

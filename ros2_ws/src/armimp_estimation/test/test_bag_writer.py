@@ -26,8 +26,9 @@ from armimp_estimation.bags import (
     read_bag,
     require_free_space,
 )
-from armimp_estimation.bags.metadata_yaml import FILE_NAME, absolute, qos_profiles
-from armimp_estimation.bags.writer import FLUSH_INTERVAL_NS, finish_bag, finish_bags
+from armimp_estimation.bags.metadata_yaml import FILE_NAME, qos_profiles
+from armimp_estimation.bags.raw import absolute
+from armimp_estimation.bags.writer import FLUSH_INTERVAL_NS, RECORDED, finish_bag, finish_bags
 from support.bag_files import iterate_messages, write_bag
 from support.fault_figures import Figures
 from support.synthetic_bags import Message, synthetic_recording
@@ -75,12 +76,12 @@ class TestFormat:
         schema = next(s for s in summary.schemas.values() if s.name == "sensor_msgs/msg/JointState")
         assert schema.encoding == "ros2msg"
         assert b"MSG: builtin_interfaces/Time\nint32 sec" in schema.data
+        topics_by_name = {absolute(topic): topic for topic in RECORDED}
         for channel in summary.channels.values():
             assert channel.message_encoding == "cdr"
             assert set(channel.metadata) == {"offered_qos_profiles", "topic_type_hash"}
-            topic = channel.topic.removeprefix("/")
             qos = yaml.safe_load(channel.metadata["offered_qos_profiles"])
-            assert qos == qos_profiles(topic)
+            assert qos == qos_profiles(topics_by_name[channel.topic])
         assert [record.name for record in records] == ["armimp", "rosbag2"]
         assert records[0].metadata == METADATA
         inner = yaml.safe_load(records[1].metadata["serialized_metadata"])
@@ -119,7 +120,7 @@ class TestRefusals:
             lambda: writer.write_block([0], {"/rosout": [bytes(4)]}),
         )
         for attempt in attempts:
-            with pytest.raises(BagError, match="not part of the contract: '/rosout'"):
+            with pytest.raises(BagError, match="topic is not recorded: '/rosout'"):
                 attempt()
         writer.close()
         writer.close()
@@ -211,17 +212,6 @@ class TestBlocks:
             most = max(most, times[-1] - last_ns)
         writer.close()
         assert most + size * PERIOD_NS <= FLUSH_INTERVAL_NS
-
-
-def test_provisional_metadata_lists_every_topic_for_players(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "bag", metadata=METADATA):
-        document = yaml.safe_load((tmp_path / "bag" / FILE_NAME).read_text())
-    information = document["rosbag2_bagfile_information"]
-    assert information["message_count"] == 0
-    assert information["custom_data"] == METADATA
-    listed = information["topics_with_message_count"]
-    names = [entry["topic_metadata"]["name"] for entry in listed]
-    assert names == [absolute(topic) for topic in MESSAGE_TYPES]
 
 
 # --- Bags that their recorder left unfinished are finished by whoever finds them; others stay ---
@@ -327,7 +317,6 @@ def cut_at(whole: bytes, size: int, path: Path) -> int:
         before = list(iterate_messages(path))
     except BagError:
         before = []
-    metadata = (path / FILE_NAME).read_bytes()
     note = finish_bag(path)
     if not note:
         assert before == []
@@ -335,7 +324,7 @@ def cut_at(whole: bytes, size: int, path: Path) -> int:
     with AnyReader([path]) as reader:
         after = [data for _, _, data in reader.messages()]
     assert after == [raw for _, _, raw in before]
-    (path / FILE_NAME).write_bytes(metadata)
+    (path / FILE_NAME).unlink()
     return len(after)
 
 

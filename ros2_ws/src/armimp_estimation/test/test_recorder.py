@@ -322,7 +322,7 @@ def so_far(
     for stop in (*sorted(stops), SAMPLES):
         for topic in DATA_STREAMS:
             streams.add(topic, messages[topic][streams.count(topic) : stop])
-    return record_so_far(streams, decode_trial_status(messages[TRIAL][1]), samples)
+    return record_so_far(streams, [decode_trial_status(messages[TRIAL][1])], samples)
 
 
 ARM_MESSAGES = recording_of(ARM_RECORDING.records[:1], settle=0, rest=0).by_topic()

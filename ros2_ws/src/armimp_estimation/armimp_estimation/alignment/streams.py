@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
-from operator import itemgetter, lt
+from operator import lt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,6 @@ _DECODED_TOGETHER = 1000
 _HEAD = struct.Struct("<4siI")
 """Beginning of a message with a ``std_msgs/Header``: encapsulation and stamp."""
 _LITTLE_ENDIAN = b"\0\1\0\0"
-_head_of = itemgetter(slice(_HEAD.size))
 
 
 class Stream:
@@ -186,12 +185,10 @@ def decode_streams(joint_names: Sequence[str], messages: Mapping[str, Sequence[b
     for topic in (*VALUE_FIELD, COMMANDS):
         streams.add(topic, messages.get(topic, ()))
     for topic, stream in streams.decode().stamped.items():
-        if not stream.count and stream.malformed:
+        if not stream.count:
             raise DataError(
                 f"{topic}: none of {stream.malformed} messages can be decoded: {stream.defect}"
             )
-        if not stream.count:
-            raise DataError(f"no messages of {topic}")
     return streams
 
 
@@ -204,21 +201,17 @@ def stamps_in_step(messages: Mapping[str, Sequence[bytes]], after_ns: int = -1) 
     Returns
     -------
     list of int
-        Rising from above `after_ns` on; empty if the streams are not in step, or the messages of
-        one are not of equal length: then each has to be looked at for itself.
+        Rising from above `after_ns` on; empty if the streams are not in step: then each message
+        has to be looked at for itself.
     """
     count = len(messages.get(PERTURBATION, ()))
-    if not count:
+    if not count or any(len(messages.get(topic, ())) != count for topic in DATA_STREAMS):
         return []
-    for topic in DATA_STREAMS:
-        raws = messages.get(topic, ())
-        if len(raws) != count or len(set(map(len, raws))) != 1:
-            return []
     heads, states, sensors = (
-        list(map(_head_of, messages[topic]))
+        [message[: _HEAD.size] for message in messages[topic]]
         for topic in (PERTURBATION, JOINT_STATES, TORQUE_SENSORS)
     )
-    if len(heads[0]) != _HEAD.size or not heads == states == sensors:
+    if not heads == states == sensors or set(map(len, heads)) != {_HEAD.size}:
         return []
     stamps: list[int] = []
     for head, seconds, nanoseconds in _HEAD.iter_unpack(b"".join(heads)):

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from armimp_common.cdr import stamp_of
-from armimp_common.errors import MalformedMessageError
 from armimp_common.topics import DATA_STREAMS, PERTURBATION, RECEIVED_EVERY
 
 TOGETHER = 50
@@ -100,15 +98,6 @@ class StreamSynchronizer:
     def samples(self) -> int:
         """Number of samples so far of which all messages have come, of those that were fetched."""
         return min(self._counts())
-
-    @property
-    def newest_ns(self) -> int | None:
-        """Stamp of the last perturbation that waits (ns); None without one, or if it has none."""
-        leading = self._waiting[PERTURBATION]
-        try:
-            return stamp_of(leading[-1]) if leading else None
-        except MalformedMessageError:
-            return None
 
     def take(self, *, incomplete: bool = False) -> dict[str, list[bytes]]:
         """Take out what waits, by topic.

@@ -16,16 +16,8 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Metadata, Schema
 
-from armimp_common.errors import BagError
 from armimp_estimation.bags.metadata_yaml import parse_custom_data
-from armimp_estimation.bags.raw import (
-    MESSAGE_COST,
-    NODE_COST,
-    RECORD_COST,
-    RawMessage,
-    RawMessages,
-    one_line,
-)
+from armimp_estimation.bags.raw import RECORD_COST, RawMessage, RawMessages, one_line
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
@@ -45,7 +37,7 @@ _DAMAGE: Final = (
 """What parsing can raise on bytes that are not what they claim to be."""
 
 
-def read_mcap(file: BinaryIO, size: int, *, name: str, into: RawMessages) -> None:
+def read_mcap(file: BinaryIO, size: int, into: RawMessages) -> None:
     """Read an MCAP file up to its end, or up to the last complete record before a cut.
 
     Parameters
@@ -54,8 +46,6 @@ def read_mcap(file: BinaryIO, size: int, *, name: str, into: RawMessages) -> Non
         At its beginning.
     size : int
         Its length in bytes.
-    name : str
-        The file for error messages.
     into : RawMessages
         Takes topics, messages, metadata and a note of the cut.
 
@@ -64,7 +54,7 @@ def read_mcap(file: BinaryIO, size: int, *, name: str, into: RawMessages) -> Non
     BagError
         If a record is damaged, a wanted topic is not CDR, or the file holds more than it may.
     """
-    reading = _McapReading(name, into)
+    reading = _McapReading(into)
     position = len(file.read(len(MAGIC)))
     while len(head := file.read(_RECORD_HEAD.size)) == _RECORD_HEAD.size:
         opcode, length = _RECORD_HEAD.unpack(head)
@@ -78,9 +68,8 @@ def read_mcap(file: BinaryIO, size: int, *, name: str, into: RawMessages) -> Non
             try:
                 reading.record(opcode, head, file.read(length))
             except _DAMAGE as error:
-                raise BagError(
-                    f"{name}: damaged record at byte {position}: {one_line(error)}"
-                ) from None
+                reason = f"damaged record at byte {position}: {one_line(error)}"
+                raise into.refusal(reason) from None
         else:
             file.seek(length, 1)
         position = end
@@ -90,8 +79,7 @@ def read_mcap(file: BinaryIO, size: int, *, name: str, into: RawMessages) -> Non
 class _McapReading:
     """State of the reading of one file."""
 
-    def __init__(self, name: str, into: RawMessages) -> None:
-        self._name = name
+    def __init__(self, into: RawMessages) -> None:
         self._into = into
         self._spend = into.spend
         self._types: dict[int, str] = {}
@@ -115,19 +103,15 @@ class _McapReading:
             self._metadata(Metadata.read(stream))
 
     def _channel(self, channel: Channel) -> None:
-        topic = self._into.topic_index(channel.topic, self._types.get(channel.schema_id, ""))
-        if self._into.wanted(channel.topic):
-            if channel.message_encoding != "cdr":
-                raise BagError(
-                    f"{self._name}: topic {channel.topic} is encoded as "
-                    f"{channel.message_encoding!r}, not as cdr"
-                )
+        kind = self._types.get(channel.schema_id, "")
+        topic = self._into.topic_index(channel.topic, kind, channel.message_encoding)
+        if topic is not None:
             self._channels[channel.id] = topic
 
     def _metadata(self, metadata: Metadata) -> None:
         if metadata.name == "rosbag2":
             text = metadata.metadata.get("serialized_metadata", "")
-            self._spend(NODE_COST * len(text))
+            self._spend(RECORD_COST * len(text))
             self._into.metadata = {**parse_custom_data(text), **self._into.metadata}
         elif metadata.name == "armimp":
             self._into.metadata.update(metadata.metadata)
@@ -169,12 +153,12 @@ class _McapReading:
             else:
                 found.append((topic, log_time, records[position + head_size : after]))
             position = after
-        self._spend(MESSAGE_COST * unwanted)
+        self._spend(RECORD_COST * unwanted)
         self._into.extend(found)
 
     def _other(self, records: bytes, position: int) -> int:
         opcode, length = _RECORD_HEAD.unpack_from(records, position)
-        self._spend(MESSAGE_COST)
+        self._spend(RECORD_COST)
         start = position + _RECORD_HEAD.size
         if start + length > len(records):
             raise ValueError(f"record of {length} bytes in a chunk")

@@ -1,25 +1,27 @@
 """``metadata.yaml`` of a rosbag2 directory: written as Jazzy does, read from any version."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import yaml
+from pydantic import BaseModel, BeforeValidator, ValidationError
 
 from armimp_common.errors import BagError
 from armimp_common.schema import TextLoader, load_yaml
 from armimp_common.topics import MESSAGE_TYPES, QOS
 from armimp_estimation.atomic_write import read_text, replace_atomically
-from armimp_estimation.bags.raw import one_line
+from armimp_estimation.bags.raw import absolute, one_line
+from armimp_estimation.json_model import first_complaint
 
 FILE_NAME: Final = "metadata.yaml"
 VERSION: Final = 9
 """Version of the metadata that rosbag2 writes in Jazzy."""
 
 _ROOT: Final = "rosbag2_bagfile_information"
-_PROVISIONAL: Final = "\n  message_count: 0\n"
-"""What `dump` makes of a bag without messages; in what users add, lines are indented deeper."""
 _INFINITE: Final = {"sec": 9223372036, "nsec": 854775807}
 _MOST_BYTES: Final = 4 << 20
 _DUMPER: Final[Any] = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
@@ -158,35 +160,16 @@ def read_metadata(file: Path) -> tuple[list[Path], dict[str, str]]:
         If the file is not the metadata of a bag.
     """
     try:
-        information = _information(read_text(file, _MOST_BYTES))
+        information = _Information.of(read_text(file, _MOST_BYTES))
     except OSError as error:
         raise BagError(f"{file}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise BagError(f"{file}: cannot be read: not UTF-8 text") from None
     except _BROKEN as error:
-        raise BagError(f"{file}: not valid YAML: {one_line(error)}") from None
-    if not information:
-        raise BagError(f"{file}: not the metadata of a bag: {_ROOT} is missing")
-    paths = information.get("relative_file_paths")
-    listed = isinstance(paths, list) and all(isinstance(p, str) and Path(p).name for p in paths)
-    if not paths or not listed:
+        raise BagError(f"{file}: not the metadata of a bag: {one_line(error)}") from None
+    if not information.relative_file_paths:
         raise BagError(f"{file}: lists no storage files in relative_file_paths")
     # Old versions wrote the path from the parent directory; the files are always beside.
-    files = dict.fromkeys(file.parent / Path(path).name for path in paths)
-    if len(files) < len(paths):
-        raise BagError(f"{file}: lists a storage file twice in relative_file_paths")
-    return list(files), _custom(information)
-
-
-def is_provisional(file: Path) -> bool:
-    """Tell whether a ``metadata.yaml`` is the one that `BagWriter` replaces when it closes a bag.
-
-    It counts no messages. A bag that really has none cannot be told from that, and need not be.
-    """
-    try:
-        return _PROVISIONAL in read_text(file, _MOST_BYTES)
-    except (OSError, UnicodeDecodeError):
-        return False
+    paths = [file.parent / Path(path).name for path in information.relative_file_paths]
+    return list(dict.fromkeys(paths)), information.custom_data
 
 
 def parse_custom_data(text: str) -> dict[str, str]:
@@ -195,7 +178,7 @@ def parse_custom_data(text: str) -> dict[str, str]:
     Text that cannot be read gives an empty result, since this copy is only a convenience.
     """
     try:
-        return _custom(_information(text))
+        return _Information.of(text).custom_data
     except _BROKEN:
         return {}
 
@@ -203,21 +186,23 @@ def parse_custom_data(text: str) -> dict[str, str]:
 _BROKEN: Final = (yaml.YAMLError, RecursionError, ValueError)
 
 
-def _information(text: str) -> dict[str, Any]:
-    """Content of a ``metadata.yaml``, with or without its root; empty if it is none."""
-    # Strings only: the loader must not turn unquoted text such as 12:30 into numbers.
-    document = load_yaml(text, TextLoader, aliases=True)
-    inner = document.get(_ROOT, document) if isinstance(document, dict) else None
-    return inner if isinstance(inner, dict) else {}
+def _or_empty(given: object) -> object:
+    return given if isinstance(given, dict) else {}  # as others write an empty one
 
 
-def _custom(information: Mapping[str, Any]) -> dict[str, str]:
-    custom = information.get("custom_data")
-    if not isinstance(custom, dict):
-        return {}
-    return {str(key): value for key, value in custom.items() if isinstance(value, str)}
+class _Information(BaseModel):
+    """What is read of a ``metadata.yaml``."""
 
+    relative_file_paths: list[str] = []
+    custom_data: Annotated[dict[str, str], BeforeValidator(_or_empty)] = {}
 
-def absolute(topic: str) -> str:
-    """Full name of a topic of the contract in the root namespace, where bags are recorded."""
-    return topic if topic.startswith("/") else f"/{topic}"
+    @classmethod
+    def of(cls, text: str) -> _Information:
+        """Take it from a document, with or without its root."""
+        # Strings only: the loader must not turn unquoted text such as 12:30 into numbers.
+        document = load_yaml(text, TextLoader, aliases=True)
+        inner = document.get(_ROOT, document) if isinstance(document, dict) else document
+        try:
+            return cls.model_validate(inner)
+        except ValidationError as error:
+            raise ValueError(first_complaint(error)) from None

@@ -2,10 +2,10 @@
 
 import os
 import re
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 from typing import BinaryIO, Final
 
@@ -20,7 +20,7 @@ from armimp_estimation.alignment.streams import decode_streams
 from armimp_estimation.atomic_write import open_regular, require_text
 from armimp_estimation.bags import metadata_yaml
 from armimp_estimation.bags.mcap_reader import MAGIC, read_mcap
-from armimp_estimation.bags.raw import RawMessages, TopicFilter, one_line
+from armimp_estimation.bags.raw import RawMessages, namespace_of, one_line
 from armimp_estimation.bags.sqlite_reader import read_sqlite
 
 BAGS: Final = "bags"
@@ -56,7 +56,7 @@ class BagContent:
     trials: tuple[Trial, ...]
     """At least one; each says whether it can be estimated."""
     topics: Mapping[str, str]
-    """Name in the bag of each topic of the contract that is in it."""
+    """Name in the bag of each topic of the contract that has messages in it."""
     notes: tuple[str, ...]
     """What a user should know of the bag, one line each: a cut, damaged messages."""
     _raw: RawMessages
@@ -72,7 +72,7 @@ class BagContent:
 def read_bag(path: Path, *, namespace: str | None = None) -> BagContent:
     """Read a bag with everything that an estimate needs.
 
-    Taken are rosbag2 directories with complete, provisional or no ``metadata.yaml``, and single
+    Taken are rosbag2 directories with or without ``metadata.yaml``, and single
     MCAP or SQLite3 files, compressed or not, complete or cut. Topics may be under a namespace,
     to be given where a bag holds those of several rigs, and the joints of every message in any
     order, with further ones in those of sensors. Where there is no trial status, the trials are
@@ -84,22 +84,21 @@ def read_bag(path: Path, *, namespace: str | None = None) -> BagContent:
         If the path is not a readable bag, or the bag lacks something; the message is one line
         that names the file. A trial that is there but spoiled raises only where it is estimated.
     """
-    raw = read_storage(path, contract_topic)
+    raw = read_storage(path)
+    cut = f" (the file {raw.cut})" if raw.cut else ""
     if not raw.messages:
-        cut = f"; the file {raw.cut}" if raw.cut else ""
         raise BagError(f"{path}: no messages of an experiment in it{cut}")
+    by_index = raw.by_topic()
     found = resolve_topics(raw.topics, bag=str(path), namespace=namespace)
+    found = {topic: index for topic, index in found.items() if by_index[index]}
+    messages = {topic: by_index[index] for topic, index in found.items()}
     for topic, content in _NEEDED.items():
         if topic not in found:
-            raise BagError(f"{path}: has no {content}: no topic {topic}")
-    by_index = raw.by_topic()
-    messages = {
-        topic: by_index[found[topic]] if topic in found else []
-        for topic in (*topics.DATA_STREAMS, topics.TRIAL)
-    }
-    if len(messages[topics.TRIAL]) > _MOST_STATUSES:
-        raise raw.refusal(f"has {len(messages[topics.TRIAL])} messages of {topics.TRIAL}")
-    statuses, defect = decode_trial_statuses(messages[topics.TRIAL])
+            raise BagError(f"{path}: has no {content}: no messages of {topic}{cut}")
+    told = messages.get(topics.TRIAL, [])
+    if len(told) > _MOST_STATUSES:
+        raise BagError(f"{path}: has {len(told)} messages of {topics.TRIAL}")
+    statuses, defect = decode_trial_statuses(told)
     try:
         joint_names = _joint_names(raw.metadata, messages[topics.PERTURBATION])
         if len(joint_names) > _MOST_JOINTS:
@@ -107,7 +106,6 @@ def read_bag(path: Path, *, namespace: str | None = None) -> BagContent:
         streams = decode_streams(joint_names, messages)
         trials = assemble_trials(streams, statuses, bag=str(path))
     except (DataError, ConfigurationError, MalformedMessageError) as error:
-        cut = f" (the file {raw.cut})" if raw.cut else ""
         raise BagError(f"{path}: {one_line(error)}{cut}") from None
     if not trials:
         last = one_line(statuses[-1].sentence)
@@ -141,18 +139,10 @@ def _joint_names(metadata: Mapping[str, str], perturbation: Sequence[bytes]) -> 
     with suppress(ValidationError):
         if names := TypeAdapter(tuple[str, ...]).validate_json(metadata.get("joint_names", "[]")):
             return names
-    defect: MalformedMessageError | None = None
     for message in perturbation:
-        try:
+        with suppress(MalformedMessageError):
             return joint_names_of(message)
-        except MalformedMessageError as error:
-            defect = defect or error
-    raise defect or DataError(f"no messages of {topics.PERTURBATION}")
-
-
-def contract_topic(name: str) -> str | None:
-    """Topic of the contract of which this may be the name in a bag; None if there is none."""
-    return next((topic for topic in topics.MESSAGE_TYPES if _prefix(name, topic) is not None), None)
+    return joint_names_of(perturbation[0])  # which says what is wrong
 
 
 def resolve_topics(
@@ -183,21 +173,18 @@ def resolve_topics(
         If the choice is not clear, or a topic has another type than it must have.
     """
     matches = {topic: _candidates(recorded, topic) for topic in topics.MESSAGE_TYPES}
-    if namespace is None:
-        of_needed = [set(matches[topic].values()) for topic in _NEEDED]
-        complete = sorted(set.intersection(*of_needed))
+    if namespace is not None:
+        rigs = [f"/{namespace.strip('/')}/" if namespace.strip("/") else "/"]
     else:
-        complete = [f"/{namespace.strip('/')}/" if namespace.strip("/") else "/"]
-    if len(complete) > 1:
-        names = _listed([prefix.rstrip("/") or "/" for prefix in complete])
+        rigs = sorted(set.intersection(*(set(matches[topic].values()) for topic in _NEEDED)))
+    if len(rigs) > 1:
+        names = _listed([prefix.rstrip("/") or "/" for prefix in rigs])
         raise BagError(f"{bag}: holds the topics of several rigs, choose a namespace: {names}")
     found: dict[str, int] = {}
     for topic, prefixes in matches.items():
-        chosen = list(prefixes)
-        if complete:
-            under = [i for i, prefix in prefixes.items() if prefix in (complete[0], "")]
-            # Those not needed may be recorded elsewhere, if only once.
-            chosen = under if under or topic in _NEEDED or namespace is not None else chosen
+        chosen = [i for i, prefix in prefixes.items() if prefix in (*rigs, "")] if rigs else []
+        if not chosen and namespace is None:  # those not needed may be elsewhere, if only once
+            chosen = list(prefixes)
         if len(chosen) > 1 and (topic in _NEEDED or topic == topics.TRIAL):
             names = _listed(sorted({recorded[i][0] for i in chosen}))
             raise BagError(f"{bag}: {topic} is ambiguous: {names}")
@@ -217,22 +204,14 @@ def _listed(names: Sequence[str]) -> str:
 
 def _candidates(recorded: Sequence[tuple[str, str]], topic: str) -> dict[int, str]:
     """Prefixes of the topics with the right name, and where there are such, the right type."""
-    prefixes = {i: _prefix(name, topic) for i, (name, _) in enumerate(recorded)}
+    prefixes = {i: namespace_of(name, topic) for i, (name, _) in enumerate(recorded)}
     named = {i: prefix for i, prefix in prefixes.items() if prefix is not None}
     typed = {i: named[i] for i in named if recorded[i][1] == topics.MESSAGE_TYPES[topic]}
     return typed or named
 
 
-def _prefix(name: str, topic: str) -> str | None:
-    """What stands before a topic of the contract; None if the name is not that of the topic."""
-    if name == topic:
-        return ""
-    tail = metadata_yaml.absolute(topic)
-    return name[: len(name) - len(tail) + 1] if name.endswith(tail) else None
-
-
-def read_storage(path: Path, wanted: TopicFilter) -> RawMessages:
-    """Read all messages of a bag, of topics that are wanted by name, in the order of log times.
+def read_storage(path: Path) -> RawMessages:
+    """Read all messages of a bag under names of the contract, in the order of log times.
 
     BagError if the path is not a readable bag, or beyond the limits.
     """
@@ -247,13 +226,13 @@ def read_storage(path: Path, wanted: TopicFilter) -> RawMessages:
             files = [path]
         else:
             raise BagError(f"{path}: does not exist")
-        known: dict[tuple[int, int], Path] = {}
-        size = sum(_size_of(file, file, known) for file in files)
-        messages = RawMessages(str(path), size, wanted)
+        messages = RawMessages(str(path), sum(file.stat().st_size for file in files))
         for file in files:
+            messages.name = str(file)
             _read_file(file, messages)
+        messages.name = str(path)
         _decompress_messages(messages)
-        messages.sort()
+        messages.messages.sort(key=itemgetter(1))  # those of one time stay in their order
     except OSError as error:
         prefix = "cannot be read: " if error.errno else ""  # else the reason is ours
         raise BagError(f"{error.filename or path}: {prefix}{error.strerror}") from None
@@ -308,7 +287,10 @@ def require_distinct(bags: Sequence[Path]) -> None:
         with suppress(OSError):  # as the reader will say
             for file in bag.iterdir() if bag.is_dir() else (bag,):
                 if file == bag or file.name.endswith(_SUFFIXES):
-                    _size_of(file, bag, known)
+                    status = file.stat()
+                    other = known.setdefault((status.st_dev, status.st_ino), bag)
+                    if other is not bag:
+                        raise BagError(f"{bag}: is the same as {other}")
 
 
 def _holds_bag(folder: Path) -> bool:
@@ -324,45 +306,30 @@ def _natural(path: Path) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdecimal() else (0, part) for part in parts]
 
 
-def _size_of(file: Path, bag: Path, known: dict[tuple[int, int], Path]) -> int:
-    """Bytes of a file, which must not be that of another bag, or another file, that is known."""
-    status = file.stat()
-    other = known.setdefault((status.st_dev, status.st_ino), bag)
-    if other is not bag:
-        raise BagError(f"{bag}: is the same as {other}")
-    return status.st_size
-
-
 def _read_file(path: Path, into: RawMessages) -> None:
     with open_regular(path) as file:
-        if file.read(len(_ZSTD_MAGIC)) != _ZSTD_MAGIC:
-            file.seek(0)
-            _read_uncompressed(path, file, str(path), into)
-            return
+        compressed = file.read(len(_ZSTD_MAGIC)) == _ZSTD_MAGIC
         file.seek(0)
-        with tempfile.TemporaryDirectory() as directory:
-            copy = Path(directory) / "bag"
-            into.copy_unzstd(file, copy)
-            with copy.open("rb") as content:
-                _read_uncompressed(copy, content, str(path), into)
+        _read_uncompressed(path, into.unzstd_file(file) if compressed else file, into)
 
 
-def _read_uncompressed(path: Path, file: BinaryIO, name: str, into: RawMessages) -> None:
-    size = os.fstat(file.fileno()).st_size
+def _read_uncompressed(path: Path, file: BinaryIO, into: RawMessages) -> None:
+    size = file.seek(0, os.SEEK_END)
+    file.seek(0)
     head = file.read(len(_SQLITE_MAGIC))
     file.seek(0)
     if size == 0:
-        raise BagError(f"{name}: is empty")
+        raise into.refusal("is empty")
     if head.startswith(MAGIC):
-        read_mcap(file, size, name=name, into=into)
+        read_mcap(file, size, into)
     elif head == _SQLITE_MAGIC:
-        read_sqlite(path, name=name, into=into)
+        read_sqlite(file, Path(f"{path}-wal"), into)
     elif head.startswith(_ROS1_MAGIC):
-        raise BagError(f"{name}: is a ROS 1 bag; convert it with rosbags-convert")
+        raise into.refusal("is a ROS 1 bag; convert it with rosbags-convert")
     elif MAGIC.startswith(head) or _SQLITE_MAGIC.startswith(head):
-        raise BagError(f"{name}: is cut after {size} bytes, before the first message")
+        raise into.refusal(f"is cut after {size} bytes, before the first message")
     else:
-        raise BagError(f"{name}: is neither an MCAP nor an SQLite3 file")
+        raise into.refusal("is neither an MCAP nor an SQLite3 file")
 
 
 def _decompress_messages(messages: RawMessages) -> None:

@@ -16,8 +16,9 @@ import zlib
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import zstandard
 from mcap.data_stream import RecordBuilder
@@ -37,22 +38,22 @@ from mcap.records import (
 )
 
 from armimp_common.errors import BagError
-from armimp_common.topics import DATA_STREAMS, MESSAGE_TYPES
+from armimp_common.topics import CLOCK, DATA_STREAMS, DIAGNOSTICS, MESSAGE_TYPES, TRIAL
 from armimp_estimation.atomic_write import open_regular
 from armimp_estimation.bags.mcap_reader import BEYOND_LENGTH, MAGIC, MESSAGE, MESSAGE_HEAD
 from armimp_estimation.bags.metadata_yaml import (
     FILE_NAME,
-    absolute,
     bag_information,
     dump,
-    is_provisional,
     message_definition,
     qos_profiles,
     write_metadata,
 )
-from armimp_estimation.bags.raw import RawMessages
+from armimp_estimation.bags.raw import RawMessages, absolute
 from armimp_estimation.bags.reader import BAGS, read_storage
 
+RECORDED: Final = (*DATA_STREAMS, TRIAL, CLOCK, DIAGNOSTICS)
+"""Topics of the contract that bags have."""
 METADATA_RECORD: Final = "armimp"
 """Name of the MCAP metadata record with the metadata, for files that lost their directory."""
 FLUSH_INTERVAL_NS: Final = 50_000_000
@@ -84,8 +85,30 @@ HEAD: Final = MAGIC + _encoded(Header(profile="ros2", library="armimp"))
 """First bytes of all files that are written here."""
 
 
+@cache
+def _definitions() -> tuple[list[Schema], dict[str, Channel]]:
+    """Schemas and, by topic, channels with which each file begins."""
+    schemas: dict[str, Schema] = {}
+    channels: dict[str, Channel] = {}
+    for number, topic in enumerate(RECORDED, 1):
+        kind = MESSAGE_TYPES[topic]
+        text, type_hash = message_definition(kind)
+        schema = Schema(id=len(schemas) + 1, name=kind, encoding="ros2msg", data=text.encode())
+        channels[topic] = Channel(
+            id=number,
+            topic=absolute(topic),
+            message_encoding="cdr",
+            schema_id=schemas.setdefault(kind, schema).id,
+            metadata={
+                "offered_qos_profiles": dump(qos_profiles(topic)),
+                "topic_type_hash": type_hash,
+            },
+        )
+    return list(schemas.values()), channels
+
+
 class BagWriter:
-    """Writes the messages of the contract into a new bag.
+    """Writes the messages of an experiment into a new bag.
 
     A process that is killed loses at most the messages since the last chunk: 50 ms of log time
     or 256 messages, whichever is less. What it leaves behind is opened by `read_bag` as it is, and
@@ -111,11 +134,10 @@ class BagWriter:
     def __init__(self, path: Path, *, metadata: Mapping[str, str]) -> None:
         self._path = path
         self._custom = dict(metadata)
-        self._schemas: dict[str, Schema] = {}
-        self._channels: dict[str, Channel] = {}
+        self._schemas, self._channels = _definitions()
         self._chunks: list[ChunkIndex] = []
         self._metadata: list[MetadataIndex] = []
-        self._counts: dict[int, int] = {}
+        self._counts = {channel.id: 0 for channel in self._channels.values()}
         """Messages of each channel that were flushed."""
         self._chunk = bytearray()
         self._pending = 0
@@ -132,11 +154,8 @@ class BagWriter:
             try:
                 with suppress(OSError):  # Not every file system has locks.
                     fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                self._append(HEAD)
+                self._append(HEAD + _encoded(*self._schemas, *self._channels.values()))
                 self._add_metadata(METADATA_RECORD, self._custom)
-                # A killed recording keeps this one; it lists all topics, since players make their
-                # publishers from the list.
-                write_metadata(path, self._information(MESSAGE_TYPES))
             except OSError:
                 self._file.close()
                 raise
@@ -155,8 +174,8 @@ class BagWriter:
         log_times : sequence of int
             Times of reception (ns), not negative, in rising order.
         messages : mapping of str to sequence of bytes
-            A message (CDR with its encapsulation header) for each of them, by topic of the
-            contract, in the order in which those of one time are written.
+            A message (CDR with its encapsulation header) for each of them, by topic of
+            :data:`RECORDED`, in the order in which those of one time are written.
 
         Raises
         ------
@@ -218,7 +237,7 @@ class BagWriter:
             self._flush()
 
     def close(self) -> None:
-        """Finish the file and replace the provisional ``metadata.yaml``; harmless if repeated.
+        """Finish the file and write ``metadata.yaml``; harmless if repeated.
 
         Where there is no room for that, the bag stays unfinished, but readable.
 
@@ -235,9 +254,15 @@ class BagWriter:
                 self.flush()
             finally:
                 with self._one_line():
-                    information = self._information(self._channels)
+                    counts = {
+                        topic: self._counts[channel.id] for topic, channel in self._channels.items()
+                    }
+                    information = bag_information(
+                        storage_name(self._path), counts, self._time_range, self._custom
+                    )
                     self._add_metadata("rosbag2", {"serialized_metadata": dump(information)})
                     self._append_summary()
+                    # Last, since a bag that has it counts as finished.
                     write_metadata(self._path, information)
         except BagError:
             if not reported:
@@ -253,31 +278,8 @@ class BagWriter:
         self.close()
 
     def _channel(self, topic: str) -> int:
-        """Channel of a topic, which is written when there is none."""
-        if topic in self._channels:
-            return self._channels[topic].id
-        if (kind := MESSAGE_TYPES.get(topic)) is None:
-            raise BagError(f"{self._path}: topic is not part of the contract: {topic!r}")
-        text, type_hash = message_definition(kind)
-        if kind not in self._schemas:
-            schema = Schema(
-                id=len(self._schemas) + 1, name=kind, encoding="ros2msg", data=text.encode()
-            )
-            self._append(_encoded(schema))
-            self._schemas[kind] = schema
-        channel = Channel(
-            id=len(self._channels) + 1,
-            topic=absolute(topic),
-            message_encoding="cdr",
-            schema_id=self._schemas[kind].id,
-            metadata={
-                "offered_qos_profiles": dump(qos_profiles(topic)),
-                "topic_type_hash": type_hash,
-            },
-        )
-        self._append(_encoded(channel))
-        self._channels[topic] = channel
-        self._counts[channel.id] = 0
+        if (channel := self._channels.get(topic)) is None:
+            raise BagError(f"{self._path}: topic is not recorded: {topic!r}")
         return channel.id
 
     def _add_metadata(self, name: str, values: Mapping[str, str]) -> None:
@@ -352,7 +354,7 @@ class BagWriter:
         )
         end = _encoded(DataEnd(data_section_crc=0))
         summary: Iterable[McapRecord] = (
-            *(*self._schemas.values(), *self._channels.values(), statistics),
+            *(*self._schemas, *self._channels.values(), statistics),
             *(*self._chunks, *self._metadata),
         )
         start = self._position + len(end)
@@ -376,12 +378,6 @@ class BagWriter:
                 self._file.close()
             self._position = start
             raise
-
-    def _information(self, topics: Iterable[str]) -> dict[str, Any]:
-        """Content of ``metadata.yaml`` with some topics."""
-        known = {topic: self._counts[channel.id] for topic, channel in self._channels.items()}
-        counts = {topic: known.get(topic, 0) for topic in topics}
-        return bag_information(storage_name(self._path), counts, self._time_range, self._custom)
 
     @contextmanager
     def _one_line(self) -> Iterator[None]:
@@ -439,11 +435,11 @@ def finish_bag(path: Path) -> str:
     """Finish a bag which a killed `BagWriter` left behind; any other is left alone.
 
     Its messages are written into a new bag, which takes the place of the storage file at once and
-    then that of ``metadata.yaml``. A bag that is still being recorded is known by its lock, one
+    then adds its ``metadata.yaml``. A bag that is still being recorded is known by its lock, one
     that is complete by its metadata. A bag behind a link stays as it is, since that may lead
     anywhere. What was done is returned, or why it could not be, in one line, empty for nothing.
     """
-    if path.is_symlink() or path.parent.is_symlink() or not is_provisional(path / FILE_NAME):
+    if path.is_symlink() or path.parent.is_symlink() or (path / FILE_NAME).exists():
         return ""
     unfinished = f"{path}: its recorder did not finish it"
     try:
@@ -451,7 +447,7 @@ def finish_bag(path: Path) -> str:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if file.read(len(HEAD)) != HEAD:
                 return ""
-            messages = read_storage(path, lambda _: True)
+            messages = read_storage(path)
             try:
                 _write_anew(path, messages)
             except (BagError, OSError) as error:
@@ -463,13 +459,12 @@ def finish_bag(path: Path) -> str:
 
 def finish_bags(directory: Path) -> list[str]:
     """Finish the bags below ``bags/`` of a result; return a line for each of them."""
-    bags = sorted((directory / BAGS).glob("*/" + FILE_NAME))
-    return [note for bag in bags if (note := finish_bag(bag.parent))]
+    return [note for bag in sorted((directory / BAGS).glob("*")) if (note := finish_bag(bag))]
 
 
 def _write_anew(path: Path, messages: RawMessages) -> None:
     """Replace the files of a bag by new ones with the same messages."""
-    names = {absolute(topic): topic for topic in MESSAGE_TYPES}
+    names = {absolute(topic): topic for topic in RECORDED}
     with tempfile.TemporaryDirectory(prefix=".finishing.", dir=path) as work:
         copy = Path(work) / path.name
         with BagWriter(copy, metadata=messages.metadata) as writer:
