@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import JsonValue
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.offline import SimulatedExperiment, run_segments
+from armimp_bringup.offline import SimulatedExperiment, run_offline
 from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_bringup.study.engine import threads
 from armimp_bringup.terminal import display
@@ -275,4 +275,4 @@ def run_together(
         return tau_delta, None
 
     segments = timetable(laws[0].sequence, joints=trials, tare=laws[0].tare)
-    return run_segments(experiments, segments, signals)
+    return run_offline(experiments, segments, signals)

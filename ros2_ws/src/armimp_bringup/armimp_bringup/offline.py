@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,12 +104,44 @@ Signals = Callable[[Segment], tuple[NDArray[np.float64], int | None]]
 """Gives τ_Δ (ticks, lanes, n) of a segment, N·m, and the joint that yields; None for all joints."""
 
 
-def run_offline(experiments: Sequence[NodeParameters]) -> list[list[TrialRecord]]:
-    """Run experiments side by side, with one perturbed joint in each trial.
+def _perturbations(
+    laws: Sequence[ControllerParameters], segment: Segment
+) -> tuple[NDArray[np.float64], int]:
+    tau_delta = np.zeros((segment.ticks, len(laws), len(laws[0].joints)))
+    if segment.phase is Phase.PERTURB:
+        for lane, one in enumerate(laws):
+            tau_delta[:, lane, segment.joint] = perturbation(
+                one.perturbation,
+                joint=segment.joint,
+                trial=segment.trial,
+                ticks=segment.ticks,
+                seed=one.seed,
+                prior=one.priors()[segment.joint],
+            )
+    return tau_delta, segment.joint
+
+
+def _tare(parameters: ControllerParameters, torque: NDArray[np.float64]) -> tuple[float, ...]:
+    """Tare (n,) from the readings (n, ticks) of a rig at rest, N·m."""
+    found = parameters.tare.of(torque)
+    if refusal := parameters.tare.refusal(found, parameters.joints):
+        raise DataError(f"offline run: {refusal}")
+    return found.offset
+
+
+def run_offline(
+    experiments: Sequence[NodeParameters],
+    segments: Sequence[Segment] | None = None,
+    signals: Signals | None = None,
+) -> list[list[TrialRecord]]:
+    """Run experiments side by side.
 
     Parameters
     ----------
     experiments : one per lane; they must agree in joints, timing and sequence
+    segments : the timetable; by default that of the experiments, with one trial for each joint
+    signals : the perturbation; by default that of the experiments, of one joint in each trial.
+        Where all joints yield, the first one counts as the perturbed one.
 
     Returns
     -------
@@ -121,42 +154,6 @@ def run_offline(experiments: Sequence[NodeParameters]) -> list[list[TrialRecord]
         If the sequences differ, or the safety limiter of one stopped the experiment.
     IntegrationError
         If the plant left the stability region of the integrator.
-    """
-    laws = [one.controller for one in experiments]
-    n = len(laws[0].joints)
-
-    def signals(segment: Segment) -> tuple[NDArray[np.float64], int | None]:
-        tau_delta = np.zeros((segment.ticks, len(laws), n))
-        if segment.phase is Phase.PERTURB:
-            for lane, one in enumerate(laws):
-                tau_delta[:, lane, segment.joint] = perturbation(
-                    one.perturbation,
-                    joint=segment.joint,
-                    trial=segment.trial,
-                    ticks=segment.ticks,
-                    seed=one.seed,
-                    prior=one.priors()[segment.joint],
-                )
-        return tau_delta, segment.joint
-
-    segments = timetable(laws[0].sequence, joints=n, tare=laws[0].tare)
-    return run_segments(experiments, segments, signals)
-
-
-def _tare(parameters: ControllerParameters, torque: NDArray[np.float64]) -> tuple[float, ...]:
-    """Tare (n,) from the readings (n, ticks) of a rig at rest, N·m."""
-    found = parameters.tare.of(torque)
-    if refusal := parameters.tare.refusal(found, parameters.joints):
-        raise DataError(f"offline run: {refusal}")
-    return found.offset
-
-
-def run_segments(
-    experiments: Sequence[NodeParameters], segments: Sequence[Segment], signals: Signals
-) -> list[list[TrialRecord]]:
-    """Run a timetable side by side, as :func:`run_offline`, with any perturbation.
-
-    Where all joints yield, the first one counts as the perturbed one.
     """
     of_laws = [one.controller for one in experiments]
     first = of_laws[0]
@@ -178,6 +175,8 @@ def run_segments(
     streams = [voluntary_torque(one.voluntary, joints=n, seed=one.seed) for one in rigs]
     noises = [reading_noise(one.sensors, joints=n, seed=one.seed) for one in rigs]
     trials: list[list[TrialRecord]] = [[] for _ in rigs]
+    segments = segments or timetable(first.sequence, joints=n, tare=first.tare)
+    signals = signals or partial(_perturbations, of_laws)
     for segment in segments:
         tau_delta, yielding = signals(segment)
         for controller in controllers:
