@@ -31,24 +31,15 @@ from armimp_estimation.mbk import MBK
 from armimp_estimation.metadata import Metadata
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.trial import TrialData, segments_for
-from armimp_sim.plant import Plant, check_ratio, tick
+from armimp_sim.plant import Batch, Plant, check_ratio, tick
 from armimp_sim.real_rig import RealRig
-from armimp_sim.simd import Tag
 from armimp_sim.voluntary import reading_noise, voluntary_torque
 
 
 @compiled_entry
-def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
-    batch: NDArray[np.float64],
-    joints: Tag,
-    width: Tag,
-    substeps: int,
-    step: float,
-    interval_mean: bool,
+def _run_segment(
+    batch: Batch,
     real: RealRig | None,
-    resolutions: NDArray[np.float64],
-    position: NDArray[np.float64],
-    torque: NDArray[np.float64],
     laws: NDArray[np.int64],
     controllers: NDArray[np.float64],
     tau_delta: NDArray[np.float64],
@@ -58,11 +49,12 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
 ) -> float:
     """Run the ticks of a segment, and return the worst h·σ0|v|/g(v), NaN if a lane went astray.
 
-    Plant and readings are as for :func:`armimp_sim.plant.tick`, laws (lanes,) and controllers
-    (lanes, packed_size(n)) as for :func:`armimp_control.laws.law.packed_tick`. Perturbation and
-    voluntary torque are (ticks, lanes, n), noise (ticks or 1, lanes, 2, n), of which the last row
-    holds on, and the record (3, lanes, n, ticks): positions, torques, commands.
+    The rigs are as for :func:`armimp_sim.plant.tick`, laws (lanes,) and controllers (lanes,
+    packed_size(n)) as for :func:`armimp_control.laws.law.packed_tick`. Perturbation and voluntary
+    torque are (ticks, lanes, n), noise (ticks or 1, lanes, 2, n), of which the last row holds on,
+    and the record (3, lanes, n, ticks): positions, torques, commands.
     """
+    position, torque = batch.position, batch.torque
     m, n = position.shape
     command = np.zeros((m, n))
     worst = 0.0
@@ -78,21 +70,7 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
                 record[0, lane, i, k] = position[lane, i]
                 record[1, lane, i, k] = torque[lane, i]
                 record[2, lane, i, k] = command[lane, i]
-        ratio = tick(
-            batch,
-            joints,
-            width,
-            substeps,
-            step,
-            interval_mean,
-            real,
-            resolutions,
-            command,
-            voluntary[k],
-            noise[min(k, len(noise) - 1)],
-            position,
-            torque,
-        )
+        ratio = tick(batch, real, command, voluntary[k], noise[min(k, len(noise) - 1)])
         if not ratio <= worst:
             worst = ratio
             if not worst < np.inf:
@@ -183,9 +161,8 @@ def run_offline(
             controller.perturb_joint(NO_JOINT if segment.tare else yielding)
         record = np.empty((3, lanes, n, segment.ticks))
         worst = _run_segment(
-            *plant.fixed,
-            plant.position,
-            plant.torque,
+            plant.batch,
+            plant.real,
             laws,
             packed,
             tau_delta,
@@ -194,7 +171,7 @@ def run_offline(
             np.stack([one.take(segment.ticks if plant.real else 1) for one in noises], axis=1),
             record,
         )
-        check_ratio(worst, plant.step)
+        check_ratio(worst, plant.batch.step)
         for controller in controllers:
             if fault := controller.fault[1]:
                 raise DataError(
