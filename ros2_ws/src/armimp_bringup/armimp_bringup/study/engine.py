@@ -149,10 +149,11 @@ class Backend:
 
         The first error of a task is raised, and ends the others but for those at work.
         """
+        lost: tuple[type[Exception], ...] = (CancelledError, *self.lost)
         try:
             for future in as_completed([self.pool.submit(work, task) for task in tasks]):
                 yield future.result()
-        except (*self.lost, CancelledError) as error:
+        except lost as error:
             raise DataError(f"a worker of the cluster died: {error}") from None
         finally:
             self.close()
