@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import JsonValue
 
-from armimp_bringup.bench import available_cores
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.offline import SimulatedExperiment, run_segments
+from armimp_bringup.offline import SimulatedExperiment, run_offline
 from armimp_bringup.parameters import NodeParameters, node_parameters
-from armimp_bringup.study.engine import as_ready
+from armimp_bringup.study.engine import threads
 from armimp_bringup.terminal import display
 from armimp_common.errors import ConfigurationError
 from armimp_common.status import Phase
@@ -187,17 +186,15 @@ def in_threads(
     ConfigurationError
         If there are fewer workers than one.
     """
-    if workers is not None and workers < 1:
-        raise ConfigurationError(f"--workers must be at least 1, got {workers}")
 
     def numbered(task: tuple[int, Work]) -> tuple[int, Result]:
         return task[0], work(task[1])
 
-    threads = workers if workers is not None else available_cores()
+    ready = threads(workers).run(numbered, enumerate(tasks))
     early: dict[int, Result] = {}
     due = 0
     display().progress(0, len(tasks), things="batches")
-    for done, (number, result) in enumerate(as_ready(numbered, list(enumerate(tasks)), threads), 1):
+    for done, (number, result) in enumerate(ready, 1):
         display().progress(done, len(tasks), things="batches")
         early[number] = result
         while due in early:
@@ -278,4 +275,4 @@ def run_together(
         return tau_delta, None
 
     segments = timetable(laws[0].sequence, joints=trials, tare=laws[0].tare)
-    return run_segments(experiments, segments, signals)
+    return run_offline(experiments, segments, signals)

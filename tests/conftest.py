@@ -16,7 +16,7 @@ from rclpy.parameter import Parameter
 
 from armimp_bringup.config import CheckOptions, ExperimentConfig
 from armimp_bringup.driver_check import Finding
-from armimp_bringup.driver_check.probe import probe
+from armimp_bringup.driver_check.checker import probe
 from armimp_bringup.driver_check.rules import judge
 from armimp_bringup.graph import DomainClaim
 from armimp_bringup.orchestrator import run_experiment

@@ -21,11 +21,12 @@ from rclpy.node import Node
 from armimp_common import qos, topics
 from armimp_common.errors import GraphError, MalformedMessageError
 from armimp_common.executor import run_node, steady_timer
+from armimp_common.heartbeat import HeartbeatMonitor
 from armimp_common.pubsub import (
     publisher_count,
     subscribe_commands,
     subscribe_joint_states,
-    wait_until_known_to,
+    wait_for_partners,
 )
 from armimp_common.status import values_of
 from armimp_common.topics import CONTROLLER_NODE, SIM_NODE
@@ -67,6 +68,9 @@ class Witness(Node):
                 DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
             ),
         ]
+        self._others = [
+            HeartbeatMonitor(self, name, lambda _: None) for name in (SIM_NODE, CONTROLLER_NODE)
+        ]
         self._timer = steady_timer(self, 0.01, self._look_around)
         file.touch()
 
@@ -74,7 +78,7 @@ class Witness(Node):
         if all(publisher_count(self, one) for one in self._subscriptions):
             self._timer.cancel()
             with suppress(GraphError):  # who was killed before does not answer any more
-                wait_until_known_to(self, [SIM_NODE, CONTROLLER_NODE], timeout_s=_PATIENCE)
+                wait_for_partners(self, monitors=self._others, timeout_s=_PATIENCE)
                 self._file.with_suffix(".known").touch()
 
     def _on_perturbation(self, stamp_ns: int, torque: tuple[float, ...]) -> None:

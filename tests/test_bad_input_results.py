@@ -12,7 +12,7 @@ import pytest
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.study import read_study, select_conditions
-from armimp_bringup.study.engine import Threads
+from armimp_bringup.study.engine import threads
 from armimp_bringup.study.study import run_study
 from armimp_common.errors import DataError
 from armimp_estimation.summary import read_frf
@@ -27,7 +27,7 @@ ESTIMATOR = ("estimators", "welch_full")
 @pytest.fixture(scope="module")
 def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("study") / "good"
-    run_study(BASE, CONDITIONS, directory, Threads(1), figures=False)
+    run_study(BASE, CONDITIONS, directory, threads(1), figures=False)
     return directory
 
 

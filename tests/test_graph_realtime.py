@@ -67,7 +67,7 @@ def test_a_run_reports_its_timing_and_is_valid_unless_that_is_beyond_a_limit(
 @pytest.mark.parametrize(
     ("node", "watchdog"),
     [
-        (CONTROLLER_NODE, f"no command for {PATIENCE} ticks"),
+        (CONTROLLER_NODE, f"no command for {PATIENCE} periods"),
         (SIM_NODE, "no sensor sample arrived any more"),
     ],
 )

@@ -15,7 +15,7 @@ from std_srvs.srv import Trigger
 
 from armimp_common import qos, topics
 from armimp_common.executor import Spinner
-from armimp_common.pubsub import CommandPublisher, subscribe_joint_states, wait_until_matched
+from armimp_common.pubsub import CommandPublisher, subscribe_joint_states, wait_for_partners
 from armimp_common.schema import Value
 from armimp_common.status import Level, values_of
 from armimp_common.topics import JOINT_STATES, TORQUE_SENSORS, VALUE_FIELD
@@ -105,7 +105,7 @@ class ScriptedController:
     def bring_up(self, rig: LifecycleNode) -> None:
         """Configure and activate a rig; it reaches everybody, and everybody reaches it."""
         assert rig.trigger_configure() is SUCCESS
-        assert not wait_until_matched(
+        wait_for_partners(
             self.node,
             publishers=[self.commands],
             subscriptions=self.subscriptions,

@@ -32,7 +32,7 @@ from armimp_common.pubsub import (
     JointStatePublisher,
     subscribe_commands,
     subscribe_joint_states,
-    wait_until_matched,
+    wait_for_partners,
 )
 from armimp_common.schema import Value, flatten
 from armimp_common.status import Phase, TrialStatus, values_of
@@ -264,7 +264,7 @@ class ScriptedDriver:
 
     def wait_for_controller(self) -> None:
         """Wait until a controller listens and is heard."""
-        assert not wait_until_matched(
+        wait_for_partners(
             self._node,
             publishers=self.channels.values(),
             subscriptions=[*self._subscriptions, self.trial],

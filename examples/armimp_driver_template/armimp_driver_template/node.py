@@ -19,7 +19,6 @@ from armimp_common.driver_base import FlowControl, ProtectedDriver
 from armimp_common.errors import ArmimpError, GraphError
 from armimp_common.executor import run_node, steady_timer
 from armimp_common.lifecycle import reported
-from armimp_common.parameters import load, require_unchanged
 from armimp_common.protection import Protection
 from armimp_common.pubsub import subscribe_counts
 from armimp_common.realtime import wake_up_exactly
@@ -41,7 +40,7 @@ def make_device(parameters: DriverParameters) -> Device:
     return MockDevice(parameters)
 
 
-class ExoDriver(ProtectedDriver):
+class ExoDriver(ProtectedDriver[DriverParameters]):
     """Publishes what the device measures, and passes torque on to it."""
 
     # Step 1: the node. What must work in every state comes from `DriverBase`: heartbeats, emergency
@@ -56,7 +55,7 @@ class ExoDriver(ProtectedDriver):
     @reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Make the device and the topics."""
-        parameters = self._settings = load(self, DriverParameters)
+        parameters = self._settings = self.declared.load()
         joints = len(parameters.joints)
         self._device = make_device(parameters)
         if parameters.mode == "lockstep" and self._device.paced:
@@ -76,7 +75,7 @@ class ExoDriver(ProtectedDriver):
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start the thread that listens to the device."""
-        require_unchanged(self)
+        self.declared.require_unchanged()
         self.wait_for_controller()
         self._encoders.begin()
         self._lost = 0

@@ -314,7 +314,8 @@ def reproduce(
     with Display() as display:
         display.phase("starting")
         from armimp_bringup.study import select_conditions
-        from armimp_bringup.study.study import chosen_backend, present_verdict, run_study
+        from armimp_bringup.study.engine import cluster, threads
+        from armimp_bringup.study.study import present_verdict, run_study
         from armimp_common.compiled import on_compiling
         from armimp_estimation.summary import OriginSummary
 
@@ -322,7 +323,12 @@ def reproduce(
         directory = out or _new_directory("study")
         settings = load_config(config, options)
         conditions = select_conditions(only or (), seeds)
-        backend, origin = chosen_backend(workers, scheduler), OriginSummary.of(sys.argv)
+        if scheduler is not None and workers is not None:
+            raise ConfigurationError(
+                "--workers is for threads of this machine, a --scheduler has its own"
+            )
+        backend = threads(workers) if scheduler is None else cluster(scheduler)
+        origin = OriginSummary.of(sys.argv)
         verdict = run_study(
             settings, conditions, directory, backend, figures=figures, origin=origin
         )

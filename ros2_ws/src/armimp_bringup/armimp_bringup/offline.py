@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,24 +31,15 @@ from armimp_estimation.mbk import MBK
 from armimp_estimation.metadata import Metadata
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.trial import TrialData, segments_for
-from armimp_sim.plant import Plant, check_ratio, tick
+from armimp_sim.plant import Batch, Plant, check_ratio, tick
 from armimp_sim.real_rig import RealRig
-from armimp_sim.simd import Tag
 from armimp_sim.voluntary import reading_noise, voluntary_torque
 
 
 @compiled_entry
-def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
-    batch: NDArray[np.float64],
-    joints: Tag,
-    width: Tag,
-    substeps: int,
-    step: float,
-    interval_mean: bool,
+def _run_segment(
+    batch: Batch,
     real: RealRig | None,
-    resolutions: NDArray[np.float64],
-    position: NDArray[np.float64],
-    torque: NDArray[np.float64],
     laws: NDArray[np.int64],
     controllers: NDArray[np.float64],
     tau_delta: NDArray[np.float64],
@@ -57,11 +49,12 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
 ) -> float:
     """Run the ticks of a segment, and return the worst h·σ0|v|/g(v), NaN if a lane went astray.
 
-    Plant and readings are as for :func:`armimp_sim.plant.tick`, laws (lanes,) and controllers
-    (lanes, packed_size(n)) as for :func:`armimp_control.laws.law.packed_tick`. Perturbation and
-    voluntary torque are (ticks, lanes, n), noise (ticks or 1, lanes, 2, n), of which the last row
-    holds on, and the record (3, lanes, n, ticks): positions, torques, commands.
+    The rigs are as for :func:`armimp_sim.plant.tick`, laws (lanes,) and controllers (lanes,
+    packed_size(n)) as for :func:`armimp_control.laws.law.packed_tick`. Perturbation and voluntary
+    torque are (ticks, lanes, n), noise (ticks or 1, lanes, 2, n), of which the last row holds on,
+    and the record (3, lanes, n, ticks): positions, torques, commands.
     """
+    position, torque = batch.position, batch.torque
     m, n = position.shape
     command = np.zeros((m, n))
     worst = 0.0
@@ -77,21 +70,7 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
                 record[0, lane, i, k] = position[lane, i]
                 record[1, lane, i, k] = torque[lane, i]
                 record[2, lane, i, k] = command[lane, i]
-        ratio = tick(
-            batch,
-            joints,
-            width,
-            substeps,
-            step,
-            interval_mean,
-            real,
-            resolutions,
-            command,
-            voluntary[k],
-            noise[min(k, len(noise) - 1)],
-            position,
-            torque,
-        )
+        ratio = tick(batch, real, command, voluntary[k], noise[min(k, len(noise) - 1)])
         if not ratio <= worst:
             worst = ratio
             if not worst < np.inf:
@@ -103,12 +82,44 @@ Signals = Callable[[Segment], tuple[NDArray[np.float64], int | None]]
 """Gives τ_Δ (ticks, lanes, n) of a segment, N·m, and the joint that yields; None for all joints."""
 
 
-def run_offline(experiments: Sequence[NodeParameters]) -> list[list[TrialRecord]]:
-    """Run experiments side by side, with one perturbed joint in each trial.
+def _perturbations(
+    laws: Sequence[ControllerParameters], segment: Segment
+) -> tuple[NDArray[np.float64], int]:
+    tau_delta = np.zeros((segment.ticks, len(laws), len(laws[0].joints)))
+    if segment.phase is Phase.PERTURB:
+        for lane, one in enumerate(laws):
+            tau_delta[:, lane, segment.joint] = perturbation(
+                one.perturbation,
+                joint=segment.joint,
+                trial=segment.trial,
+                ticks=segment.ticks,
+                seed=one.seed,
+                prior=one.priors()[segment.joint],
+            )
+    return tau_delta, segment.joint
+
+
+def _tare(parameters: ControllerParameters, torque: NDArray[np.float64]) -> tuple[float, ...]:
+    """Tare (n,) from the readings (n, ticks) of a rig at rest, N·m."""
+    found = parameters.tare.of(torque)
+    if refusal := parameters.tare.refusal(found, parameters.joints):
+        raise DataError(f"offline run: {refusal}")
+    return found.offset
+
+
+def run_offline(
+    experiments: Sequence[NodeParameters],
+    segments: Sequence[Segment] | None = None,
+    signals: Signals | None = None,
+) -> list[list[TrialRecord]]:
+    """Run experiments side by side.
 
     Parameters
     ----------
     experiments : one per lane; they must agree in joints, timing and sequence
+    segments : the timetable; by default that of the experiments, with one trial for each joint
+    signals : the perturbation; by default that of the experiments, of one joint in each trial.
+        Where all joints yield, the first one counts as the perturbed one.
 
     Returns
     -------
@@ -121,42 +132,6 @@ def run_offline(experiments: Sequence[NodeParameters]) -> list[list[TrialRecord]
         If the sequences differ, or the safety limiter of one stopped the experiment.
     IntegrationError
         If the plant left the stability region of the integrator.
-    """
-    laws = [one.controller for one in experiments]
-    n = len(laws[0].joints)
-
-    def signals(segment: Segment) -> tuple[NDArray[np.float64], int | None]:
-        tau_delta = np.zeros((segment.ticks, len(laws), n))
-        if segment.phase is Phase.PERTURB:
-            for lane, one in enumerate(laws):
-                tau_delta[:, lane, segment.joint] = perturbation(
-                    one.perturbation,
-                    joint=segment.joint,
-                    trial=segment.trial,
-                    ticks=segment.ticks,
-                    seed=one.seed,
-                    prior=one.priors()[segment.joint],
-                )
-        return tau_delta, segment.joint
-
-    segments = timetable(laws[0].sequence, joints=n, tare=laws[0].tare)
-    return run_segments(experiments, segments, signals)
-
-
-def _tare(parameters: ControllerParameters, torque: NDArray[np.float64]) -> tuple[float, ...]:
-    """Tare (n,) from the readings (n, ticks) of a rig at rest, N·m."""
-    found = parameters.tare.of(torque)
-    if refusal := parameters.tare.refusal(found, parameters.joints):
-        raise DataError(f"offline run: {refusal}")
-    return found.offset
-
-
-def run_segments(
-    experiments: Sequence[NodeParameters], segments: Sequence[Segment], signals: Signals
-) -> list[list[TrialRecord]]:
-    """Run a timetable side by side, as :func:`run_offline`, with any perturbation.
-
-    Where all joints yield, the first one counts as the perturbed one.
     """
     of_laws = [one.controller for one in experiments]
     first = of_laws[0]
@@ -178,15 +153,16 @@ def run_segments(
     streams = [voluntary_torque(one.voluntary, joints=n, seed=one.seed) for one in rigs]
     noises = [reading_noise(one.sensors, joints=n, seed=one.seed) for one in rigs]
     trials: list[list[TrialRecord]] = [[] for _ in rigs]
+    segments = segments or timetable(first.sequence, joints=n, tare=first.tare)
+    signals = signals or partial(_perturbations, of_laws)
     for segment in segments:
         tau_delta, yielding = signals(segment)
         for controller in controllers:
             controller.perturb_joint(NO_JOINT if segment.tare else yielding)
         record = np.empty((3, lanes, n, segment.ticks))
         worst = _run_segment(
-            *plant.fixed,
-            plant.position,
-            plant.torque,
+            plant.batch,
+            plant.real,
             laws,
             packed,
             tau_delta,
@@ -195,7 +171,7 @@ def run_segments(
             np.stack([one.take(segment.ticks if plant.real else 1) for one in noises], axis=1),
             record,
         )
-        check_ratio(worst, plant.step)
+        check_ratio(worst, plant.batch.step)
         for controller in controllers:
             if fault := controller.fault[1]:
                 raise DataError(

@@ -12,13 +12,14 @@ from armimp_bringup.driver_check import (
     SENSOR_TOPICS,
     Call,
     Finding,
+    Message,
     Moves,
     Outcome,
     Record,
     with_outcome,
 )
+from armimp_bringup.driver_check.checker import Checker
 from armimp_bringup.driver_check.conversation import Answering, Error, MotionGuard, Torque
-from armimp_bringup.driver_check.moves import Mover
 from armimp_bringup.driver_check.rules import judge
 from armimp_common.cdr import JointStateEncoder
 from armimp_common.topics import (
@@ -132,9 +133,8 @@ class Driver(Answering):
 def moved(driver: Driver) -> tuple[Moves, dict[str, Finding]]:
     """Let the checker move a driver, and judge it."""
     checker: Any = driver
-    mover = Mover(checker, CheckOptions(joints=JOINTS, move=True), None, frozenset())
-    moves = mover.move()
-    streams, _ = driver.recorded()
+    moves = Checker(checker, CheckOptions(joints=JOINTS, move=True)).move()
+    streams = {topic: [one for one in kept if one] for topic, kept in driver.kept.items()}
     record = Record(
         joints=JOINTS, paced=True, endpoints=[], streams={}, moving=streams, moves=moves, most=0.3
     )
@@ -180,34 +180,37 @@ def test_a_driver_that_stops_under_regular_commands_is_named() -> None:
 # --- The checker's limit of motion --------------------------------------------------------------
 
 
-ENCODE = JointStateEncoder(["shoulder", "elbow"], "position").encode
+def angles(*values: float, names: tuple[str, ...] = JOINTS) -> Message:
+    return Message(0, 0, names, values, ())
 
 
 @pytest.fixture
 def guard() -> MotionGuard:
     guard = MotionGuard(("shoulder", "elbow"), 0.3)
-    assert guard.allows(ENCODE(0, (1.0, -2.0)))
+    assert guard.allows(angles(1.0, -2.0))
     return guard
 
 
 def test_motion_within_the_limit_is_allowed_and_the_largest_kept(guard: MotionGuard) -> None:
-    assert guard.allows(ENCODE(1, (1.1, -2.25)))
-    assert guard.allows(ENCODE(2, (1.0, -2.0)))
+    assert guard.allows(angles(1.1, -2.25))
+    assert guard.allows(angles(1.0, -2.0))
     assert guard.largest == pytest.approx(0.25)
     assert not guard.objection
 
 
-@pytest.mark.parametrize("angles", [(1.31, -2.0), (1.0, -2.4), (math.nan, -2.0), (1.0, math.inf)])
+@pytest.mark.parametrize("values", [(1.31, -2.0), (1.0, -2.4), (math.nan, -2.0), (1.0, math.inf)])
 def test_beyond_the_limit_and_where_it_is_not_known_there_is_no_torque_any_more(
-    guard: MotionGuard, angles: tuple[float, float]
+    guard: MotionGuard, values: tuple[float, float]
 ) -> None:
-    assert not guard.allows(ENCODE(1, angles))
+    assert not guard.allows(angles(*values))
     assert "torque taken away" in guard.objection
     # Coming back is no excuse.
-    assert not guard.allows(ENCODE(2, (1.0, -2.0)))
+    assert not guard.allows(angles(1.0, -2.0))
 
 
-def test_angles_that_cannot_be_read_take_the_torque_away(guard: MotionGuard) -> None:
-    other = JointStateEncoder(["shoulder", "wrist"], "position").encode
-    assert not guard.allows(other(1, (1.0, -2.0)))
-    assert guard.objection.startswith("an angle cannot be read")
+@pytest.mark.parametrize("message", [None, angles(1.0, -2.0, names=("shoulder", "wrist"))])
+def test_angles_that_cannot_be_read_take_the_torque_away(
+    guard: MotionGuard, message: Message | None
+) -> None:
+    assert not guard.allows(message)
+    assert guard.objection.startswith("the angles cannot be read")

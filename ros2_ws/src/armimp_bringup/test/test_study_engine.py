@@ -27,13 +27,12 @@ from armimp_bringup.study import (
 )
 from armimp_bringup.study.engine import (
     Batch,
-    Dask,
-    Threads,
-    as_ready,
+    cluster,
     condition_config,
     run_batch,
     software,
     split_evenly,
+    threads,
 )
 from armimp_bringup.study.study import run_study
 from armimp_common.errors import ConfigurationError, DataError
@@ -144,7 +143,7 @@ def test_error_in_a_batch_is_raised_and_the_others_are_not_begun() -> None:
         return []
 
     with pytest.raises(DataError, match="this one failed"):
-        list(as_ready(work, _batches(50), 1))
+        list(threads(1).run(work, _batches(50)))
     over.set()
     _await_threads()
     # One more may have begun before the error was heard of.
@@ -153,10 +152,10 @@ def test_error_in_a_batch_is_raised_and_the_others_are_not_begun() -> None:
 
 def test_wrong_backends_are_told_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ConfigurationError, match="--workers must be at least 1, got 0"):
-        Threads(0)
+        threads(0)
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ConfigurationError, match="which is not installed: pip install distributed"):
-        Dask("tcp://127.0.0.1:8786")
+        cluster("tcp://127.0.0.1:8786")
 
 
 @pytest.fixture
@@ -168,7 +167,7 @@ def distributed() -> Any:
 @pytest.mark.filterwarnings("default")  # of what other packages do while a cluster starts and ends
 def test_cluster_gives_the_same_files_as_threads(distributed: Any, tmp_path: Path) -> None:
     conditions = select_conditions(["friction=0,resolution=0+3,perturbation=1"], "0")
-    run_study(BASE, conditions, tmp_path / "threads", Threads(1), figures=False)
+    run_study(BASE, conditions, tmp_path / "threads", threads(1), figures=False)
     with distributed.LocalCluster(
         n_workers=1,
         threads_per_worker=2,
@@ -176,8 +175,8 @@ def test_cluster_gives_the_same_files_as_threads(distributed: Any, tmp_path: Pat
         protocol="tcp",
         host="127.0.0.1",
         dashboard_address=None,
-    ) as cluster:
-        backend = Dask(cluster.scheduler_address)
+    ) as local:
+        backend = cluster(local.scheduler_address)
         assert backend.workers == 2
         run_study(BASE, conditions, tmp_path / "cluster", backend, figures=False)
     for name in ("study.json", "results.csv", "verdict.json"):
@@ -202,7 +201,7 @@ def test_scheduler_that_is_not_there_is_named(
 ) -> None:
     monkeypatch.setattr(engine, "_CONNECT_TIMEOUT", 0.5)
     with pytest.raises(error) as caught:
-        _ = Dask(address).workers
+        cluster(address)
     assert str(caught.value).startswith(complaint)
     assert len(str(caught.value).splitlines()) == 1
 

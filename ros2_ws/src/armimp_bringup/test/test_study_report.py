@@ -14,7 +14,7 @@ import pytest
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.study import StudyEntry, read_study, saved_curves, select_conditions
-from armimp_bringup.study.engine import Threads
+from armimp_bringup.study.engine import threads
 from armimp_bringup.study.figures import impedance_figure, levels_figure, write_figures
 from armimp_bringup.study.scores import (
     COHERENCE_SCORES,
@@ -39,7 +39,7 @@ TABLES = ("study.json", "results.csv", "verdict.json", "report.html")
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, StudyVerdict]:
     directory = tmp_path_factory.mktemp("study") / "new" / "folder"
-    return directory, run_study(BASE, CONDITIONS, directory, Threads(1), figures=False)
+    return directory, run_study(BASE, CONDITIONS, directory, threads(1), figures=False)
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ def test_number_of_workers_makes_no_difference(
     made: tuple[Path, StudyVerdict], tmp_path: Path
 ) -> None:
     directory, verdict = made
-    assert run_study(BASE, CONDITIONS, tmp_path / "out", Threads(3), figures=False) == verdict
+    assert run_study(BASE, CONDITIONS, tmp_path / "out", threads(3), figures=False) == verdict
     stored = StudyVerdict.model_validate_json((directory / "verdict.json").read_bytes())
     assert stored == verdict
     assert _bytes(tmp_path / "out") == _bytes(directory)
@@ -94,7 +94,7 @@ def test_number_of_workers_makes_no_difference(
 def test_a_directory_that_holds_something_is_refused_and_left_alone(study: Path) -> None:
     before = _bytes(study)
     with pytest.raises(ConfigurationError, match="is not empty, nothing is overwritten"):
-        run_study(BASE, CONDITIONS, study, Threads(1), figures=False)
+        run_study(BASE, CONDITIONS, study, threads(1), figures=False)
     assert _bytes(study) == before
 
 
@@ -212,5 +212,5 @@ def test_every_target_is_met_by_both_estimators(
 ) -> None:
     conditions = select_conditions(only, seeds)
     config = ExperimentConfig.model_validate(base)
-    verdict = run_study(config, conditions, tmp_path / "study", Threads(2), figures=False)
+    verdict = run_study(config, conditions, tmp_path / "study", threads(2), figures=False)
     assert verdict.failures() == []

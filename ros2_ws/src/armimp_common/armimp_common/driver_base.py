@@ -24,7 +24,7 @@ from armimp_common.errors import ArmimpError, GraphError
 from armimp_common.executor import steady_timer
 from armimp_common.heartbeat import Heartbeat, HeartbeatMonitor
 from armimp_common.lifecycle import ManagedNode, reported
-from armimp_common.parameters import declare, guard
+from armimp_common.parameters import ParameterSet
 from armimp_common.protection import CommandSequence, Protection, TorqueLatch
 from armimp_common.pubsub import (
     JointStatePublisher,
@@ -100,9 +100,10 @@ class FlowControl:
 
 
 LimiterT = TypeVar("LimiterT", bound=TorqueLatch)
+ModelT = TypeVar("ModelT", bound=BaseModel)
 
 
-class DriverBase(ManagedNode, ABC, Generic[LimiterT]):
+class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
     """A lifecycle node in the place of the rig; subclasses say where torque goes.
 
     `on_configure` calls :meth:`set_up`, `on_activate` sets `active` once commands are obeyed,
@@ -116,13 +117,14 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT]):
     Attributes
     ----------
     active : whether commands are obeyed
+    declared : the parameters
     limiter : None while the node is not configured
     controller : heartbeat of the one who commands
     joint_states, torque_sensors, commands, diagnostics : topics that every rig has, once configured
     reported_fault : the fault that was reported last
     """
 
-    def __init__(self, parameters: BaseModel, busy: str, **kwargs: Any) -> None:
+    def __init__(self, parameters: ModelT, busy: str, **kwargs: Any) -> None:
         super().__init__(topics.SIM_NODE, **kwargs)
         self.reported_fault = ""
         self.active = self._stopped = False
@@ -135,8 +137,9 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT]):
         self.controller = HeartbeatMonitor(self, topics.CONTROLLER_NODE, self._on_controller)
         self.create_service(Trigger, topics.SIM_STOP_SERVICE, self._on_stop)
         self.create_service(Trigger, topics.SIM_RESET_SERVICE, self._on_reset)
-        declare(self, type(parameters), parameters)
-        guard(self, lambda: busy if self.active else None)
+        self.declared = ParameterSet(
+            self, type(parameters), parameters, locked=lambda: busy if self.active else None
+        )
 
     def set_up(
         self,
@@ -364,7 +367,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT]):
         super().destroy_node()
 
 
-class ProtectedDriver(DriverBase[Protection], ABC):
+class ProtectedDriver(DriverBase[Protection, ModelT], ABC, Generic[ModelT]):
     """A driver whose commands pass its own :class:`Protection` before the drives get them.
 
     `on_configure` gives :meth:`on_command` to :meth:`set_up`, `on_activate` calls

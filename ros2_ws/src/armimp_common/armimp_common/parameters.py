@@ -1,8 +1,7 @@
 """ROS parameters of a node from its schema: declaring, loading, and guarding against changes."""
 
 from collections.abc import Callable, Iterable
-from typing import Final, TypeVar
-from weakref import WeakKeyDictionary
+from typing import Final, Generic, TypeVar
 
 from pydantic import BaseModel
 from rcl_interfaces.msg import (
@@ -34,12 +33,12 @@ _OWN_OF_ROS: Final = ("use_sim_time", "start_type_description_service")
 _OWN_PREFIX_OF_ROS: Final = "qos_overrides."
 _INT64: Final = (-(2**63), 2**63 - 1)
 
-_schemas: WeakKeyDictionary[Node, type[BaseModel]] = WeakKeyDictionary()
-_loaded: WeakKeyDictionary[Node, dict[str, object]] = WeakKeyDictionary()
 
+class ParameterSet(Generic[ModelT]):
+    """The parameters of a node: those of a schema, with the values given from outside.
 
-def declare(node: Node, model: type[ModelT], default: ModelT | None = None) -> ModelT:
-    """Declare the parameters of a schema on a node, with the values given to it from outside.
+    Those come from ``--params-file`` and ``-p``, else they are the defaults. Later changes are
+    refused where the schema refuses them, and all of them while something runs.
 
     Parameters
     ----------
@@ -49,11 +48,8 @@ def declare(node: Node, model: type[ModelT], default: ModelT | None = None) -> M
         The schema.
     default
         Values to use instead of the defaults of the schema.
-
-    Returns
-    -------
-    model
-        The values in force: those from ``--params-file`` and ``-p``, else the defaults.
+    locked
+        Returns why nothing may be changed now, or None if changes are welcome.
 
     Raises
     ------
@@ -62,36 +58,87 @@ def declare(node: Node, model: type[ModelT], default: ModelT | None = None) -> M
         meant for another node: do not put parameters of one node under ``/**``), has a wrong type,
         or is refused by the schema. Integers may stand for doubles.
     """
-    refuse_simulated_time(node)
-    known = leaves(model)
-    # rclpy ignores overrides without a parameter, and has no public list of them.
-    overrides: dict[str, Parameter] = node._parameter_overrides
-    given = {
-        name: parameter.value
-        for name, parameter in overrides.items()
-        if not (
-            name in _OWN_OF_ROS
-            or name.startswith(_OWN_PREFIX_OF_ROS)
-            or (node.has_parameter(name) and name not in known)
+
+    def __init__(
+        self,
+        node: Node,
+        model: type[ModelT],
+        default: ModelT | None = None,
+        *,
+        locked: Callable[[], str | None] = lambda: None,
+    ) -> None:
+        self._node, self._model, self._locked = node, model, locked
+        self._loaded: dict[str, object] = {}
+        refuse_simulated_time(node)
+        known = leaves(model)
+        # rclpy ignores overrides without a parameter, and has no public list of them.
+        overrides: dict[str, Parameter] = node._parameter_overrides
+        given = {
+            name: parameter.value
+            for name, parameter in overrides.items()
+            if not (
+                name in _OWN_OF_ROS
+                or name.startswith(_OWN_PREFIX_OF_ROS)
+                or (node.has_parameter(name) and name not in known)
+            )
+        }
+        values = {**(defaults(model) if default is None else flatten(default)), **given}
+        instance = build(model, values)
+        # The type is declared and the value set afterwards, since rclpy would infer the type from
+        # the value and takes an empty array for one of bytes.
+        node.declare_parameters(
+            "",
+            [
+                (leaf.name, _TYPES[leaf.item, leaf.array], _descriptor(leaf))
+                for leaf in known.values()
+            ],
+            ignore_override=True,
         )
-    }
-    values: dict[str, object] = {
-        **(defaults(model) if default is None else flatten(default)),
-        **given,
-    }
-    instance = build(model, values)
-    # The type is declared and the value set afterwards, since rclpy would infer the type from
-    # the value and takes an empty array for one of bytes.
-    node.declare_parameters(
-        "",
-        [(leaf.name, _TYPES[leaf.item, leaf.array], _descriptor(leaf)) for leaf in known.values()],
-        ignore_override=True,
-    )
-    result = node.set_parameters_atomically(as_parameters(instance))
-    if not result.successful:
-        raise ConfigurationError(result.reason)
-    _schemas[node] = model
-    return instance
+        result = node.set_parameters_atomically(as_parameters(instance))
+        if not result.successful:
+            raise ConfigurationError(result.reason)
+        node.add_on_set_parameters_callback(self._check)
+
+    def load(self) -> ModelT:
+        """Return the present values.
+
+        Raises
+        ------
+        ConfigurationError
+            If the schema refuses them; the message names the parameter, its value and the reason.
+        """
+        self._loaded = self._present()
+        return build(self._model, self._loaded)
+
+    def require_unchanged(self) -> None:
+        """Refuse to begin with other parameters than those that the node shows.
+
+        Raises
+        ------
+        GraphError
+            If they were changed since they were loaded; the message names those.
+        """
+        present = self._present()
+        changed = ", ".join(name for name, value in self._loaded.items() if present[name] != value)
+        if changed:
+            raise GraphError(f"changed since the node was configured: {changed}; clean it up first")
+
+    def _check(self, parameters: list[Parameter]) -> SetParametersResult:
+        if (reason := self._locked()) is not None:
+            names = ", ".join(parameter.name for parameter in parameters)
+            reason = f"{names} cannot be changed now: {reason}"
+            return SetParametersResult(successful=False, reason=reason)
+        known = leaves(self._model)
+        changes = {p.name: p.value for p in parameters if p.name in known}
+        try:
+            build(self._model, {**self._present(), **changes})
+        except ConfigurationError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _present(self) -> dict[str, object]:
+        found: Iterable[Parameter] = self._node.get_parameters(list(leaves(self._model)))
+        return {parameter.name: parameter.value for parameter in found}
 
 
 def as_parameters(instance: BaseModel) -> list[Parameter]:
@@ -101,75 +148,6 @@ def as_parameters(instance: BaseModel) -> list[Parameter]:
         Parameter(name, _TYPES[known[name].item, known[name].array], value)
         for name, value in flatten(instance).items()
     ]
-
-
-def load(node: Node, model: type[ModelT]) -> ModelT:
-    """Return the present values of declared parameters.
-
-    Raises
-    ------
-    ConfigurationError
-        If the schema refuses them; the message names the parameter, its value and the reason.
-    """
-    present = _loaded[node] = _present(node, model)
-    return build(model, present)
-
-
-def require_unchanged(node: Node) -> None:
-    """Refuse to begin with other parameters than those that a node shows.
-
-    Raises
-    ------
-    GraphError
-        If they were changed since they were loaded; the message names those.
-    """
-    loaded, present = _loaded[node], _present(node, _schemas[node])
-    changed = ", ".join(name for name, value in loaded.items() if present[name] != value)
-    if changed:
-        raise GraphError(f"changed since the node was configured: {changed}; clean it up first")
-
-
-def guard(
-    node: Node, is_locked: Callable[[], str | None]
-) -> Callable[[list[Parameter]], SetParametersResult]:
-    """Refuse changes while something runs, and at any time values which the schema refuses.
-
-    Parameters
-    ----------
-    node
-        A node whose parameters were declared with `declare`.
-    is_locked
-        Returns why nothing may be changed now, or None if changes are welcome.
-
-    Returns
-    -------
-    callback
-        What was registered, for ``node.remove_on_set_parameters_callback``.
-    """
-    model = _schemas[node]
-    known = leaves(model)
-
-    def check(parameters: list[Parameter]) -> SetParametersResult:
-        reason = is_locked()
-        if reason is not None:
-            names = ", ".join(parameter.name for parameter in parameters)
-            return SetParametersResult(
-                successful=False, reason=f"{names} cannot be changed now: {reason}"
-            )
-        changes = {p.name: p.value for p in parameters if p.name in known}
-        try:
-            build(model, {**_present(node, model), **changes})
-        except ConfigurationError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
-
-    node.add_on_set_parameters_callback(check)
-    return check
-
-
-def _present(node: Node, model: type[BaseModel]) -> dict[str, object]:
-    parameters: Iterable[Parameter] = node.get_parameters(list(leaves(model)))
-    return {parameter.name: parameter.value for parameter in parameters}
 
 
 def _descriptor(leaf: Leaf) -> ParameterDescriptor:

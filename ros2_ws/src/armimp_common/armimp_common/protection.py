@@ -21,6 +21,7 @@ A controller that works through old samples is none any more.
 RAMP_PERIODS = 10
 """Periods in which it then falls to zero: few, as the last command may be a peak of chatter."""
 _SPAN = 5
+_MOST_OWED = 10_000
 
 
 def first_bad(values: Sequence[float]) -> int | None:
@@ -61,6 +62,76 @@ class CommandSequence:
 
 def _named(number: int) -> str:
     return f"command {number}" if number else "a command without a number"
+
+
+class CommandWatch:
+    """Sets commands against the samples that they answer, and watches over their absence.
+
+    Commands carry no stamp, so each counts as the answer to the oldest sample that has none.
+    Samples that nobody was there to answer are owed by nobody: those before the first command,
+    once they are more than `heard`. Which of them it answers is then not known.
+
+    Parameters
+    ----------
+    patience : periods without a command, or by which commands are behind, that are borne
+    heard : samples that may wait for the first command, as of a controller that is slow to start
+
+    Attributes
+    ----------
+    owed : times (ns) of the samples that have no answer
+    answered_ns : time of the sample that the last command answered; None if there was none
+    silent : periods that have ended since the last command
+    """
+
+    def __init__(self, patience: int = WATCHDOG_PERIODS, heard: int = 0) -> None:
+        self._patience, self._heard = patience, heard
+        self.owed: deque[int] = deque(maxlen=_MOST_OWED)
+        self.restart()
+
+    def restart(self, spare: int = 0) -> None:
+        """Wait for a first command; so many more of them than samples are borne."""
+        self.owed.clear()
+        self._begun = self._in_step = False
+        self.silent, self._spare = 0, spare
+        self.answered_ns: int | None = None
+
+    def reset(self) -> None:
+        """Wait for a first command after a fault; answers may still be under way."""
+        self.restart(self._patience)
+        # Whoever commanded before the fault has to begin anew, too.
+        self._heard = min(self._heard, self._patience)
+
+    def sample(self, sent_ns: int = 0) -> None:
+        """Take note of a sample that a command is to answer."""
+        self.owed.append(sent_ns)
+
+    def command(self, torque: Sequence[float]) -> str:
+        """Take note of a command; return what is wrong with its number, or ""."""
+        unheard = len(self.owed) - 1
+        if not self._begun and unheard >= self._heard:
+            newest = self.owed.pop()
+            self.owed.clear()
+            self.owed.append(newest)
+            self._spare = max(self._spare, min(unheard, self._patience))
+        self._begun, self.silent = True, 0
+        self.answered_ns = self.owed.popleft() if self.owed else None
+        if self.answered_ns is not None:
+            self._in_step = self._in_step or not self.owed
+        elif self._spare:
+            self._spare -= 1
+        elif any(torque):
+            # One of zero torque more, as whoever stops sends it, does no harm.
+            return "more commands than samples"
+        return ""
+
+    def period(self) -> str:
+        """End a period, in real time; return why the torque has to be taken away, or ""."""
+        self.silent += self._begun
+        if self.silent > self._patience:
+            return f"no command for {self._patience} periods"
+        if self._in_step and len(self.owed) > self._patience:
+            return f"commands are more than {self._patience} periods behind"
+        return ""
 
 
 class ProtectionLimits(Schema):
@@ -149,22 +220,12 @@ class Protection(TorqueLatch):
         super().__init__(joints)
         self._limits = limits
         self._history: deque[tuple[float, ...]] = deque(maxlen=_SPAN + 1)
-        self._silent = self._owed = self._spare = self._seen = 0
-        self._begun = False
+        self._watch = CommandWatch()
 
     def command(self, torque: Sequence[float]) -> None:
         """Take a command (n,), N·m; one that cannot be obeyed is a fault."""
-        if not self._begun:
-            # Which of the last samples it answers is not known.
-            self._spare = min(self._seen, WATCHDOG_PERIODS)
-        self._begun, self._silent = True, 0
-        if self._owed:
-            self._owed -= 1
-        elif self._spare:
-            self._spare -= 1
-        elif any(torque):
-            # One of zero torque more, as whoever stops sends it, does no harm.
-            self.latch("more commands than samples")
+        if reason := self._watch.command(torque):
+            self.latch(reason)
         # Written so that NaN fails.
         if len(torque) != len(self._zero) or not all(
             abs(value) <= self._limits.torque for value in torque
@@ -174,8 +235,7 @@ class Protection(TorqueLatch):
 
     def sample(self, angles: Sequence[float]) -> None:
         """Check the angles (n,), rad, of a sample that the next command is to answer."""
-        self._seen += 1
-        self._owed += self._begun
+        self._watch.sample()
         self._history.append(tuple(angles))
         if not all(abs(angle) <= self._limits.position for angle in angles):
             self.latch(f"position beyond {self._limits.position:g} rad: {list(angles)}")
@@ -186,24 +246,19 @@ class Protection(TorqueLatch):
 
     def period(self) -> bool:
         """End a period, in real time only; return whether no command came in it."""
-        self._silent += self._begun
-        if self._silent > WATCHDOG_PERIODS:
-            self.fade(f"no command for {WATCHDOG_PERIODS} periods")
-        elif self._owed > WATCHDOG_PERIODS:
-            self.fade(f"commands are more than {WATCHDOG_PERIODS} periods behind")
+        if reason := self._watch.period():
+            self.fade(reason)
         self.go_on_fading()
-        return self._silent > 1
+        return self._watch.silent > 1
 
     def rest(self) -> None:
         """Forget the last command, and the samples before it."""
         super().rest()
-        self._begun = False
-        self._silent = self._owed = self._seen = 0
+        self._watch.restart()
         self._history.clear()
 
     def reset(self) -> None:
         """Obey again after a fault, as :meth:`TorqueLatch.reset`."""
         super().reset()
-        self._begun = False
-        self._silent = self._owed = 0
+        self._watch.reset()
         self._history.clear()

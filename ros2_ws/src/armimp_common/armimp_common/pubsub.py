@@ -24,7 +24,7 @@ from armimp_common.topics import ValueField
 OnMalformed = Callable[[MalformedMessageError], None]
 _POLL = 0.005
 _PATIENCE = 30.0
-"""How long the others are waited for before a node becomes active (s)."""
+"""How long a node that becomes active waits for the others (s)."""
 
 
 class RawPublisher:
@@ -245,109 +245,76 @@ def publisher_count(node: Node, subscription: Subscription) -> int:
     return int(node.count_publishers(subscription.topic_name))
 
 
-def wait_until_matched(
-    node: Node,
-    *,
-    publishers: Iterable[Publisher | RawPublisher] = (),
-    subscriptions: Iterable[Subscription] = (),
-    timeout_s: float,
-) -> tuple[str, ...]:
-    """Wait until every publisher and subscription has at least one peer.
-
-    What is published on a volatile topic before that is lost. Discovery goes on in threads of
-    the middleware, so nothing needs to be spun meanwhile. A peer in another process may still
-    need a moment to see this side: ask on both sides.
-
-    Returns
-    -------
-    tuple of str
-        Topic names of those still without a peer after `timeout_s`; empty on success.
-    """
-    sending = [one if isinstance(one, Publisher) else one.publisher for one in publishers]
-    listening = list(subscriptions)
-    deadline = time.monotonic() + timeout_s
-    while True:
-        lonely = [one.topic_name for one in sending if not one.get_subscription_count()]
-        lonely += [one.topic_name for one in listening if not publisher_count(node, one)]
-        if not lonely or time.monotonic() >= deadline:
-            return tuple(lonely)
-        time.sleep(_POLL)
-
-
-def wait_until_known_to(node: Node, names: Iterable[str], *, timeout_s: float) -> None:
-    """Wait until these nodes know of every subscription that `node` has made so far.
-
-    Discovery has two directions. A subscription that has found its publisher may still be unknown
-    to that publisher, for up to some seconds between processes that were started apart from one
-    another, and what is published meanwhile on a volatile topic never reaches it. A process learns
-    of the subscriptions of another one in the order in which they were made. So once a latched
-    message, the heartbeat, has come back to a subscription made just now, the older ones are known
-    too.
-
-    To be called in a callback of `node`, or while it is not spun.
-
-    Parameters
-    ----------
-    node
-        Whose subscriptions are to be known.
-    names
-        Nodes by their names among the topics. Those that offer no heartbeat, as drivers of others
-        may not, are not waited for.
-    timeout_s
-        How long to wait (s).
-
-    Raises
-    ------
-    GraphError
-        If one of them gives no answer.
-    """
-    deadline = time.monotonic() + timeout_s
-    probes = {
-        name: node.create_subscription(String, topic, lambda _: None, qos.LATCHED, raw=True)
-        for name in names
-        if node.count_publishers(topic := topics.alive(name))
-    }
-    awaited = dict(probes)
-    try:
-        while awaited := {name: probe for name, probe in awaited.items() if not take_all(probe)}:
-            if time.monotonic() >= deadline:
-                raise GraphError(f"no answer from {', '.join(awaited)}")
-            time.sleep(_POLL)
-    finally:
-        for probe in probes.values():
-            node.destroy_subscription(probe)
-
-
 def wait_for_partners(
     node: Node,
     *,
     publishers: Iterable[Publisher | RawPublisher] = (),
     subscriptions: Iterable[Subscription] = (),
     monitors: Iterable[HeartbeatMonitor] = (),
+    timeout_s: float = _PATIENCE,
 ) -> None:
-    """Wait until a node that is activated and those which it needs know of one another.
+    """Wait until a node and those which it needs know of one another.
+
+    What is published on a volatile topic before that is lost. Discovery goes on in threads of the
+    middleware, so nothing needs to be spun meanwhile, and it has two directions. A subscription
+    that has found its publisher may still be unknown to that publisher, for up to some seconds
+    between processes that were started apart from one another. A process learns of the
+    subscriptions of another one in the order in which they were made. So once a latched message,
+    the heartbeat, has come back to a subscription made just now, the older ones are known too.
 
     Parameters
     ----------
     node
-        The node; to be called in a callback of it.
+        The node; to be called in a callback of it, or while it is not spun.
     publishers, subscriptions
         What has to have a peer.
     monitors
-        Nodes that have to know of this one, if they offer a heartbeat; see `wait_until_known_to`.
+        Nodes that have to know of all subscriptions that `node` has made so far. Those that offer
+        no heartbeat, as drivers of others may not, are not waited for.
+    timeout_s
+        How long to wait for peers, and then for an answer (s).
 
     Raises
     ------
     GraphError
-        If somebody does not turn up within 30 s, or is lost but still listed.
+        If somebody does not turn up, gives no answer, or is lost but still listed.
     """
-    lonely = wait_until_matched(
-        node, publishers=publishers, subscriptions=subscriptions, timeout_s=_PATIENCE
-    )
-    if lonely:
-        raise GraphError(f"nobody at the other end of {', '.join(lonely)}")
-    monitors = list(monitors)
+    sending = [one if isinstance(one, Publisher) else one.publisher for one in publishers]
+    listening, monitors = list(subscriptions), list(monitors)
+
+    def lonely() -> list[str]:
+        return [
+            *(one.topic_name for one in sending if not one.get_subscription_count()),
+            *(one.topic_name for one in listening if not publisher_count(node, one)),
+        ]
+
+    _wait_until_none(lonely, "nobody at the other end of", timeout_s)
     for monitor in monitors:
         if monitor.ghost:
             raise GraphError(monitor.sentence)
-    wait_until_known_to(node, [monitor.name for monitor in monitors], timeout_s=_PATIENCE)
+    probes = {
+        one.name: node.create_subscription(String, topic, lambda _: None, qos.LATCHED, raw=True)
+        for one in monitors
+        if node.count_publishers(topic := topics.alive(one.name))
+    }
+    answered: set[str] = set()
+
+    def silent() -> list[str]:
+        answered.update(
+            name for name, one in probes.items() if name not in answered and take_all(one)
+        )
+        return [name for name in probes if name not in answered]
+
+    try:
+        _wait_until_none(silent, "no answer from", timeout_s)
+    finally:
+        for probe in probes.values():
+            node.destroy_subscription(probe)
+
+
+def _wait_until_none(missing: Callable[[], list[str]], words: str, timeout_s: float) -> None:
+    deadline = time.monotonic() + timeout_s
+    while names := missing():
+        if time.monotonic() >= deadline:
+            raise GraphError(f"{words} {', '.join(names)}")
+        time.sleep(_POLL)

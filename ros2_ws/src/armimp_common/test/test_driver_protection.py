@@ -102,7 +102,7 @@ def test_a_command_more_than_samples_takes_the_torque_away_unless_it_is_zero(
 def test_first_commands_may_answer_any_of_the_last_samples(protection: Protection) -> None:
     for _ in range(100):
         protection.sample((0.0, 0.0))
-    for _ in range(WATCHDOG_PERIODS):
+    for _ in range(1 + WATCHDOG_PERIODS):
         protection.command((10.0, 0.0))
     assert not protection.fault
     protection.command((10.0, 0.0))

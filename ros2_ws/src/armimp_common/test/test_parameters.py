@@ -13,8 +13,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
-from armimp_common import parameters
 from armimp_common.errors import ConfigurationError
+from armimp_common.parameters import ParameterSet
 from armimp_common.schema import Schema
 
 
@@ -86,10 +86,9 @@ def test_when_file_and_command_line_give_values_expect_them(make_node: MakeNode)
         "count:=5",
     )
 
-    loaded = parameters.declare(node, Params)
+    loaded = ParameterSet(node, Params).load()
 
     assert loaded == Params(law=Law(gamma=7.0, mass=(1.0, 2.0)), count=5, quiet=True)
-    assert parameters.load(node, Params) == loaded
     assert node.get_parameter("law.gamma").type_ is Parameter.Type.DOUBLE
     assert node.get_parameter("law.mass").type_ is Parameter.Type.DOUBLE_ARRAY
 
@@ -97,9 +96,9 @@ def test_when_file_and_command_line_give_values_expect_them(make_node: MakeNode)
 def test_when_arrays_are_empty_expect_them_typed(make_node: MakeNode) -> None:
     node = make_node(file("joints: []", "law: {mass: []}"))
 
-    loaded = parameters.declare(node, Params)
+    parameters = ParameterSet(node, Params)
 
-    assert loaded == Params(joints=(), law=Law(mass=()))
+    assert parameters.load() == Params(joints=(), law=Law(mass=()))
     for name, kind in (
         ("joints", Parameter.Type.STRING_ARRAY),
         ("masks", Parameter.Type.BOOL_ARRAY),
@@ -109,7 +108,7 @@ def test_when_arrays_are_empty_expect_them_typed(make_node: MakeNode) -> None:
         assert node.get_parameter(name).type_ is kind
         assert list(node.get_parameter(name).value) == []
     assert set_parameter(node, "scales", [1.5]).successful
-    assert parameters.load(node, Params).scales == (1.5,)
+    assert parameters.load().scales == (1.5,)
 
 
 @pytest.mark.parametrize(
@@ -125,12 +124,12 @@ def test_when_file_is_wrong_expect_configuration_error_on_one_line(
     node = make_node(file(line))
 
     with pytest.raises(ConfigurationError, match=f"^{message}[^\n]*$"):
-        parameters.declare(node, Params)
+        ParameterSet(node, Params)
 
 
 def test_descriptors_carry_description_type_and_range(make_node: MakeNode) -> None:
     node = make_node()
-    parameters.declare(node, Params)
+    ParameterSet(node, Params)
 
     gamma = node.describe_parameter("law.gamma")
     assert gamma.description == "velocity feedback gain (rad/s)"
@@ -146,11 +145,10 @@ def test_descriptors_carry_description_type_and_range(make_node: MakeNode) -> No
 
 def test_when_guarded_expect_refusal_of_what_the_schema_refuses(make_node: MakeNode) -> None:
     node = make_node()
-    parameters.declare(node, Params)
-    parameters.guard(node, lambda: None)
+    parameters = ParameterSet(node, Params)
 
     assert set_parameter(node, "law.gamma", 5.0).successful
-    assert parameters.load(node, Params).law.gamma == 5.0
+    assert parameters.load().law.gamma == 5.0
     for name, value, reason in (
         ("law.gamma", 0.0, "greater than 0"),
         ("law.gamma", float("nan"), "law.gamma"),
@@ -161,4 +159,4 @@ def test_when_guarded_expect_refusal_of_what_the_schema_refuses(make_node: MakeN
         result = set_parameter(node, name, value)
         assert not result.successful
         assert reason in result.reason
-    assert parameters.load(node, Params) == Params(law=Law(gamma=5.0))
+    assert parameters.load() == Params(law=Law(gamma=5.0))

@@ -16,10 +16,11 @@ from rclpy.serialization import serialize_message
 from rclpy.subscription import Subscription
 from std_msgs.msg import String, UInt64
 
-from armimp_common import qos, topics
+from armimp_common import qos
 from armimp_common.cdr import decode_count
 from armimp_common.errors import GraphError, MalformedMessageError
 from armimp_common.executor import Spinner
+from armimp_common.heartbeat import HeartbeatMonitor
 from armimp_common.pubsub import (
     CommandPublisher,
     JointStatePublisher,
@@ -28,8 +29,7 @@ from armimp_common.pubsub import (
     subscribe_counts,
     subscribe_joint_states,
     take_all,
-    wait_until_known_to,
-    wait_until_matched,
+    wait_for_partners,
 )
 from support.graph import PATIENCE, eventually, raised
 
@@ -67,7 +67,7 @@ def test_when_bytes_are_malformed_expect_the_handler_called_instead(
             lambda *sample: good.append(sample),
             errors.append,
         )
-    assert not wait_until_matched(
+    wait_for_partners(
         node, publishers=[publisher], subscriptions=[subscription], timeout_s=PATIENCE
     )
 
@@ -86,17 +86,13 @@ def test_when_peers_are_missing_expect_their_topics_named(node: Node) -> None:
     subscription = subscribe_commands(node, "heard", 1, lambda *_: None, raised)
     start = time.monotonic()
 
-    lonely = wait_until_matched(
-        node, publishers=[publisher], subscriptions=[subscription], timeout_s=0.1
-    )
-
-    assert lonely == ("/spoken", "/heard")
+    with pytest.raises(GraphError, match=r"nobody at the other end of /spoken, /heard$"):
+        wait_for_partners(node, publishers=[publisher], subscriptions=[subscription], timeout_s=0.1)
     assert time.monotonic() - start >= 0.1
     subscribe_commands(node, "spoken", 1, lambda *_: None, raised)
-    assert not wait_until_matched(node, publishers=[publisher], timeout_s=PATIENCE)
-    assert wait_until_matched(
-        node, publishers=[publisher], subscriptions=[subscription], timeout_s=0.1
-    ) == ("/heard",)
+    wait_for_partners(node, publishers=[publisher], timeout_s=PATIENCE)
+    with pytest.raises(GraphError, match=r"nobody at the other end of /heard$"):
+        wait_for_partners(node, publishers=[publisher], subscriptions=[subscription], timeout_s=0.1)
 
 
 @pytest.fixture
@@ -119,9 +115,7 @@ def test_messages_wait_in_their_order_while_the_node_is_spun(poller: PollingNode
 
     poller.create_subscription(UInt64, "number", on_message, PROFILE)
     publisher = poller.create_publisher(UInt64, "number", PROFILE)
-    assert not wait_until_matched(
-        poller, publishers=[publisher], subscriptions=[polled], timeout_s=PATIENCE
-    )
+    wait_for_partners(poller, publishers=[publisher], subscriptions=[polled], timeout_s=PATIENCE)
 
     with Spinner([poller]) as spinner:
         for number in range(3):
@@ -147,7 +141,8 @@ def test_what_a_known_publisher_sends_from_now_on_arrives(
     node: Node, other: "subprocess.Popen[bytes]"
 ) -> None:
     question = node.create_publisher(String, "question", qos.SAMPLE)
-    assert not wait_until_matched(node, publishers=[question], timeout_s=PATIENCE)
+    monitor = HeartbeatMonitor(node, "other", lambda _: None)
+    wait_for_partners(node, publishers=[question], timeout_s=PATIENCE)
 
     with Spinner([node]) as spinner:
         # Often, since without the wait most of the answers would arrive as well.
@@ -157,7 +152,7 @@ def test_what_a_known_publisher_sends_from_now_on_arrives(
             other.send_signal(signal.SIGSTOP)
             threading.Timer(0.05, other.send_signal, [signal.SIGCONT]).start()
             listener = node.create_subscription(String, "answer", answers.append, qos.SAMPLE)
-            wait_until_known_to(node, ["other"], timeout_s=PATIENCE)
+            wait_for_partners(node, monitors=[monitor], timeout_s=PATIENCE)
             question.publish(String(data=f"{number}"))
             eventually(spinner, partial(bool, answers), "an answer")
             assert answers == [String(data=f"{number}")]
@@ -167,12 +162,12 @@ def test_what_a_known_publisher_sends_from_now_on_arrives(
 def test_when_a_node_gives_no_answer_expect_it_named_and_nothing_left_behind(
     node: Node, other: "subprocess.Popen[bytes]"
 ) -> None:
-    sign = node.create_subscription(String, topics.alive("other"), print, qos.LATCHED)
-    assert not wait_until_matched(node, subscriptions=[sign], timeout_s=PATIENCE)
+    monitor = HeartbeatMonitor(node, "other", lambda _: None)
+    wait_for_partners(node, subscriptions=[monitor.subscription], timeout_s=PATIENCE)
     before = len(list(node.subscriptions))
     other.send_signal(signal.SIGSTOP)
 
     with pytest.raises(GraphError, match="no answer from other"):
-        wait_until_known_to(node, ["other"], timeout_s=0.5)
+        wait_for_partners(node, monitors=[monitor], timeout_s=0.5)
 
     assert len(list(node.subscriptions)) == before

@@ -15,7 +15,7 @@ from rosgraph_msgs.msg import Clock
 
 from armimp_common.errors import ConfigurationError
 from armimp_common.executor import Spinner, refuse_simulated_time
-from armimp_common.parameters import declare
+from armimp_common.parameters import ParameterSet
 from armimp_common.schema import Schema
 from support.graph import CLOCK_STEPS, PATIENCE, eventually, set_clock
 
@@ -88,7 +88,7 @@ def simulated(context: Context) -> Iterator[Node]:
 
 def test_when_started_with_simulated_time_expect_a_refusal(simulated: Node) -> None:
     for begin in (
-        lambda: declare(simulated, Settings),
+        lambda: ParameterSet(simulated, Settings),
         lambda: Spinner([simulated]),
         lambda: refuse_simulated_time(simulated),
     ):
@@ -99,7 +99,7 @@ def test_when_started_with_simulated_time_expect_a_refusal(simulated: Node) -> N
 def test_when_simulated_time_is_set_later_expect_a_refusal_and_the_clock_as_it_was(
     node: Node,
 ) -> None:
-    declare(node, Settings)
+    ParameterSet(node, Settings)
     with Spinner([node]):
         pass
 

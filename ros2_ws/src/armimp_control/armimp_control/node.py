@@ -18,7 +18,7 @@ from armimp_common.errors import ArmimpError, GraphError, MalformedMessageError
 from armimp_common.executor import run_node, steady_timer
 from armimp_common.heartbeat import Heartbeat, HeartbeatMonitor, Presence
 from armimp_common.lifecycle import ManagedNode, reported
-from armimp_common.parameters import declare, guard, load, require_unchanged
+from armimp_common.parameters import ParameterSet
 from armimp_common.protection import first_bad
 from armimp_common.pubsub import (
     CommandPublisher,
@@ -84,13 +84,16 @@ class ImbicControllerNode(ManagedNode):
         self.create_service(Trigger, topics.CONTROLLER_RESET_SERVICE, self._on_reset)
         subscribe_counts(self, topics.RECEIVED, self._on_received)
         self.create_subscription(DiagnosticStatus, topics.STOPPING, self._on_decision, qos.LATCHED)
-        declare(self, ControllerParameters)
-        guard(self, lambda: "a trial is running" if self._active else None)
+        self._declared = ParameterSet(
+            self,
+            ControllerParameters,
+            locked=lambda: "a trial is running" if self._active else None,
+        )
 
     @reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Check the parameters and the stability of the loop; make the topics."""
-        parameters = self._settings = load(self, ControllerParameters)
+        parameters = self._settings = self._declared.load()
         names = parameters.joints
         for warning in self._prepare().warnings:
             self.get_logger().warning(warning)
@@ -121,7 +124,7 @@ class ImbicControllerNode(ManagedNode):
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Wait for the other end, then answer samples; refused while a fault is latched."""
-        require_unchanged(self)
+        self._declared.require_unchanged()
         if self._fault:
             raise GraphError(
                 f"a fault is latched: {self._fault}; call {topics.CONTROLLER_RESET_SERVICE} first"

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
-from armimp_common.sizes import JOINT_SIZES
+from armimp_common.sizes import joint_sizes
 from armimp_common.topics import PERIOD
 from armimp_control.perturbation import PerturbationKind, PerturbationParameters
 from armimp_control.safety_limiter import SafetyParameters
@@ -84,7 +84,7 @@ def perturbation(
     # Rounded, so that the peaks of Table III are exact.
     return PerturbationParameters(
         kind=kind,
-        peak=tuple(level * round(_PEAK * size, 6) for size in _sizes("perturbation", joints)),
+        peak=tuple(level * round(_PEAK * size, 6) for size in joint_sizes("perturbation", joints)),
     )
 
 
@@ -117,7 +117,7 @@ def safety(
     peak : largest of the perturbation, N·m
     internal_model : observer or tde
     """
-    sizes = _sizes("safety limits", joints)
+    sizes = joint_sizes("safety limits", joints)
     if internal_model == "observer":
         torque = round(3.0 * peak, 6)
         rate, power = torque / PERIOD, 80.0
@@ -155,14 +155,5 @@ def unknown_torque(joints: int) -> tuple[NDArray[np.float64], NDArray[np.float64
     so, hardly changes. Both are in proportion to the size of the joint, see
     :data:`armimp_common.sizes.JOINT_SIZES`.
     """
-    sizes = np.array(_sizes("observer", joints))
+    sizes = np.array(joint_sizes("observer", joints))
     return 0.4 * sizes, 0.02 * sizes
-
-
-def _sizes(what: str, joints: int) -> tuple[float, ...]:
-    if joints not in JOINT_SIZES:
-        raise ConfigurationError(
-            f"there is no preset of {what} for {joints} joints, only for "
-            f"{min(JOINT_SIZES)} to {max(JOINT_SIZES)}"
-        )
-    return JOINT_SIZES[joints]

@@ -30,7 +30,7 @@ from armimp_common.errors import (
 from armimp_common.executor import run_node, steady_timer
 from armimp_common.heartbeat import Heartbeat, HeartbeatMonitor
 from armimp_common.lifecycle import ManagedNode, reported
-from armimp_common.parameters import declare, guard, load, require_unchanged
+from armimp_common.parameters import ParameterSet
 from armimp_common.pubsub import (
     PollingNode,
     subscribe_raw,
@@ -87,13 +87,16 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         self._trial = self.create_subscription(
             DiagnosticStatus, topics.TRIAL, self._on_trial, qos.LATCHED
         )
-        declare(self, EstimatorParameters)
-        guard(self, lambda: "a trial is being recorded" if self._active else None)
+        self._declared = ParameterSet(
+            self,
+            EstimatorParameters,
+            locked=lambda: "a trial is being recorded" if self._active else None,
+        )
 
     @reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Make the topics."""
-        self._settings = load(self, EstimatorParameters)
+        self._settings = self._declared.load()
         # The stopping rule sees only what has been recorded.
         self._together = topics.RECEIVED_EVERY if self._settings.target_error else TOGETHER
         self._metadata = self._settings.bag_metadata()
@@ -142,7 +145,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Wait for the streams, then record."""
-        require_unchanged(self)
+        self._declared.require_unchanged()
         wait_for_partners(
             self,
             subscriptions=[*self._streams, self._trial],

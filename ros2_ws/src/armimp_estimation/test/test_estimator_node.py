@@ -18,7 +18,7 @@ from std_msgs.msg import Float64MultiArray
 from armimp_common import qos, topics
 from armimp_common.cdr import decode_trial_status, encode_trial_status
 from armimp_common.executor import Spinner
-from armimp_common.pubsub import subscribe_raw, wait_until_matched
+from armimp_common.pubsub import subscribe_raw, wait_for_partners
 from armimp_common.schema import Value
 from armimp_common.status import Level, Phase
 from armimp_common.topics import COMMANDS, RESULT, TRIAL
@@ -93,7 +93,7 @@ class Script:
         wait_until(
             lambda: all(one.get_subscription_count() >= 2 for one in publishers), "who listens"
         )
-        assert not wait_until_matched(self.node, subscriptions=self.people, timeout_s=PATIENCE)
+        wait_for_partners(self.node, subscriptions=self.people, timeout_s=PATIENCE)
 
     def play(self, spinner: Spinner, messages: Iterable[Message]) -> None:
         """Publish messages no faster than they are received."""

@@ -15,7 +15,6 @@ from armimp_common.driver_base import ProtectedDriver
 from armimp_common.errors import ArmimpError, MalformedMessageError
 from armimp_common.executor import run_node, steady_timer
 from armimp_common.lifecycle import reported
-from armimp_common.parameters import load, require_unchanged
 from armimp_common.protection import Protection
 from armimp_common.pubsub import CommandPublisher, subscribe_raw
 from armimp_common.realtime import RealtimeScheduling
@@ -32,7 +31,7 @@ _SILENCE_PERIOD = 0.01
 _REPORT_CHECKS = 100
 
 
-class Ros2ControlBridge(ProtectedDriver):
+class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
     """Splits joint states into angles and torques, and lets commands through its protection."""
 
     def __init__(self, **kwargs: Any) -> None:
@@ -43,7 +42,7 @@ class Ros2ControlBridge(ProtectedDriver):
     @reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Read the parameters, and make the topics of both sides."""
-        parameters = self._settings = load(self, BridgeParameters)
+        parameters = self._settings = self.declared.load()
         names = parameters.joints
         self._readings = Readings(parameters)
         protection = Protection(len(names), parameters.limits)
@@ -58,7 +57,7 @@ class Ros2ControlBridge(ProtectedDriver):
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Begin to pass samples and commands on, once both sides are there."""
-        require_unchanged(self)
+        self.declared.require_unchanged()
         self.wait_for_controller([self._efforts], [self._states])
         self._scheduling.take(self._settings.realtime.priority)
         self._stamps = Stamps()

@@ -11,7 +11,7 @@ from std_msgs.msg import Float64MultiArray
 
 from armimp_common import topics
 from armimp_common.executor import Spinner
-from armimp_common.pubsub import wait_until_matched
+from armimp_common.pubsub import wait_for_partners
 from armimp_common.status import to_time
 from armimp_common.topics import PERIOD_NS
 from armimp_ros2_control.node import EFFORTS, STATES, Ros2ControlBridge
@@ -101,9 +101,7 @@ def waiting(node: Node, spinner: Spinner, bridge: PatientBridge) -> World:
     """Both sides of it."""
     world = World(node, spinner)
     heard = [world.efforts, *world.subscriptions]
-    assert not wait_until_matched(
-        node, publishers=[world.commands], subscriptions=heard, timeout_s=PATIENCE
-    )
+    wait_for_partners(node, publishers=[world.commands], subscriptions=heard, timeout_s=PATIENCE)
     return world
 
 
@@ -111,8 +109,8 @@ def waiting(node: Node, spinner: Spinner, bridge: PatientBridge) -> World:
 def world(waiting: World, node: Node, bridge: PatientBridge) -> World:
     assert bridge.trigger_activate() is SUCCESS
     eventually(waiting.spinner, lambda: waiting.told == [ZERO], "no torque to begin with")
-    assert not wait_until_matched(node, publishers=[waiting.states], timeout_s=PATIENCE)
-    assert not wait_until_matched(bridge, subscriptions=[bridge._states], timeout_s=PATIENCE)
+    wait_for_partners(node, publishers=[waiting.states], timeout_s=PATIENCE)
+    wait_for_partners(bridge, subscriptions=[bridge._states], timeout_s=PATIENCE)
     return waiting
 
 

@@ -15,7 +15,6 @@ from armimp_common.errors import ArmimpError, GraphError
 from armimp_common.executor import run_node, steady_timer
 from armimp_common.heartbeat import HeartbeatMonitor, Presence
 from armimp_common.lifecycle import reported
-from armimp_common.parameters import load, require_unchanged
 from armimp_common.pubsub import subscribe_counts, wait_for_partners
 from armimp_common.realtime import Pacer, RealtimeScheduling
 from armimp_common.status import make_array, status_message, to_time
@@ -30,7 +29,7 @@ _TIMING_TICKS = 100
 """Ticks between two reports of the timing in realtime."""
 
 
-class ArmSimNode(DriverBase[SimulatedRig]):
+class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
     """Publishes samples: one for each command (lockstep), or one each millisecond (realtime)."""
 
     def __init__(self, **kwargs: Any) -> None:
@@ -45,7 +44,7 @@ class ArmSimNode(DriverBase[SimulatedRig]):
     @reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Build the rig and its topics from the parameters."""
-        parameters = self._settings = load(self, SimulatorParameters)
+        parameters = self._settings = self.declared.load()
         rig = SimulatedRig(parameters)
         self.set_up(rig, parameters.joints, self._on_command, self._on_malformed)
         self._clock_publisher = self.create_publisher(Clock, topics.CLOCK, qos.CLOCK)
@@ -60,7 +59,7 @@ class ArmSimNode(DriverBase[SimulatedRig]):
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Send the first sample, once somebody listens and commands."""
-        require_unchanged(self)
+        self.declared.require_unchanged()
         wait_for_partners(
             self,
             publishers=[self.joint_states, self.torque_sensors],

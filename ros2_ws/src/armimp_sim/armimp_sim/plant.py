@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,25 @@ class IntegrationError(ArmimpError):
     """The explicit integration left its stability region or produced non-finite numbers."""
 
 
+class Batch(NamedTuple):
+    """A batch of plants as compiled code takes it."""
+
+    w: NDArray[np.float64]
+    joints: Tag
+    width: Tag
+    """As in :mod:`armimp_sim.dynamics`."""
+    substeps: int
+    step: float
+    """Number and length (s) of the RK4 steps of a period."""
+    interval_mean: bool
+    """Whether torque is the mean over the period."""
+    resolutions: NDArray[np.float64]
+    """(lanes, 2) of encoders, rad, and torque transducers, N·m."""
+    position: NDArray[np.float64]
+    torque: NDArray[np.float64]
+    """(lanes, n) readings, rad and N·m."""
+
+
 class Plant:
     """A batch of plants, one per lane, that share numbers of joints and time step.
 
@@ -37,11 +57,10 @@ class Plant:
     Attributes
     ----------
     config : the first of them
-    step : of the integration, s
     position : (lanes, n) encoder readings θ, rad
     torque : (lanes, n) torque transducer readings, torque on the arm, N·m
+    batch : all of it, for :func:`tick`
     real : of :mod:`armimp_sim.real_rig`; None where all rigs are ideal
-    fixed : what :func:`tick` takes first, up to the resolutions
 
     Raises
     ------
@@ -58,31 +77,28 @@ class Plant:
                     "plant: lanes must agree in joints, substeps, sampling, and in having a soft "
                     "cuff"
                 )
-        self.config, self.step = first, period / first.substeps
+        self.config = first
         n, lanes = first.arm.joints, len(configs)
         width = dynamics.width_for(lanes)
         blocks = -(-lanes // width)
         coordinates = n * (1 + first.soft)
-        self.batch = np.zeros((blocks, dynamics.rows(coordinates) * width))
-        self.joint_tag, self.width_tag = (0.0,) * coordinates, (0.0,) * width
-        self.resolutions = np.array(
-            [(c.sensors.position.resolution, c.sensors.torque.resolution) for c in configs]
+        self.position, self.torque = np.zeros((lanes, n)), np.zeros((lanes, n))
+        self.batch = Batch(
+            w=np.zeros((blocks, dynamics.rows(coordinates) * width)),
+            joints=(0.0,) * coordinates,
+            width=(0.0,) * width,
+            substeps=first.substeps,
+            step=period / first.substeps,
+            interval_mean=first.sensors.sampling is Sampling.INTERVAL_MEAN,
+            resolutions=np.array(
+                [(c.sensors.position.resolution, c.sensors.torque.resolution) for c in configs]
+            ),
+            position=self.position,
+            torque=self.torque,
         )
-        self.real = real_rig.real_rig(configs, self.step)
-        self.fixed = (
-            self.batch,
-            self.joint_tag,
-            self.width_tag,
-            first.substeps,
-            self.step,
-            first.sensors.sampling is Sampling.INTERVAL_MEAN,
-            self.real,
-            self.resolutions,
-        )
+        self.real = real_rig.real_rig(configs, self.batch.step)
         self._at_first = None if self.real is None else [one.copy() for one in self.real]
         self._noise = np.zeros((lanes, 2, n))
-        self.position = np.zeros((lanes, n))
-        self.torque = np.zeros((lanes, n))
         for lane in range(blocks * width):
             # The last block is filled up with plants that nothing ever moves.
             self._of_lane(lane)[:] = _pack(configs[min(lane, lanes - 1)])
@@ -118,12 +134,11 @@ class Plant:
             )
         if noise.shape != self._noise.shape:
             raise ValueError(f"plant: noise {noise.shape} must be {self._noise.shape}")
-        ratio = tick(*self.fixed, command, voluntary, noise, self.position, self.torque)
-        check_ratio(ratio, self.step)
+        check_ratio(tick(self.batch, self.real, command, voluntary, noise), self.batch.step)
 
     def state(self) -> NDArray[np.float64]:
         """Exact (θ, v, z) of every lane: (lanes, 3, n), 2n with a soft cuff. A copy."""
-        n, lanes = len(self.joint_tag), len(self.position)
+        n, lanes = len(self.batch.joints), len(self.position)
         return np.array([self._of_lane(lane)[: 3 * n].reshape(3, n) for lane in range(lanes)])
 
     def set_state(self, state: NDArray[np.float64]) -> None:
@@ -139,20 +154,20 @@ class Plant:
 
     def _of_lane(self, lane: int) -> NDArray[np.float64]:
         """All quantities of one lane, a view."""
-        blocks, width = len(self.batch), len(self.width_tag)
-        of_lane: NDArray[np.float64] = self.batch.reshape(blocks, -1, width)[
+        blocks, width = len(self.batch.w), len(self.batch.width)
+        of_lane: NDArray[np.float64] = self.batch.w.reshape(blocks, -1, width)[
             lane // width, :, lane % width
         ]
         return of_lane
 
     def _sample(self) -> None:
+        w, joints, width, _, step, *_ = self.batch
         if self.real is None:
-            dynamics.sample_now(self.batch, self.joint_tag, self.width_tag)
-            arguments = self.batch, self.joint_tag, self.width_tag, self.resolutions
-            read(*arguments, self.position, self.torque)
+            dynamics.sample_now(w, joints, width)
+            read(self.batch)
         else:
-            real_rig.settle(self.batch, self.joint_tag, self.width_tag, self.real, self.step)
-            real_rig.read(self.real, 1, self.step, self._noise, self.position, self.torque)
+            real_rig.settle(w, joints, width, self.real, step)
+            real_rig.read(self.real, 1, step, self._noise, self.position, self.torque)
 
 
 def _shared(config: SimulatorParameters) -> tuple[object, ...]:
@@ -211,23 +226,10 @@ def _pack(config: SimulatorParameters) -> NDArray[np.float64]:
 
 
 @compiled_entry
-def read(
-    w: NDArray[np.float64],
-    joints: Tag,
-    width: Tag,
-    resolutions: NDArray[np.float64],
-    position: NDArray[np.float64],
-    torque: NDArray[np.float64],
-) -> None:
-    """Quantised readings of the present sample.
-
-    Parameters
-    ----------
-    w, joints, width : the batch, as in :mod:`armimp_sim.dynamics`
-    resolutions : (lanes, 2) of encoders, rad, and torque transducers, N·m
-    position, torque : (lanes, n), written, rad and N·m
-    """
-    n, m = len(joints), len(width)
+def read(batch: Batch) -> None:
+    """Take quantised readings of the present sample."""
+    w, n, m = batch.w, len(batch.joints), len(batch.width)
+    resolutions, position, torque = batch.resolutions, batch.position, batch.torque
     for lane in range(position.shape[0]):
         for i in range(position.shape[1]):
             angle = w[dynamics.place(lane, dynamics.THETA * n + i, m)]
@@ -237,39 +239,34 @@ def read(
 
 
 @compiled_entry
-def tick(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
-    w: NDArray[np.float64],
-    joints: Tag,
-    width: Tag,
-    substeps: int,
-    step: float,
-    interval_mean: bool,
+def tick(
+    batch: Batch,
     real: RealRig | None,
-    resolutions: NDArray[np.float64],
     command: NDArray[np.float64],
     voluntary: NDArray[np.float64],
     noise: NDArray[np.float64],
-    position: NDArray[np.float64],
-    torque: NDArray[np.float64],
 ) -> float:
     """One period of all lanes: hold the inputs, integrate, read.
 
     Parameters
     ----------
-    w, joints, width : the batch, as in :mod:`armimp_sim.dynamics`
-    substeps, step : number and length (s) of the RK4 steps
-    interval_mean : whether torque is the mean over the period
+    batch : Batch, updated
     real : of :mod:`armimp_sim.real_rig`, updated; None where all rigs are ideal
-    resolutions : (lanes, 2) of encoders, rad, and torque transducers, N·m
     command, voluntary : (lanes, n) N·m
     noise : (lanes, 2, n) on readings of angles and torques, rad and N·m, where a rig is real
-    position, torque : (lanes, n), written, rad and N·m
 
     Returns
     -------
     float
         Largest h·σ0|v|/g(v) at the end, for :func:`check_ratio`.
     """
+    w, joints, width, substeps, step = (
+        batch.w,
+        batch.joints,
+        batch.width,
+        batch.substeps,
+        batch.step,
+    )
     n, m = len(joints), len(width)
     used = command.shape[1]
     for lane in range(command.shape[0]):
@@ -280,8 +277,10 @@ def tick(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     # Of the two only the one that is needed gets compiled, as None is a type.
     if real is None:
         dynamics.advance(w, joints, width, substeps, step)
-        read(w, joints, width, resolutions, position, torque)
+        read(batch)
     else:
-        real_rig.advance(w, joints, width, substeps, step, interval_mean, real)
-        real_rig.read(real, substeps if interval_mean else 1, step, noise, position, torque)
+        mean = batch.interval_mean
+        real_rig.advance(w, joints, width, substeps, step, mean, real)
+        count = substeps if mean else 1
+        real_rig.read(real, count, step, noise, batch.position, batch.torque)
     return dynamics.stiffness_ratio(w, joints, width, step)

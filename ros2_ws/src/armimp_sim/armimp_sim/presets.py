@@ -8,12 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
-from armimp_common.sizes import JOINT_SIZES
+from armimp_common.sizes import joint_sizes
 from armimp_sim.model.arm import CuffParameters, HumanArm
 from armimp_sim.model.friction import LuGre
 from armimp_sim.model.robot import ActuatorParameters, PlanarChain
 from armimp_sim.model.sensors import ReadingParameters, Sampling, SensorParameters
 from armimp_sim.voluntary import VoluntaryParameters
+
+
+def _flat(values: NDArray[np.float64]) -> tuple[float, ...]:
+    return tuple(values.ravel().tolist())
+
+
+def _radians(*degrees: float) -> tuple[float, ...]:
+    return _flat(np.radians(degrees))
+
 
 LEVELS = (0, 1, 2, 3)
 
@@ -36,6 +45,34 @@ _FRICTION = (
     LuGre(coulomb=(1.0,), static=(1.25,), sigma_0=(1000.0,), sigma_1=(2.0,), sigma_2=(0.10,)),
     LuGre(coulomb=(2.0,), static=(2.5,), sigma_0=(2000.0,), sigma_1=(4.0,), sigma_2=(0.20,)),
 )
+
+_ARMS = {
+    1: HumanArm(posture=_radians(77.260), inertia=(0.060,), damping=(0.407,), stiffness=(6.901,)),
+    2: HumanArm(
+        posture=_radians(62.708, 77.260),
+        inertia=(0.187, 0.084, 0.079, 0.060),
+        damping=(0.651, 0.239, 0.236, 0.407),
+        stiffness=(7.967, 3.187, 1.663, 6.901),
+    ),
+    3: HumanArm(
+        posture=_radians(62.708, 77.260, 15.0),
+        inertia=(0.187, 0.084, 0.0095, 0.079, 0.060, 0.0080, 0.0090, 0.0075, 0.0050),
+        damping=(0.651, 0.239, 0.030, 0.236, 0.407, 0.040, 0.028, 0.036, 0.070),
+        stiffness=(7.967, 3.187, 0.40, 1.663, 6.901, 0.55, 0.30, 0.45, 1.60),
+    ),
+}
+_ROBOTS = {
+    1: PlanarChain(lengths=(0.35,), moments=(0.18,), masses=(0.75,), centres=(0.22,)),
+    2: PlanarChain(
+        lengths=(0.30, 0.35), moments=(0.085, 0.18), masses=(0.0, 0.75), centres=(0.0, 0.22)
+    ),
+    3: PlanarChain(
+        lengths=(0.30, 0.25, 0.10),
+        moments=(0.085, 0.16, 0.015),
+        masses=(0.0, 0.60, 0.20),
+        centres=(0.0, 0.15, 0.04),
+    ),
+}
 
 Rig = Literal["paper", "realistic"]
 
@@ -62,26 +99,8 @@ def human_arm(joints: int) -> HumanArm:
     ConfigurationError
         If there is no preset for that number of joints.
     """
-    _check_joints("arm", joints)
-    if joints == 1:
-        return HumanArm(
-            posture=_radians(77.260), inertia=(0.060,), damping=(0.407,), stiffness=(6.901,)
-        )
-    if joints == 2:
-        return HumanArm(
-            posture=_radians(62.708, 77.260),
-            inertia=(0.187, 0.084, 0.079, 0.060),
-            damping=(0.651, 0.239, 0.236, 0.407),
-            stiffness=(7.967, 3.187, 1.663, 6.901),
-        )
-    if joints == 3:
-        return HumanArm(
-            posture=_radians(62.708, 77.260, 15.0),
-            inertia=(0.187, 0.084, 0.0095, 0.079, 0.060, 0.0080, 0.0090, 0.0075, 0.0050),
-            damping=(0.651, 0.239, 0.030, 0.236, 0.407, 0.040, 0.028, 0.036, 0.070),
-            stiffness=(7.967, 3.187, 0.40, 1.663, 6.901, 0.55, 0.30, 0.45, 1.60),
-        )
-    return _even_arm(joints)
+    joint_sizes("arm", joints)
+    return _ARMS[joints] if joints in _ARMS else _even_arm(joints)
 
 
 def robot(joints: int) -> PlanarChain:
@@ -94,21 +113,8 @@ def robot(joints: int) -> PlanarChain:
     ConfigurationError
         If there is no preset for that number of joints.
     """
-    _check_joints("robot", joints)
-    if joints == 1:
-        return PlanarChain(lengths=(0.35,), moments=(0.18,), masses=(0.75,), centres=(0.22,))
-    if joints == 2:
-        return PlanarChain(
-            lengths=(0.30, 0.35), moments=(0.085, 0.18), masses=(0.0, 0.75), centres=(0.0, 0.22)
-        )
-    if joints == 3:
-        return PlanarChain(
-            lengths=(0.30, 0.25, 0.10),
-            moments=(0.085, 0.16, 0.015),
-            masses=(0.0, 0.60, 0.20),
-            centres=(0.0, 0.15, 0.04),
-        )
-    return _even_robot(joints)
+    joint_sizes("robot", joints)
+    return _ROBOTS[joints] if joints in _ROBOTS else _even_robot(joints)
 
 
 def friction(level: int, joints: int) -> LuGre:
@@ -123,8 +129,8 @@ def friction(level: int, joints: int) -> LuGre:
         If there is no such level, or no preset for that number of joints.
     """
     law = _FRICTION[_checked("friction", level)]
-    _check_joints("friction", joints)
-    named = zip(JOINT_NAMES[joints], JOINT_SIZES[joints], strict=True)
+    sizes = joint_sizes("friction", joints)
+    named = zip(JOINT_NAMES[joints], sizes, strict=True)
     return law.scaled([1.0 if name in _PAPER_JOINTS else size for name, size in named])
 
 
@@ -149,8 +155,8 @@ def realistic(joints: int) -> dict[str, Any]:
 
     All of it is assumption. With four joints and more, cuff and person suit the smallest joint.
     """
-    _check_joints("rig", joints)
-    size = 1.0 if joints <= 3 else min(JOINT_SIZES[joints])
+    smallest = min(joint_sizes("rig", joints))
+    size = 1.0 if joints <= 3 else smallest
     return {
         # A servo drive, and one cycle of a field bus.
         "actuators": ActuatorParameters(bandwidth=200.0, delay=0.001),
@@ -162,32 +168,16 @@ def realistic(joints: int) -> dict[str, Any]:
     }
 
 
-def _radians(*degrees: float) -> tuple[float, ...]:
-    return _flat(np.radians(degrees))
-
-
-def _flat(values: NDArray[np.float64]) -> tuple[float, ...]:
-    return tuple(values.ravel().tolist())
-
-
 def _checked(name: str, level: int) -> int:
     if level not in LEVELS:
         raise ConfigurationError(f"{name} level must be one of {LEVELS}, got {level}")
     return level
 
 
-def _check_joints(what: str, joints: int) -> None:
-    if joints not in JOINT_NAMES:
-        raise ConfigurationError(
-            f"there is no preset {what} with {joints} joints, only with "
-            f"{min(JOINT_NAMES)} to {max(JOINT_NAMES)}"
-        )
-
-
 def _even_arm(joints: int) -> HumanArm:
     """The arm with 4 to 7 joints."""
     posture = _posture(joints)
-    size = np.array(JOINT_SIZES[joints])
+    size = np.array(joint_sizes("arm", joints))
     mean_size = np.sqrt(np.outer(size, size))
     distance = np.arange(joints) - np.arange(joints)[:, None]
     coupling = np.where(distance > 0, *_STIFFNESS_COUPLING)

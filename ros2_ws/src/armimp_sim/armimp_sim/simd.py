@@ -191,42 +191,16 @@ def _power_of_two_typed(_typing: Any, kind: Any) -> Any:
     return kind(kind), codegen
 
 
-_load = cast("Callable[[NDArray[float64], int, Tag], float]", intrinsic(_load_typed))
-_store = cast("Callable[[NDArray[float64], int, float], None]", intrinsic(_store_typed))
-_fill = cast("Callable[[float, Tag], float]", intrinsic(_fill_typed))
-_where_less = cast("Callable[[float, float, float, float], float]", intrinsic(_where_less_typed))
+load = cast("Callable[[NDArray[float64], int, Tag], float]", intrinsic(_load_typed))
+"""Numbers of a C-contiguous array from a flat index on, as many as the tag has elements."""
+store = cast("Callable[[NDArray[float64], int, float], None]", intrinsic(_store_typed))
+"""Put the numbers of a value into a C-contiguous array from a flat index on."""
+fill = cast("Callable[[float, Tag], float]", intrinsic(_fill_typed))
+"""One float in every lane."""
+where_less = cast("Callable[[float, float, float, float], float]", intrinsic(_where_less_typed))
+"""Of a, b, x, y: x in lanes where a < b, else y (also where one of the two is not a number)."""
 _power_of_two = cast("Callable[[float], float]", intrinsic(_power_of_two_typed))
-
-
-@compiled
-def load(array: NDArray[float64], index: int, width: Tag) -> float:
-    """Numbers of a C-contiguous array from a flat index on, as many as ``width`` has elements."""
-    return _load(array, index, width)
-
-
-@compiled
-def store(array: NDArray[float64], index: int, value: float) -> None:
-    """Put the numbers of a value into a C-contiguous array from a flat index on."""
-    _store(array, index, value)
-
-
-@compiled
-def fill(value: float, width: Tag) -> float:
-    """One float in every lane."""
-    return _fill(value, width)
-
-
-@compiled
-def where_less(a: float, b: float, x: float, y: float) -> float:
-    """``x`` in lanes where a < b, else ``y`` (also where one of the two is not a number)."""
-    return _where_less(a, b, x, y)
-
-
-@compiled
-def power_of_two(rounded: float) -> float:
-    """2**k from the float ``k + 1.5 * 2**52``, the lowest bits of which hold the integer k."""
-    return _power_of_two(rounded)
-
+"""2**k from the float ``k + 1.5 * 2**52``, the lowest bits of which hold the integer k."""
 
 # --- elementary functions ------------------------------------------------------------------------
 #
@@ -283,7 +257,7 @@ def exp_minus(y: float) -> float:
     p = p * r + 0.5
     p = p * r + 1.0
     p = p * r + 1.0
-    return p * power_of_two(shifted)
+    return p * _power_of_two(shifted)
 
 
 @compiled

@@ -7,14 +7,13 @@ not.
 from __future__ import annotations
 
 import threading
-from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.protection import WATCHDOG_PERIODS, TorqueLatch, first_bad
+from armimp_common.protection import WATCHDOG_PERIODS, CommandWatch, TorqueLatch, first_bad
 from armimp_common.realtime import Pacer, TimingMeter, wake_up_exactly
 from armimp_common.status import TimingFigures
 from armimp_common.topics import PERIOD_NS
@@ -22,7 +21,7 @@ from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import IntegrationError, Plant
 from armimp_sim.voluntary import reading_noise, voluntary_torque
 
-UNHEARD_TICKS = 100
+HEARD_TICKS = 100
 """If the first command comes later than that, in periods, what was sent before was not heard."""
 _PATIENCE = 2.0
 
@@ -126,13 +125,10 @@ class RealtimeSimulator:
         watchdog_ticks: int = WATCHDOG_PERIODS,
     ) -> None:
         self._rig, self._send, self._pacer = rig, send, pacer
-        self._patience = watchdog_ticks
         self._command: tuple[float, ...] = (0.0,) * rig.position.size
-        self._ledger = TimingMeter()
-        self._unanswered: deque[int] = deque(maxlen=10_000)
-        self._began = self._arrived = self._stepped = self._in_step = False
-        self._silent = self._spare = 0
-        self._unheard = UNHEARD_TICKS
+        self._meter = TimingMeter()
+        self._watch = CommandWatch(watchdog_ticks, HEARD_TICKS)
+        self._stepped = False
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._run, name="pacing", daemon=True)
         self.lock = threading.RLock()
@@ -173,16 +169,12 @@ class RealtimeSimulator:
         """
         with self.lock:
             self._rig.reset()
-            self._unanswered.clear()
-            self._began = self._arrived = self._in_step = False
-            self._silent, self._spare = 0, self._patience
-            # Whoever commanded before the fault has to begin anew, too.
-            self._unheard = self._patience
+            self._watch.reset()
 
     def figures(self) -> TimingFigures:
         """Timing since the start."""
         with self.lock:
-            return self._ledger.figures()
+            return self._meter.figures()
 
     def begin(self) -> None:
         """Send the first sample; its deadline is now. Part of the thread."""
@@ -193,52 +185,30 @@ class RealtimeSimulator:
     def advance(self, tick: int) -> None:
         """Send the sample of a tick whose deadline has come. Part of the thread."""
         with self.lock:
-            self._silent = 0 if self._arrived or not self._began else self._silent + 1
-            self._arrived = False
+            reason = self._watch.period()
             if not self._stepped:
-                self._ledger.missed()
-                self._look_after_itself()
+                self._meter.missed()
+                if reason:
+                    self._rig.fade(reason)
                 self._rig.step(self._command)
             self._sample(tick)
-
-    def _look_after_itself(self) -> None:
-        if self._silent >= self._patience:
-            self._rig.fade(f"no command for {self._patience} ticks")
-        elif self._in_step and len(self._unanswered) > self._patience:
-            self._rig.fade(f"commands are more than {self._patience} ticks behind")
 
     def _sample(self, tick: int) -> None:
         sent_ns = self._pacer.now()
         self._send()
-        self._ledger.sent(self._pacer.deadline_ns(tick), sent_ns)
-        self._unanswered.append(sent_ns)
+        self._meter.sent(self._pacer.deadline_ns(tick), sent_ns)
+        self._watch.sample(sent_ns)
         self._stepped = False
 
     def _arrive(self, now_ns: int) -> None:
-        if not self._began:
-            self._forget_unheard()
-        self._began = self._arrived = True
-        if self._unanswered:
-            self._ledger.answered(now_ns - self._unanswered.popleft())
-        elif self._spare:
-            self._spare -= 1
-        elif any(self._command):
-            self._rig.latch("more commands than samples")
-        if not self._unanswered and not self._stepped:
-            self._stepped = self._in_step = True
+        reason = self._watch.command(self._command)
+        if self._watch.answered_ns is not None:
+            self._meter.answered(now_ns - self._watch.answered_ns)
+        if reason:
+            self._rig.latch(reason)
+        if not self._watch.owed and not self._stepped:
+            self._stepped = True
             self._rig.step(self._command)
-
-    def _forget_unheard(self) -> None:
-        """Expect no answers from a controller that was not there yet; they will never come.
-
-        Who is only slow to start, or always late, answers what he has heard: that is counted.
-        """
-        if len(self._unanswered) > self._unheard:
-            newest = self._unanswered.pop()
-            self._unanswered.clear()
-            self._unanswered.append(newest)
-            # Which of the last samples is answered first is not known.
-            self._spare = self._patience
 
     def _run(self) -> None:
         wake_up_exactly()

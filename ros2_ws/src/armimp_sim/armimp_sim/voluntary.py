@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from armimp_common.schema import Schema
@@ -64,73 +63,49 @@ def band_filter(edges: tuple[float, ...]) -> tuple[NDArray[np.float64], float]:
     return sos, float(np.sqrt(np.mean(np.abs(response) ** 2)))
 
 
-class NoiseStream:
-    """Endless, reproducible Gaussian noise in columns, independent of how the stream is cut.
+def _blocks(
+    rms: Sequence[float], *, seed: int, stream: int, edges: tuple[float, ...] = ()
+) -> Iterator[NDArray[np.float64]]:
+    """Gaussian noise with these rms in its columns, block after block; white without edges (Hz)."""
+    strength = np.array(rms)
+    random = np.random.default_rng(np.random.SeedSequence([seed, stream]))
+    if edges:
+        from scipy import signal
 
-    Parameters
-    ----------
-    rms : (columns,)
-    seed, stream : of the experiment, and which of its random streams
-    edges : of a low-pass (one) or band-pass (two), Hz; none for white noise
-    """
-
-    def __init__(
-        self,
-        rms: ArrayLike,
-        *,
-        seed: int,
-        stream: int,
-        edges: tuple[float, ...] = (),
-    ) -> None:
-        self._rms = np.asarray(rms, dtype=np.float64)
-        self._random = np.random.default_rng(np.random.SeedSequence([seed, stream]))
-        self._sos: Any = None
+        sos, passed = band_filter(edges)
+        state, strength = np.zeros((len(sos), strength.size, 2)), strength / passed
+    while True:
+        noise = random.standard_normal((_BLOCK, strength.size)) * strength
         if edges:
-            self._sos, passed = band_filter(edges)
-            self._state = np.zeros((self._sos.shape[0], self._rms.size, 2))
-            self._rms = self._rms / passed
-        self._block = np.zeros((0, self._rms.size))
-        self._next = 0
-
-    def take(self, ticks: int) -> NDArray[np.float64]:
-        """Noise (ticks, columns) of the next ticks."""
-        parts = [np.zeros((0, self._rms.size))]
-        while ticks > 0:
-            if self._next == len(self._block):
-                self._refill()
-            part = self._block[self._next : self._next + ticks]
-            self._next += len(part)
-            ticks -= len(part)
-            parts.append(part)
-        return np.concatenate(parts)
-
-    def _refill(self) -> None:
-        noise = self._random.standard_normal((_BLOCK, self._rms.size)) * self._rms
-        if self._sos is not None:
-            from scipy import signal
-
-            filtered, self._state = signal.sosfilt(self._sos, noise.T, axis=-1, zi=self._state)
+            filtered, state = signal.sosfilt(sos, noise.T, axis=-1, zi=state)
             noise = np.ascontiguousarray(filtered.T)
-        self._block, self._next = noise, 0
+        yield noise
 
 
 class Noise:
-    """An endless, reproducible sum of noise streams, an array in each tick.
+    """An endless, reproducible sum of Gaussian noises, an array in each tick.
 
     Parameters
     ----------
-    streams : with as many columns as the array has values; without any it is zero
+    sources : blocks of each, with as many columns as the array has values; without any it is zero
     shape : of the array
     """
 
-    def __init__(self, streams: Sequence[NoiseStream], shape: tuple[int, ...]) -> None:
-        self._streams, self._shape = streams, shape
+    def __init__(
+        self, sources: Sequence[Iterator[NDArray[np.float64]]], shape: tuple[int, ...]
+    ) -> None:
+        self._sources, self._shape = sources, shape
+        self._left = np.zeros((0, *shape))
 
     def take(self, ticks: int) -> NDArray[np.float64]:
         """Values (ticks, *shape) of the next ticks; independent of how the stream is cut."""
-        shape = (ticks, *self._shape)
-        parts = [one.take(ticks).reshape(shape) for one in self._streams]
-        return np.sum(parts, axis=0) if parts else np.zeros(shape)
+        if not self._sources:
+            return np.zeros((ticks, *self._shape))
+        while len(self._left) < ticks:
+            block = np.sum([next(one) for one in self._sources], axis=0)
+            self._left = np.concatenate([self._left, block.reshape(-1, *self._shape)])
+        taken, self._left = self._left[:ticks], self._left[ticks:]
+        return taken
 
 
 def voluntary_torque(config: VoluntaryParameters, *, joints: int, seed: int) -> Noise:
@@ -142,15 +117,15 @@ def voluntary_torque(config: VoluntaryParameters, *, joints: int, seed: int) -> 
     joints : number of joints n
     seed : of the experiment, not negative
     """
-    streams = [
-        NoiseStream([rms] * joints, seed=seed, stream=stream, edges=edges)
+    sources = [
+        _blocks([rms] * joints, seed=seed, stream=stream, edges=edges)
         for rms, edges, stream in config.bands()
     ]
-    return Noise(streams, (joints,))
+    return Noise(sources, (joints,))
 
 
 def reading_noise(sensors: SensorParameters, *, joints: int, seed: int) -> Noise:
     """Noise (2, n) on readings of angles and torques, rad and N·m; arguments as above."""
     rms = [sensors.position.noise] * joints + [sensors.torque.noise] * joints
-    streams = [NoiseStream(rms, seed=seed, stream=_READINGS)] if any(rms) else []
-    return Noise(streams, (2, joints))
+    sources = [_blocks(rms, seed=seed, stream=_READINGS)] if any(rms) else []
+    return Noise(sources, (2, joints))

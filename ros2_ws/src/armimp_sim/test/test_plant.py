@@ -154,7 +154,7 @@ def test_coriolis_torque_follows_from_the_mass_matrix_by_lagrange(n: int) -> Non
 def test_torque_on_the_arm_is_that_of_the_equations_of_motion(n: int) -> None:
     config = random_plant(n)
     plant = Plant([config])
-    rows = plant.batch.reshape(-1, n)
+    rows = plant.batch.w.reshape(-1, n)
     random = np.random.default_rng(n)
     for _ in range(20):
         # Slow and fast, stuck and sliding.

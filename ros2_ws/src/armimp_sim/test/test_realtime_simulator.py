@@ -11,12 +11,12 @@ from armimp_common.protection import RAMP_PERIODS, WATCHDOG_PERIODS
 from armimp_common.realtime import Pacer
 from armimp_common.topics import PERIOD_NS
 from armimp_sim.parameters import SimulatorParameters
-from armimp_sim.simulator import UNHEARD_TICKS, RealtimeSimulator, SimulatedRig
+from armimp_sim.simulator import HEARD_TICKS, RealtimeSimulator, SimulatedRig
 from support.plants import in_lockstep, some_commands
 
 PARAMETERS = SimulatorParameters.preset()
 Command = tuple[float, ...]
-SILENCE = f"no command for {WATCHDOG_PERIODS} ticks"
+SILENCE = f"no command for {WATCHDOG_PERIODS} periods"
 
 
 class Bench:
@@ -122,7 +122,7 @@ class TestWatchdog:
 
     @pytest.mark.parametrize(
         ("again", "unheard"),
-        [(False, UNHEARD_TICKS), (False, 1000), (True, WATCHDOG_PERIODS), (True, 200)],
+        [(False, HEARD_TICKS), (False, 1000), (True, WATCHDOG_PERIODS), (True, 200)],
     )
     def test_samples_that_nobody_was_there_to_answer_are_owed_by_nobody(
         self, bench: Bench, again: bool, unheard: int
@@ -148,7 +148,7 @@ class TestWatchdog:
             bench.next(WATCHDOG_PERIODS - 1)
             bench.command(7.0, 7.0)
         bench.next()
-        assert bench.rig.fault == f"commands are more than {WATCHDOG_PERIODS} ticks behind"
+        assert bench.rig.fault == f"commands are more than {WATCHDOG_PERIODS} periods behind"
 
 
 class TestThread:

@@ -14,7 +14,7 @@ from armimp_common import qos, topics
 from armimp_common.cdr import CommandEncoder
 from armimp_common.executor import Spinner
 from armimp_common.heartbeat import HeartbeatMonitor
-from armimp_common.pubsub import wait_until_matched
+from armimp_common.pubsub import wait_for_partners
 from armimp_common.schema import Value
 from armimp_common.status import to_ns
 from armimp_common.topics import CLOCK, PERIOD_NS
@@ -61,7 +61,7 @@ def test_clock_and_health_are_published_now_and_then(world: World) -> None:
         times.append(to_ns(message.clock))
 
     subscription = world.node.create_subscription(Clock, CLOCK, hear, qos.CLOCK)
-    assert not wait_until_matched(world.node, subscriptions=[subscription], timeout_s=PATIENCE)
+    wait_for_partners(world.node, subscriptions=[subscription], timeout_s=PATIENCE)
 
     for _ in range(11):
         world.send([(0.0, 0.0)] * 100)

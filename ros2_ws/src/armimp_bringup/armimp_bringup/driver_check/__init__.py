@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from armimp_common.topics import JOINT_STATES, TORQUE_SENSORS, VALUE_FIELD
 
 SENSOR_TOPICS = (JOINT_STATES, TORQUE_SENSORS)
+Role = Literal["publisher", "subscriber"]
 _BASELINE = 50
 """Samples at rest that a push is compared with."""
 _GOING = 60
@@ -62,7 +63,7 @@ class Endpoint(NamedTuple):
     """A publisher or subscriber, as discovery tells of it."""
 
     topic: str
-    role: Literal["publisher", "subscriber"]
+    role: Role
     node: str
     type: str
     reliable: bool = True
@@ -133,15 +134,19 @@ class Record:
     moves: Moves = field(default_factory=Moves)
 
 
-def readings(joints: Sequence[str], topic: str, messages: Sequence[Message]) -> NDArray[np.float64]:
+def readings(
+    joints: Sequence[str], topic: str, messages: Sequence[Message | None]
+) -> NDArray[np.float64]:
     """Return the readings (n, N) of a stream by expected joint, of whole messages only.
 
     A message is whole if it has the expected joints, in any order, and as many values.
     """
     columns: list[list[float]] = []
     for message in messages:
+        if message is None or sorted(message.names) != sorted(joints):
+            continue
         values: tuple[float, ...] = getattr(message, VALUE_FIELD[topic])
-        if sorted(message.names) == sorted(joints) and len(values) == len(joints):
+        if len(values) == len(joints):
             columns.append([values[message.names.index(joint)] for joint in joints])
     found: NDArray[np.float64] = np.array(columns).reshape(-1, len(joints)).T
     return found

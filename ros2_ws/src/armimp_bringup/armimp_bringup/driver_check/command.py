@@ -15,7 +15,7 @@ from rich.table import Table
 
 from armimp_bringup.config import CheckOptions
 from armimp_bringup.driver_check import Finding, Outcome, Record, with_outcome
-from armimp_bringup.driver_check.probe import probe
+from armimp_bringup.driver_check.checker import probe
 from armimp_bringup.driver_check.rules import judge
 from armimp_bringup.graph import external_domain
 from armimp_common.errors import ConfigurationError

@@ -13,7 +13,9 @@ from copy import copy
 from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
+from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
@@ -22,15 +24,14 @@ from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from armimp_bringup.driver_check import SENSOR_TOPICS, Call, Endpoint, Message
+from armimp_bringup.driver_check import SENSOR_TOPICS, Call, Endpoint, Message, Role, readings
 from armimp_bringup.graph import GraphContext
 from armimp_common import qos, topics
-from armimp_common.cdr import JointStateDecoder
-from armimp_common.errors import InterruptionError, MalformedMessageError
+from armimp_common.errors import InterruptionError
 from armimp_common.executor import Spinner
 from armimp_common.pubsub import CommandPublisher, subscribe_raw
 from armimp_common.status import Level, to_ns
-from armimp_common.topics import NS_PER_S
+from armimp_common.topics import JOINT_STATES, NS_PER_S
 
 _NODE = "armimp_check_driver"
 _FAREWELLS = 5
@@ -60,24 +61,21 @@ class MotionGuard:
 
     def __init__(self, joints: Sequence[str], most: float) -> None:
         self._joints, self._most = tuple(joints), most
-        self._decode = JointStateDecoder(joints, "position").decode
-        self._first: tuple[float, ...] | None = None
+        self._first: NDArray[np.float64] | None = None
         self.largest = 0.0  # rad, how far a joint has gone so far
         self.objection = ""  # why there must not be any torque any more
 
-    def allows(self, data: bytes) -> bool:
-        """Check a message of ``joint_states``; return whether torque may be commanded."""
-        try:
-            _, angles = self._decode(data)
-        except MalformedMessageError as error:
-            self.objection = self.objection or f"an angle cannot be read: {error}: {_TAKEN}"
+    def allows(self, message: Message | None) -> bool:
+        """Look at a message of ``joint_states``; return whether torque may be commanded."""
+        angles = readings(self._joints, JOINT_STATES, [message])
+        if not angles.size:
+            self.objection = self.objection or f"the angles cannot be read: {_TAKEN}"
             return False
-        self._first = self._first or angles
-        for name, start, angle in zip(self._joints, self._first, angles, strict=True):
-            moved = abs(angle - start)
+        self._first = angles if self._first is None else self._first
+        for name, moved in zip(self._joints, np.abs(angles - self._first)[:, 0], strict=True):
             # Written so that NaN fails.
             if moved <= self._most:
-                self.largest = max(self.largest, moved)
+                self.largest = max(self.largest, float(moved))
             elif not self.objection:
                 self.objection = f"{name} went {moved:.3g} rad from where it was: {_TAKEN}"
         return not self.objection
@@ -109,7 +107,7 @@ class Answering:
         # Monotonic times (s) of the last command, and of the last one before a silence.
         self.last_sent = self.silent_since = 0.0
         self.gap = 0.0  # s, longest time between two commands that was not meant to be longer
-        self._raw: dict[str, list[tuple[int, bytes]]] = {topic: [] for topic in SENSOR_TOPICS}
+        self.kept: dict[str, list[Message | None]] = {topic: [] for topic in SENSOR_TOPICS}
         self._script: deque[Step] = deque()
 
     def now(self) -> float:
@@ -154,34 +152,17 @@ class Answering:
 
     def hear(self, topic: str, data: bytes) -> None:
         """Take a message of a sensor stream; answer if it makes a sample complete."""
-        self._raw[topic].append((self.now_ns(), data))
+        message = _message(self.now_ns(), data)
+        self.kept[topic].append(message)
         guard = self.guard
-        if guard is not None and topic == topics.JOINT_STATES and not guard.allows(data):
+        if guard is not None and topic == JOINT_STATES and not guard.allows(message):
             self._script.clear()
         # A sample is complete with the second of its two messages, in either order. Stamps are what
         # is to be judged, so they are not asked.
-        complete = min(len(kept) for kept in self._raw.values())
+        complete = min(map(len, self.kept.values()))
         if complete > self.samples:
             self.samples = complete
             self.answer()
-
-    def messages(self, topic: str) -> int:
-        """Return the number of messages that came."""
-        return len(self._raw[topic])
-
-    def raw(self, topic: str, first: int, end: int) -> list[bytes]:
-        """Return these messages, by their numbers."""
-        return [data for _, data in self._raw[topic][first:end]]
-
-    def recorded(self) -> tuple[dict[str, list[Message]], dict[str, int]]:
-        """Return the messages by topic, and the numbers of those that cannot be decoded."""
-        streams: dict[str, list[Message]] = {}
-        malformed: dict[str, int] = {}
-        for topic, kept in self._raw.items():
-            messages = [_message(arrival_ns, data) for arrival_ns, data in list(kept)]
-            streams[topic] = [message for message in messages if message is not None]
-            malformed[topic] = len(messages) - len(streams[topic])
-        return streams, malformed
 
 
 class Conversation(Node, Answering):
@@ -245,11 +226,22 @@ class Conversation(Node, Answering):
         found: list[Endpoint] = []
         for topic in (*SENSOR_TOPICS, topics.COMMANDS):
             resolved = str(self.resolve_topic_name(topic))
-            for role, infos in (
+            offers: tuple[tuple[Role, list[Any]], ...] = (
                 ("publisher", self.get_publishers_info_by_topic(resolved)),
                 ("subscriber", self.get_subscriptions_info_by_topic(resolved)),
-            ):
-                found += [_endpoint(topic, role, info) for info in infos if info.node_name != _NODE]
+            )
+            for role, infos in offers:
+                for info in infos:
+                    place, profile = info.node_namespace.rstrip("/"), info.qos_profile
+                    end = Endpoint(
+                        topic,
+                        role,
+                        f"{place}/{info.node_name}",
+                        info.topic_type,
+                        reliable=profile.reliability is not ReliabilityPolicy.BEST_EFFORT,
+                        transient=profile.durability is DurabilityPolicy.TRANSIENT_LOCAL,
+                    )
+                    found += [end] if info.node_name != _NODE else []
         return found
 
     def safety_services(self) -> frozenset[str]:
@@ -317,15 +309,3 @@ def _message(arrival_ns: int, data: bytes) -> Message | None:
         return None
     position, effort = (tuple(map(float, field)) for field in (message.position, message.effort))
     return Message(arrival_ns, to_ns(message.header.stamp), names, position, effort)
-
-
-def _endpoint(topic: str, role: Any, info: Any) -> Endpoint:
-    profile = info.qos_profile
-    return Endpoint(
-        topic,
-        role,
-        f"{info.node_namespace.rstrip('/')}/{info.node_name}",
-        info.topic_type,
-        reliable=profile.reliability is not ReliabilityPolicy.BEST_EFFORT,
-        transient=profile.durability is DurabilityPolicy.TRANSIENT_LOCAL,
-    )

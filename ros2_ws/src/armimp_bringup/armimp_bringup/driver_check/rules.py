@@ -57,8 +57,10 @@ def judge(record: Record) -> list[Finding]:
     ]
 
 
-def _judged(check: str, good: bool, figure: str, limit: str) -> Finding:
-    return Finding(check, Outcome.PASS if good else Outcome.FAIL, figure, limit)
+def _judged(check: str, good: bool | None, figure: str, limit: str) -> Finding:
+    """Return a finding that is good, or not; None if that can't be told."""
+    outcomes = {True: Outcome.PASS, False: Outcome.FAIL, None: Outcome.INCONCLUSIVE}
+    return Finding(check, outcomes[good], figure, limit)
 
 
 def _judge_contract(record: Record) -> Iterator[Finding]:
@@ -199,8 +201,7 @@ def _judge_pace(topic: str, messages: Sequence[Message]) -> Iterator[Finding]:
     figure = f"{100 * share:.3g} %; worst {1e3 * float(np.max(delay)):.3g} ms"
     limit = f"≤ {100 * _LATE_SHARE:g} % arrive more than {1e3 * _LATE:g} ms late"
     # Other work on this machine spoils it as well as a driver does.
-    outcome = Outcome.PASS if share <= _LATE_SHARE else Outcome.INCONCLUSIVE
-    yield Finding(f"{topic}: jitter", outcome, figure, limit)
+    yield _judged(f"{topic}: jitter", share <= _LATE_SHARE or None, figure, limit)
 
 
 def _judge_pairs(record: Record) -> Finding:
@@ -231,11 +232,11 @@ def _judge_moves(record: Record) -> Iterator[Finding]:
     limit = f"no fault while commands come at most {1e3 * _REGULAR:g} ms apart"
     if moves.moved is None or (moves.missing and not moves.fault):
         yield _missing(record, check, limit)
-    elif moves.fault and record.paced and moves.gap > _REGULAR:
-        figure = f"{moves.fault}; commands were held up for {1e3 * moves.gap:.3g} ms"
-        yield Finding(check, Outcome.INCONCLUSIVE, figure, limit)
     else:
-        yield _judged(check, not moves.fault, moves.fault or "none", limit)
+        excused = bool(moves.fault) and record.paced and moves.gap > _REGULAR
+        held_up = f"; commands were held up for {1e3 * moves.gap:.3g} ms" if excused else ""
+        good = None if excused else not moves.fault
+        yield _judged(check, good, (moves.fault or "none") + held_up, limit)
     if moves.pushes:
         yield from _judge_pushes(record)
     else:
@@ -274,32 +275,28 @@ def _judge_pushes(record: Record) -> Iterator[Finding]:
         f"{name} {push.moved[push.joint]:+.3g} rad at {push.torque:+g} N·m"
         for name, push in zip(names, pushes, strict=True)
     )
-    check = "torque: joint and sign"
-    if wrong := mixed or turned:
-        yield _judged(check, False, "; ".join(wrong), _WAYS_LIMIT)
-    elif still:
-        figure = f"{' and '.join(still)} did not move: {_LARGER}"
-        yield Finding(check, Outcome.INCONCLUSIVE, figure, _WAYS_LIMIT)
-    else:
-        yield _judged(check, True, ", ".join(told), _WAYS_LIMIT)
+    wrong = "; ".join(mixed or turned)
+    idle = f"{' and '.join(still)} did not move: {_LARGER}" if still else ""
+    good = False if wrong else None if idle else True
+    yield _judged("torque: joint and sign", good, wrong or idle or ", ".join(told), _WAYS_LIMIT)
     delays = [push.delay for push in pushes if push.delay is not None]
     why = (
         "torque acts on another joint" if mixed else f"readings of torque do not answer: {_LARGER}"
     )
-    if mixed or len(delays) < len(pushes):
-        yield Finding("torque_sensors: sign", Outcome.INCONCLUSIVE, why, _SIGN_LIMIT)
-    else:
-        changes = [
-            push.change * way * float(np.sign(push.torque))
-            for push, way in zip(pushes, ways, strict=True)
-        ]
+    changes = [
+        push.change * way * float(np.sign(push.torque))
+        for push, way in zip(pushes, ways, strict=True)
+    ]
+    good, figure = None, why
+    if not mixed and len(delays) == len(pushes):
+        good = min(changes) > 0.0
         told = (f"{name} {change:+.3g} N·m" for name, change in zip(names, changes, strict=True))
-        yield _judged("torque_sensors: sign", min(changes) > 0.0, ", ".join(told), _SIGN_LIMIT)
-    if mixed or not delays:
-        yield Finding("torque: delay", Outcome.INCONCLUSIVE, why, _DELAY_LIMIT)
-    else:
-        good = max(delays) <= _REACTION
-        yield _judged("torque: delay", good, f"{max(delays)} periods", _DELAY_LIMIT)
+        figure = ", ".join(told)
+    yield _judged("torque_sensors: sign", good, figure, _SIGN_LIMIT)
+    good, figure = None, why
+    if not mixed and delays:
+        good, figure = max(delays) <= _REACTION, f"{max(delays)} periods"
+    yield _judged("torque: delay", good, figure, _DELAY_LIMIT)
 
 
 def _mixed_up(record: Record, ways: NDArray[np.float64]) -> tuple[list[str], list[str]]:
@@ -345,13 +342,13 @@ def _judge_ending(record: Record, of: str, ending: Ending | None) -> Iterator[Fi
         return
     if ending.stop is not None and not ending.stop.success:
         return
-    if ending.told is None and record.faults:
+    if ending.told is not None:
+        yield _judged(check, ending.told <= _TOLD, f"after {ending.told:.3f} s", limit)
+    elif record.faults:
         # That would go on, whatever the driver has to say.
-        figure = f"there was a fault before: {record.faults[0]}"
-        yield Finding(check, Outcome.INCONCLUSIVE, figure, limit)
+        yield _judged(check, None, f"there was a fault before: {record.faults[0]}", limit)
     else:
-        figure = "none" if ending.told is None else f"after {ending.told:.3f} s"
-        yield _judged(check, ending.told is not None and ending.told <= _TOLD, figure, limit)
+        yield _judged(check, False, "none", limit)
     if ending.ended is not None:
         yield _judge_end(record, of, ending.ended)
     if of != "second publisher":
@@ -366,7 +363,7 @@ def _judge_end(record: Record, of: str, ended: Push) -> Finding:
     """Compare how the joint went back with a push that a command of zero ended."""
     usual, check = record.moves.pushes[ended.joint], f"{of}: torque"
     if abs(usual.back) <= usual.still[usual.joint]:
-        return Finding(check, Outcome.INCONCLUSIVE, f"no effect: {_LARGER}", _GONE_LIMIT)
+        return _judged(check, None, f"no effect: {_LARGER}", _GONE_LIMIT)
     share = ended.back / usual.back
     figure = f"{100 * share:.0f} % of the usual way back"
     return _judged(check, share >= 1.0 - _USUAL, figure, _GONE_LIMIT)
@@ -380,7 +377,6 @@ def _judge_latch(record: Record, of: str, ending: Ending) -> Finding:
     usual = record.moves.pushes[again.joint]
     moved = abs(float(usual.moved[again.joint]))
     if moved <= usual.still[again.joint]:
-        return Finding(check, Outcome.INCONCLUSIVE, f"no effect: {_LARGER}", _LATCH_LIMIT)
+        return _judged(check, None, f"no effect: {_LARGER}", _LATCH_LIMIT)
     share = abs(float(again.moved[again.joint])) / moved
-    figure = f"{100 * share:.0f} % of the usual motion"
-    return _judged(check, share <= _USUAL, figure, _LATCH_LIMIT)
+    return _judged(check, share <= _USUAL, f"{100 * share:.0f} % of the usual motion", _LATCH_LIMIT)

@@ -5,11 +5,13 @@ from __future__ import annotations
 import importlib
 import itertools
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError, Executor, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias, TypeVar
+from functools import partial
+from typing import Any, TypeVar
 
+from armimp_bringup.bench import available_cores
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import SimulatedExperiment, simulate
 from armimp_bringup.study import Condition, ConditionResult, StudyEntry
@@ -19,7 +21,6 @@ from armimp_estimation.summary import TrialSummary
 from armimp_sim.dynamics import WIDTH
 from armimp_sim.plant import IntegrationError
 
-Results = list[ConditionResult]
 Task = TypeVar("Task")
 Done = TypeVar("Done")
 _CONNECT_TIMEOUT = 10.0  # s
@@ -132,43 +133,55 @@ def estimate_condition(
     return ConditionResult(entry=entry, results=identification.estimators)
 
 
-def as_ready(work: Callable[[Task], Done], tasks: Sequence[Task], workers: int) -> Iterator[Done]:
-    """Results of the tasks from threads of this process, in the order in which they are ready.
+@dataclass(frozen=True, kw_only=True)
+class Backend:
+    """Where a study runs: an executor, and how many tasks it has at work at the same time."""
 
-    The first error of a task is raised, and ends the others but for those at work.
-    """
-    pool = ThreadPoolExecutor(workers)
-    try:
-        for future in as_completed([pool.submit(work, task) for task in tasks]):
-            yield future.result()
-    finally:
-        pool.shutdown(wait=False, cancel_futures=True)
+    pool: Executor
+    workers: int
+    close: Callable[[], object]
+    """Ends it, without waiting for tasks at work."""
+    lost: tuple[type[Exception], ...] = ()
+    """Errors that mean the death of a worker."""
+
+    def run(self, work: Callable[[Task], Done], tasks: Iterable[Task]) -> Iterator[Done]:
+        """Yield the results of all tasks, in the order in which they are ready.
+
+        The first error of a task is raised, and ends the others but for those at work.
+        """
+        lost: tuple[type[Exception], ...] = (CancelledError, *self.lost)
+        try:
+            for future in as_completed([self.pool.submit(work, task) for task in tasks]):
+                yield future.result()
+        except lost as error:
+            raise DataError(f"a worker of the cluster died: {error}") from None
+        finally:
+            self.close()
 
 
-class Threads:
-    """Threads of this process; most of the time they are in compiled code, without the GIL.
+def threads(workers: int | None = None) -> Backend:
+    """Return threads of this process; most of the time they are in compiled code, without the GIL.
 
     Parameters
     ----------
-    workers : int
-        Number of threads.
+    workers : int, optional
+        Number of threads; by default one for each core.
+
+    Raises
+    ------
+    ConfigurationError
+        If it is less than 1.
     """
-
-    def __init__(self, workers: int) -> None:
-        if workers < 1:
-            raise ConfigurationError(f"--workers must be at least 1, got {workers}")
-        self.workers = workers
-
-    def run(self, batches: Sequence[Batch]) -> Iterator[Results]:
-        """Yield the results of the batches, in the order in which they are ready.
-
-        The first error of a batch is raised, and ends the others.
-        """
-        return as_ready(run_batch, batches, self.workers)
+    workers = available_cores() if workers is None else workers
+    if workers < 1:
+        raise ConfigurationError(f"--workers must be at least 1, got {workers}")
+    pool = ThreadPoolExecutor(workers)
+    close = partial(pool.shutdown, wait=False, cancel_futures=True)
+    return Backend(pool=pool, workers=workers, close=close)
 
 
-class Dask:
-    """The workers of a running dask cluster.
+def cluster(address: str) -> Backend:
+    """Return the workers of a running dask cluster.
 
     Parameters
     ----------
@@ -182,36 +195,25 @@ class Dask:
     DataError
         If nothing answers there, or the cluster has no workers.
     """
-
-    def __init__(self, address: str) -> None:
-        try:
-            self._distributed: Any = importlib.import_module("distributed")
-        except ImportError:
-            raise ConfigurationError(
-                "--scheduler needs the package distributed, which is not installed: "
-                "pip install distributed"
-            ) from None
-        try:
-            self._client = self._distributed.Client(address, timeout=_CONNECT_TIMEOUT)
-        except (ValueError, OSError) as error:
-            kind = ConfigurationError if isinstance(error, ValueError) else DataError
-            raise kind(f"--scheduler {address}: {' '.join(str(error).split())}") from None
-        self.workers = sum(self._client.nthreads().values())
-        if not self.workers:
-            self._client.close()
-            raise DataError(f"--scheduler {address}: the cluster has no workers")
-
-    def run(self, batches: Sequence[Batch]) -> Iterator[Results]:
-        """As `Threads.run`."""
-        futures = self._client.map(run_batch, batches, pure=False)
-        try:
-            for future in self._distributed.as_completed(futures):
-                yield future.result()
-        except (self._distributed.KilledWorker, self._distributed.CancelledError) as error:
-            raise DataError(f"a worker of the cluster died: {error}") from None
-        finally:
-            self._client.cancel(futures)
-            self._client.close()
-
-
-Backend: TypeAlias = Threads | Dask
+    try:
+        distributed: Any = importlib.import_module("distributed")
+    except ImportError:
+        raise ConfigurationError(
+            "--scheduler needs the package distributed, which is not installed: "
+            "pip install distributed"
+        ) from None
+    try:
+        client = distributed.Client(address, timeout=_CONNECT_TIMEOUT)
+    except (ValueError, OSError) as error:
+        kind = ConfigurationError if isinstance(error, ValueError) else DataError
+        raise kind(f"--scheduler {address}: {' '.join(str(error).split())}") from None
+    workers = sum(client.nthreads().values())
+    if not workers:
+        client.close()
+        raise DataError(f"--scheduler {address}: the cluster has no workers")
+    return Backend(
+        pool=client.get_executor(pure=False),
+        workers=workers,
+        close=client.close,
+        lost=(distributed.KilledWorker,),
+    )

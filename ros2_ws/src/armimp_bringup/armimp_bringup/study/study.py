@@ -13,7 +13,6 @@ from rich.console import Console
 from rich.measure import Measurement
 from rich.table import Table
 
-from armimp_bringup.bench import available_cores
 from armimp_bringup.config import ExperimentConfig, prepare_directory
 from armimp_bringup.parameters import node_parameters
 from armimp_bringup.study import (
@@ -27,15 +26,14 @@ from armimp_bringup.study import (
 from armimp_bringup.study.engine import (
     Backend,
     Batch,
-    Dask,
-    Threads,
     condition_config,
+    run_batch,
     software,
     split_evenly,
 )
 from armimp_bringup.study.scores import SCORES, StudyVerdict, judge, results_csv, results_table
 from armimp_bringup.terminal import display, say
-from armimp_common.errors import ConfigurationError, DataError
+from armimp_common.errors import DataError
 from armimp_estimation.atomic_write import write_text
 from armimp_estimation.report.run import REPORT_FILE
 from armimp_estimation.summary import OriginSummary
@@ -54,21 +52,6 @@ _FILES: Final = {
 _MOST_FAILURES: Final = 20
 _VARIED: Final = {*LEVELS, "seed", "mode", "processes"}
 """What differs between the conditions of a study, and is not part of its configuration."""
-
-
-def chosen_backend(workers: int | None, scheduler: str | None) -> Backend:
-    """Return where a study is to run: a dask scheduler, or so many threads of this machine.
-
-    Raises
-    ------
-    ConfigurationError
-        If both are given, or what is given makes no sense.
-    """
-    if scheduler is None:
-        return Threads(workers if workers is not None else available_cores())
-    if workers is None:
-        return Dask(scheduler)
-    raise ConfigurationError("--workers is for threads of this machine, a --scheduler has its own")
 
 
 def run_study(
@@ -128,7 +111,7 @@ def run_study(
     ]
     found: dict[Condition, StudyEntry] = {}
     display().progress(0, len(conditions), things="conditions")
-    for batch in backend.run(batches):
+    for batch in backend.run(run_batch, batches):
         for result in batch:
             save_result(results, result)
             found[result.entry.condition] = result.entry

@@ -1,0 +1,444 @@
+"""The course of a check: attaches to a driver, records it, pushes it, and gives it back.
+
+Nothing is judged here.
+"""
+
+from __future__ import annotations
+
+import gc
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_bringup.config import CheckOptions
+from armimp_bringup.driver_check import (
+    SENSOR_TOPICS,
+    Call,
+    Ending,
+    Message,
+    Moves,
+    Push,
+    Record,
+    measure,
+    readings,
+)
+from armimp_bringup.driver_check.conversation import Conversation, MotionGuard, Step, Torque
+from armimp_bringup.graph import GraphContext
+from armimp_common import topics
+from armimp_common.errors import GraphError
+from armimp_common.executor import stop_on_signals
+from armimp_common.lifecycle import LifecycleManager
+from armimp_common.topics import JOINT_STATES, RATE
+
+_PATIENCE, _LONG = 10.0, 60.0
+_LISTEN, _LATER = 0.5, 0.2
+_SILENCE = 10.0
+"""Without samples for this long, a driver has stopped sending them, s."""
+_REST, _HOLD = 200, 400
+"""Samples at rest before a push, and those under torque."""
+_AGAIN = 200
+"""Samples of a push that must not act."""
+_SILENT = 250
+"""Samples for which commands stay away."""
+_STOPPING = 600
+"""Samples for which torque is commanded on after the call of the emergency stop, at most."""
+_SETTLE = 100
+_LEAVING = 0.3
+"""How long a driver may take to hear that a publisher has left, s."""
+_STILL = 4e-4
+"""An arm that moves less than this during 200 samples has settled, rad."""
+_LONGEST_SETTLING = 80
+_TOLD = 2.0
+
+_T = TypeVar("_T")
+
+
+class _GivenUpError(Exception):
+    """No torque may be commanded any more."""
+
+
+def probe(options: CheckOptions, domain_id: int | None) -> Record:
+    """Record a driver in a domain.
+
+    Raises
+    ------
+    GraphError
+        If there is none, or it is in use, or fails a transition.
+    InterruptionError
+        After SIGINT or SIGTERM, with zero torque commanded.
+    """
+    with GraphContext(domain_id) as graph, stop_on_signals() as stopped:
+        node = Conversation(graph, options.joints, options.namespace, stopped)
+        # A collection at the wrong moment would keep commands back.
+        collecting = gc.isenabled()
+        gc.disable()
+        try:
+            return Checker(node, options).record()
+        finally:
+            if collecting:
+                gc.enable()
+            node.close()
+
+
+class Checker:
+    """Leads a driver through the check.
+
+    Parameters
+    ----------
+    node : what talks with the driver
+    options : what the user asks for
+
+    Attributes
+    ----------
+    paced : whether samples come by themselves; else one comes for each command
+    """
+
+    def __init__(self, node: Conversation, options: CheckOptions) -> None:
+        self._node, self._options = node, options
+        self._joints, self._amount = options.joints, options.torque
+        self._guard = MotionGuard(options.joints, options.most_motion)
+        self.paced = True
+        self._lead = 0  # samples that come before the first command in lockstep
+        self._known: frozenset[str] = frozenset()  # statuses that have the level ERROR anyway
+
+    def record(self) -> Record:
+        """Record the driver at rest, then under torque if that is asked for and may be."""
+        node, options = self._node, self._options
+        self._manager = LifecycleManager(
+            node,
+            [options.node],
+            spin_until=node.spinner.spin_until,
+            timeout=_LONG,
+            check=node.check,
+        )
+        state = self._find()
+        with self._active(state):
+            node.wait(lambda: False, _LISTEN)
+            self.paced = max(map(len, node.kept.values())) > 20
+            first = self._record_at_rest()
+            answers, faults = node.answered, list(node.errors)
+            self._known = frozenset(error.name for error in faults)
+            streams = _decoded(node, dict.fromkeys(SENSOR_TOPICS, first))
+            trouble = self._trouble(streams)
+            if not trouble and faults:
+                trouble = f"there was a fault before: {faults[0]}"
+            begin: dict[str, int] = {}
+            if options.move and not trouble:
+                self._begin_to_answer(state)
+                begin = {topic: len(kept) for topic, kept in node.kept.items()}
+                moves = self.move()
+                if not moves.missing:
+                    self._leave(state)
+            else:
+                moves = self._stop_at_rest()
+                moves.asked = options.move
+                moves.missing = trouble if options.move else "not without --move"
+            endpoints, services = node.endpoints(), node.safety_services()
+        return Record(
+            joints=options.joints,
+            paced=self.paced,
+            endpoints=endpoints,
+            streams=streams,
+            moving=_decoded(node, begin),
+            malformed={topic: kept.count(None) for topic, kept in node.kept.items()},
+            answered=answers,
+            services=services,
+            lifecycle=state,
+            most=options.most_motion,
+            faults=[str(error) for error in faults],
+            moves=moves,
+        )
+
+    # --- at rest ---------------------------------------------------------------------------------
+
+    def _find(self) -> str | None:
+        """Wait for a driver; return its state, None if it is no lifecycle node."""
+        end = time.monotonic() + _PATIENCE
+        while not self._managed(0.2):
+            if any(one.role == "publisher" for one in self._node.endpoints()):
+                # Its services may be discovered after its topics.
+                if self._managed(1.0):
+                    break
+                return None
+            if time.monotonic() > end:
+                raise GraphError(
+                    f"no driver: neither a node {self._options.node} nor anybody who publishes"
+                    f" {' or '.join(SENSOR_TOPICS)}"
+                )
+        return self._manager.state(self._options.node)
+
+    def _managed(self, patience: float) -> bool:
+        try:
+            self._manager.wait_for_nodes(patience)
+        except GraphError:
+            return False
+        return True
+
+    @contextmanager
+    def _active(self, state: str | None) -> Iterator[None]:
+        """Activate the driver, and bring it back to its former state in the end."""
+        name, node, manager = self._options.node, self._node, self._manager
+        if state == "unconfigured":
+            manager.change(name, "configure")
+        elif state not in (None, "inactive", "active"):
+            raise GraphError(f"node {name} is {state}: it has to be started anew")
+        try:
+            node.wait(self._complete, 1.0)
+            others = {
+                end.node
+                for end in node.endpoints()
+                if end.topic == topics.COMMANDS and end.role == "publisher"
+            }
+            if others:
+                raise GraphError(f"the driver is in use: {', '.join(sorted(others))} commands it")
+            node.listen()
+            if state in ("unconfigured", "inactive"):
+                manager.change(name, "activate")
+            try:
+                yield
+            finally:
+                node.torque = None
+                if state in ("unconfigured", "inactive"):
+                    manager.change(name, "deactivate")
+        finally:
+            if state == "unconfigured" and manager.state(name) == "inactive":
+                manager.change(name, "cleanup")
+
+    def _complete(self) -> bool:
+        """Whether all endpoints of a driver are known."""
+        roles = {(end.topic, end.role) for end in self._node.endpoints()}
+        wanted = {(topic, "publisher") for topic in SENSOR_TOPICS}
+        return roles >= {*wanted, (topics.COMMANDS, "subscriber")}
+
+    def _record_at_rest(self) -> int:
+        """Record, without commands or under zero torque; return the number of the first sample."""
+        node, duration = self._node, self._options.duration
+        if self.paced:
+            first = node.samples
+            node.wait(lambda: False, duration)
+            return first
+        node.play([(round(duration * RATE), node.zero)])
+        node.answer()
+        last = -1
+        while node.playing and node.samples > last:
+            last = node.samples
+            node.wait(lambda: not node.playing, _SILENCE)
+        # The answer to the last command is still to come. Of a driver that was active before, the
+        # first sample was missed.
+        node.wait(lambda: node.samples > node.answered, 1.0)
+        # Those that no command has asked for may still be on their way.
+        node.wait(lambda: node.samples > node.answered + 1, _LATER)
+        self._lead = node.samples - node.answered
+        return 0
+
+    def _trouble(self, streams: dict[str, list[Message]]) -> str:
+        """Return why no torque may be commanded; empty if nothing speaks against it."""
+        for topic, kept in streams.items():
+            values = readings(self._joints, topic, kept)
+            if None in self._node.kept[topic] or not kept or values.shape[1] != len(kept):
+                return f"{topic} is not sound enough to command torque"
+            if not np.all(np.isfinite(values)):
+                return f"{topic} is not finite: no torque is commanded"
+        return ""
+
+    def _begin_to_answer(self, state: str | None) -> None:
+        """Answer every sample from now on; if possible also for the driver, from its first one."""
+        node, name = self._node, self._options.node
+        if not self.paced:
+            return
+        again = state in ("unconfigured", "inactive")
+        if again:
+            self._manager.change(name, "deactivate")
+        # What piled up meanwhile must not be answered.
+        node.wait(lambda: False, _LISTEN)
+        node.torque = node.zero
+        if again:
+            self._manager.change(name, "activate")
+
+    def _leave(self, state: str | None) -> None:
+        """Reset a driver that stays active after the silence that begins now, which is a fault."""
+        if self.paced and state in (None, "active"):
+            self._node.torque = None
+            self._node.wait(lambda: False, _LISTEN)
+            self._node.call(topics.SIM_RESET_SERVICE, _PATIENCE)
+
+    # --- under torque ----------------------------------------------------------------------------
+
+    def move(self) -> Moves:
+        """Push each joint; then see how silence, a stop and a second publisher end a push."""
+        moves, guard, node = Moves(), self._guard, self._node
+        node.guard = guard
+        try:
+            for joint in range(len(self._joints)):
+                moves.pushes.append(self._watched(moves, partial(self._push, joint)))
+            if self.paced:
+                moves.stale = self._watched(moves, self._keep_silent)
+            moves.stop = self._watched(moves, self._stop_under_torque)
+            moves.second = self._watched(moves, self._intrude)
+        except _GivenUpError as error:
+            moves.missing, moves.astray = str(error), bool(guard.objection)
+        finally:
+            # However this ends, even by Ctrl-C, no torque that was commanded may stay.
+            node.let_go()
+            node.guard = None
+        if guard.objection:
+            # Zero torque may not be enough where a driver does something else than it is told.
+            node.call(topics.SIM_STOP_SERVICE, _TOLD)
+        elif moves.missing:
+            self._reset()
+        moves.moved = guard.largest
+        return moves
+
+    def _stop_at_rest(self) -> Moves:
+        """Call the emergency stop of a rig at rest, if it has one."""
+        if topics.SIM_STOP_SERVICE not in self._node.safety_services():
+            return Moves()
+        stop, told = self._call_stop(self._node.now())
+        return Moves(stop=Ending(told=told, stop=stop, reset=self._reset()))
+
+    def _watched(self, moves: Moves, act: Callable[[], tuple[_T, float]]) -> _T:
+        """Do something, and give up if the driver stopped in it without a reason.
+
+        `act` returns until when (monotonic, s) the driver had none.
+        """
+        node, seen = self._node, len(self._node.errors)
+        found, until = act()
+        for one in node.errors[seen:]:
+            if one.name not in self._known and one.when <= until:
+                moves.fault, moves.gap = str(one), node.gap
+                raise _GivenUpError(f"the driver stopped: {one}")
+        return found
+
+    def _push(self, joint: int) -> tuple[Push, float]:
+        """Push a joint once the arm has settled."""
+        self._settle()
+        return self._pushed(joint, _HOLD, (_SETTLE, self._node.zero)), math.inf
+
+    def _pushed(self, joint: int, held: int, *then: Step) -> Push:
+        """Push a joint for some samples, and see what that has done until the script is over."""
+        start = self._play([(_REST, self._node.zero), (held, self._torque(joint)), *then])
+        angles, torques = (
+            self._whole(topic, start, start + _REST + held + _SETTLE) for topic in SENSOR_TOPICS
+        )
+        return measure(joint, self._amount, angles, torques, _REST, _REST + held)
+
+    def _keep_silent(self) -> tuple[Ending, float]:
+        """Stop commanding under torque; command it again; reset."""
+        self._settle()
+        ended = self._pushed(0, _HOLD, (_SILENT, None))
+        since = self._node.silent_since
+        told = self._told(since)
+        # Torque that must not act, as no reset was granted yet.
+        again = self._pushed(0, _AGAIN, (_SETTLE, self._node.zero))
+        return Ending(told=told, ended=ended, again=again, reset=self._reset()), since
+
+    def _stop_under_torque(self) -> tuple[Ending, float]:
+        """Call the emergency stop; in lockstep time stands still until it has answered."""
+        node, torque = self._node, self._torque(0)
+        self._settle()
+        script: list[Step] = [(_REST, node.zero), (_HOLD, torque)]
+        if self.paced:
+            # Torque is commanded on for some time, no longer, should the stop be a bad one.
+            end = node.samples + _REST + _HOLD
+            node.play([*script, (_STOPPING, torque)])
+            self._wait(lambda: node.samples > end or bool(self._guard.objection))
+        else:
+            self._play(script)
+        self._require_calm()
+        since = node.now()
+        stop, told = self._call_stop(since)
+        if self.paced:
+            self._wait(lambda: not node.playing)
+        again = self._pushed(0, _AGAIN, (_SETTLE, node.zero))
+        return Ending(told=told, again=again, stop=stop, reset=self._reset()), since
+
+    def _intrude(self) -> tuple[Ending, float]:
+        """Have somebody else command zero torque, too; reset."""
+        self._settle()
+        since = self._node.now()
+        with self._node.intruder(_TOLD):
+            told = self._told(since)
+        # Until the driver knows that the other one has left.
+        self._node.wait(lambda: False, _LEAVING)
+        return Ending(told=told, reset=self._reset()), since
+
+    def _call_stop(self, since: float) -> tuple[Call, float | None]:
+        call = self._node.call(topics.SIM_STOP_SERVICE, _TOLD, since)
+        return call, self._told(since)
+
+    def _reset(self) -> Call:
+        return self._node.call(topics.SIM_RESET_SERVICE, _TOLD)
+
+    def _torque(self, joint: int) -> Torque:
+        return tuple(self._amount if i == joint else 0.0 for i in range(len(self._joints)))
+
+    def _settle(self) -> None:
+        for _ in range(_LONGEST_SETTLING):
+            self._play([(_SETTLE, self._node.zero)])
+            last = len(self._node.kept[JOINT_STATES])
+            angles = self._whole(JOINT_STATES, max(last - 2 * _SETTLE, 0), last)
+            if angles.shape[1] == 2 * _SETTLE and np.max(np.ptp(angles, axis=1)) < _STILL:
+                return
+
+    def _whole(self, topic: str, first: int, end: int) -> NDArray[np.float64]:
+        """Return the readings (n, N) of these samples, all of which have to be whole."""
+        part = self._node.kept[topic][first:end]
+        values = readings(self._joints, topic, part)
+        if values.shape[1] != len(part):
+            raise _GivenUpError(f"{topic} cannot be read")
+        return values
+
+    def _play(self, script: Sequence[Step]) -> int:
+        """Play a script, and return the number of the first sample that it answers."""
+        node = self._node
+        self._require_calm()
+        start = node.samples if self.paced else node.samples - 1
+        node.play(script)
+        if not self.paced:
+            node.answer()
+        self._wait(lambda: not node.playing)
+        if not self.paced:
+            # The last command is answered, too.
+            node.wait(lambda: node.samples >= node.answered + self._lead, 1.0)
+        self._require_calm()
+        return start
+
+    def _wait(self, condition: Callable[[], bool]) -> None:
+        node, last = self._node, -1
+        while not condition():
+            if node.samples == last:
+                raise GraphError("the driver has stopped sending samples")
+            last = node.samples
+            node.wait(condition, _SILENCE)
+
+    def _require_calm(self) -> None:
+        if self._guard.objection:
+            raise _GivenUpError(self._guard.objection)
+
+    def _told(self, since: float) -> float | None:
+        """Return how long after a moment the driver reported a fault, s."""
+        node = self._node
+
+        def after() -> list[float]:
+            return [
+                one.when - since
+                for one in list(node.errors)
+                if one.when >= since and one.name not in self._known
+            ]
+
+        node.wait(lambda: bool(after()), _TOLD)
+        return min(after(), default=None)
+
+
+def _decoded(node: Conversation, first: dict[str, int]) -> dict[str, list[Message]]:
+    """Messages of streams from those with these numbers on, without what cannot be decoded."""
+    return {
+        topic: [one for one in node.kept[topic][number:] if one is not None]
+        for topic, number in first.items()
+    }
