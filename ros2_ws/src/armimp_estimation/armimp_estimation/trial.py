@@ -119,9 +119,9 @@ def segments_for(trials: Sequence[Sequence[TrialRecord]]) -> WelchConfig:
     Where all have the same periodic perturbation, they are as long as its period.
     """
     longest = [max(parts, key=lambda part: part.samples) for parts in trials]
-    periods = common_periods(record.periods for record in longest)
+    periods = common_periods([record.periods for record in longest])
     if periods is not None:
-        return WelchConfig(segment=periods[0].segment, overlap=periods[0].segment * 3 // 4)
+        return WelchConfig(segment=periods.segment, overlap=periods.segment * 3 // 4)
     configs = [
         WelchConfig.for_samples(*(part.samples for part in parts), rate=parts[0].rate)
         for parts in trials

@@ -21,7 +21,7 @@ from armimp_estimation.estimators.welch import (
     estimate_by_columns,
     with_biases,
 )
-from armimp_estimation.frf import noise_gain, order_trials
+from armimp_estimation.frf import noise_gain, order_trials, unexplained
 from armimp_estimation.trial import TrialData
 
 
@@ -55,20 +55,14 @@ class Direct:
         ordered = order_trials(trials)
         estimate = estimate_by_columns(self.name, ordered, self._column)
         n = estimate.joints
-        left = [self._unexplained(trial) for trial in ordered]
+        disturbance = np.stack([self._disturbance(trial) for trial in ordered])
         inverse = np.eye(n, dtype=np.complex128)[:, :, None] * np.ones(estimate.f.size)
-        estimate = replace(estimate, disturbance=np.stack(left), inverse=inverse)
+        estimate = replace(estimate, disturbance=disturbance, inverse=inverse)
         return with_biases(estimate, (estimate.Z - WelchSiso().estimate(ordered).Z,))
 
-    def _unexplained(self, trial: TrialData) -> ComplexArray:
+    def _disturbance(self, trial: TrialData) -> ComplexArray:
         """Covariance of a column, shape (n, n, n_freq): that of torques without the motion."""
         angle = trial.position_channel(trial.joint)
-        first = trial.torque_channel(0)
-        matrix, motion = trial.spectra.matrix, trial.spectra.power(angle)
-        crossed = matrix[angle, first:]
-        left = (
-            np.swapaxes(matrix[first:, first:], 0, 1)
-            - crossed[:, None] * np.conj(crossed[None]) / motion
-        )
-        covariance: ComplexArray = noise_gain(trial) * trial.input_power / motion * left
+        gain = noise_gain(trial) * trial.input_power / trial.spectra.power(angle)
+        covariance: ComplexArray = gain * unexplained(trial.spectra, angle, trial.torque_channel(0))
         return covariance
