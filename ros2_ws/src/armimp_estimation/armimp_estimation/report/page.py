@@ -29,7 +29,7 @@ from armimp_estimation.report.formats import (
     uncertain,
     written,
 )
-from armimp_estimation.report.plots import style_rules
+from armimp_estimation.report.plots import style_rule
 
 Content = dict[str, Any]
 Rows = Sequence[Sequence[object]]
@@ -124,7 +124,7 @@ def render_page(
         title=title,
         header=header,
         sections=[one for one in sections if one.content is not None],
-        style=Markup(style_rules() + _resource("style.css")),
+        style=Markup(style_rule() + _resource("style.css")),
         scripts=[Markup(script) for script in scripts],
         script_hashes=[_hash(script) for script in scripts],
         **content,
