@@ -97,7 +97,7 @@ def hann(length: int) -> FloatArray:
 
 
 @functools.lru_cache(maxsize=32)
-def _ambiguity(segment: int, step: int) -> tuple[tuple[float, ...], ...]:
+def _ambiguity(segment: int, step: int) -> FloatArray:
     """Common energy ``|A(j, l)|²`` of windows j steps and l bins apart, over ``|A(0, 0)|²``.
 
     ``A(j, l) = Σ_n w(n) w(n + j·step) exp(-2πi·l·n/segment)``; rows are j, columns are l.
@@ -113,8 +113,7 @@ def _ambiguity(segment: int, step: int) -> tuple[tuple[float, ...], ...]:
                 for lag in range(_MAX_LAG + 1)
             ]
         )
-    whole = rows[0][0]
-    return tuple(tuple(value / whole for value in row) for row in rows)
+    return np.array(rows) / rows[0][0]
 
 
 def segment_averages(config: WelchConfig, *runs: int) -> tuple[float, FloatArray]:
@@ -148,7 +147,7 @@ def segment_averages(config: WelchConfig, *runs: int) -> tuple[float, FloatArray
         for segments in runs:
             pairs = (segments - shift) * (1 if shift == 0 else 2)
             if pairs > 0:
-                total += pairs * np.array(row)
+                total += pairs * row
     total /= sum(runs) ** 2
     return float(1.0 / total[0]), total / float(total[0])
 
