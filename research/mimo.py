@@ -16,7 +16,7 @@ from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.estimators.welch import invert, multiply
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.spectra import CrossSpectra, SpectralAccumulator, WelchConfig
+from armimp_estimation.spectra import CrossSpectra, WelchConfig, cross_spectra
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -165,10 +165,9 @@ def _pool(records: Sequence[TrialRecord], config: WelchConfig) -> tuple[int, Cro
                     f"trial {record.trial} does not perturb {name}: "
                     "all joints have to be perturbed at once"
                 )
-        accumulator = SpectralAccumulator(3 * record.joints, record.rate, config)
-        accumulator.push(np.concatenate((record.perturbation, record.position, record.torque)))
+        signals = np.concatenate((record.perturbation, record.position, record.torque))
         try:
-            spectra.append(accumulator.result())
+            spectra.append(cross_spectra(signals, rate=record.rate, config=config))
         except DataError as error:
             raise DataError(f"trial {record.trial}: {error}") from error
     segments = sum(one.segments for one in spectra)

@@ -115,7 +115,7 @@ def test_the_end_of_a_trial_is_shown_in_full(page: Browser) -> None:
 
 
 def test_page_and_plots_follow_the_colour_scheme_of_the_system_but_on_paper(page: Browser) -> None:
-    ink = "document.querySelector('#trace-2 .canvas').layout.font.color"  # drawn last
+    ink = "document.querySelector('#trace-2 .canvas')._fullLayout.font.color"  # drawn last
     schemes: tuple[tuple[Literal["dark", "light"], str, str], ...] = (
         ("dark", "#e3e7eb", "rgb(21, 25, 29)"),
         ("light", "#1d2329", "rgb(255, 255, 255)"),

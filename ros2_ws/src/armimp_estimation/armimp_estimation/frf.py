@@ -13,6 +13,7 @@ import numpy as np
 from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.periods import has_power
+from armimp_estimation.spectra import CrossSpectra
 from armimp_estimation.trial import TrialData
 
 # Power of a perturbation, relative to its largest, below which windows leak it from elsewhere.
@@ -147,11 +148,18 @@ def frf_matrix(trials: Sequence[TrialData]) -> FrfMatrix:
 
 def _covariance(trial: TrialData) -> ComplexArray:
     """Covariance of R and T of a trial, from the part of the signals that is not explained."""
-    matrix, gain = trial.spectra.matrix, noise_gain(trial)
-    crossed = matrix[0, 1:]
-    explained = crossed[:, None] * np.conj(crossed[None]) / trial.input_power
-    covariance: ComplexArray = gain * (np.swapaxes(matrix[1:, 1:], 0, 1) - explained)
-    return covariance
+    return noise_gain(trial) * unexplained(trial.spectra, 0, 1)
+
+
+def unexplained(spectra: CrossSpectra, source: int, first: int) -> ComplexArray:
+    """Spectra ``E[X conj(Y)]`` of what one channel does not explain of those from another one on.
+
+    Shape (C - first, C - first, n_freq).
+    """
+    matrix, crossed = spectra.matrix, spectra.matrix[source, first:]
+    explained = crossed[:, None] * np.conj(crossed[None]) / spectra.power(source)
+    left: ComplexArray = np.swapaxes(matrix[first:, first:], 0, 1) - explained
+    return left
 
 
 def order_trials(trials: Sequence[TrialData]) -> tuple[TrialData, ...]:

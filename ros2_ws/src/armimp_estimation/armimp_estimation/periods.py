@@ -10,7 +10,7 @@ odd ones by what is odd (Pintelon & Schoukens, *System Identification: A Frequen
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import reduce
 
@@ -104,18 +104,16 @@ class Periods:
         return cls(samples=samples, count=count, lines=lines)
 
 
-def common_periods(found: Iterable[Periods | None]) -> list[Periods] | None:
-    """Those of several trials if all have the same period and lines, else None."""
-    all_of_them = []
-    for one in found:
-        if one is None:
-            return None
-        all_of_them.append(one)
+def common_periods(found: Sequence[Periods | None]) -> Periods | None:
+    """Return the first of several trials if all have the same period and lines, else None."""
+    first = found[0] if found else None
+    if first is None:
+        return None
     same = all(
-        one.samples == all_of_them[0].samples and np.array_equal(one.lines, all_of_them[0].lines)
-        for one in all_of_them
+        one is not None and one.samples == first.samples and np.array_equal(one.lines, first.lines)
+        for one in found
     )
-    return all_of_them if same and all_of_them else None
+    return first if same else None
 
 
 def common_lines(

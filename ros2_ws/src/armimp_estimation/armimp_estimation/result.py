@@ -13,7 +13,6 @@ from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.alignment.trial_windows import TOLERANCE
 from armimp_estimation.bags import read_bag
 from armimp_estimation.estimators.estimate import Estimator
-from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.identify import Identification, TrialScores, identify
 from armimp_estimation.metadata import Metadata
 from armimp_estimation.problems import Problem, ProblemCode, problem
@@ -86,27 +85,25 @@ def conclude(
     metadata: Mapping[str, str],
     joint_names: Sequence[str],
     estimators: Sequence[str | Estimator],
-    config: IdentifyConfig | None = None,
     allow_gaps: bool = False,
     most_excluded: float = MOST_EXCLUDED,
     problems: Sequence[Problem] = (),
 ) -> Result:
     """Identify the impedance from the trials, and collect the problems of the result.
 
+    Welch segments are those that suit the shortest trial.
+
     Parameters
     ----------
     trials : sequence of Trial
         One for each joint.
     metadata : mapping of str to str
-        That of the bags: configuration, seed, from a simulator the truth, and the timing of a run
-        in real time.
+        That of the bags: configuration, seed, from a simulator the truth, the timing of a run in
+        real time, and what is known of the torque readings.
     joint_names : sequence of str
         Names of the n joints.
     estimators : sequence of str or Estimator
         As for :func:`armimp_estimation.identify.identify`.
-    config : IdentifyConfig, optional
-        Options; by default Welch segments that suit the shortest trial, and torques read when the
-        metadata say.
     allow_gaps : bool
         Estimate from the intact parts of trials that lost samples or were aborted; else such
         trials are refused. The result of one that was aborted is not valid.
@@ -132,10 +129,8 @@ def conclude(
     if not any(trial.refusals(allow_gaps=allow_gaps) for trial in trials):
         try:
             parts = [trial.segments for trial in trials]
-            if config is None:
-                config = known.options(segments_for(parts))
-            reading = config.lpm.reading
-            data = [TrialData.of(*one, welch=config.welch, reading=reading) for one in parts]
+            config = known.options(segments_for(parts))
+            data = [TrialData.of(*one, welch=config.welch, reading=known.reading) for one in parts]
             identification = identify(data, estimators, known.truth, config)
             found += identification.problems
         except DataError as error:
@@ -151,7 +146,7 @@ def conclude(
         problems=found,
         trials=[_trial_summary(trial, identification, len(joint_names)) for trial in trials],
         timing=known.timing,
-        torque_reading=None if identification is None or config is None else config.lpm.reading,
+        torque_reading=None if identification is None else known.reading,
     )
     curves = {} if identification is None else identification.estimators
     return Result(
@@ -219,16 +214,15 @@ def load_result(directory: Path) -> Result:
         except DataError as error:
             curves = {}
             notes.append(str(error))
-    contents = []
     trials: list[Trial] = []
     for name in dict.fromkeys(trial.bag for trial in summary.trials if trial.bag):
         inside = directory / name  # or relative to where the result was made
         try:
-            contents.append(read_bag(inside if inside.exists() else Path(name)))
+            content = read_bag(inside if inside.exists() else Path(name))
         except (ArmimpError, OSError) as error:
             notes.append(f"no time traces: {error}")
-    notes += (note for content in contents for note in content.notes)
-    for content in contents:
+            continue
+        notes += content.notes
         if (count := len(content.joint_names)) == summary.joints:
             trials += content.trials
         else:

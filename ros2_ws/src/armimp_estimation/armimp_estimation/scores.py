@@ -87,22 +87,20 @@ def derived_coherence(
     return np.divide(explained, total, out=np.zeros_like(total), where=total > 0.0)
 
 
-def coherence_significance(averages: float, alpha: float = 0.05) -> float:
-    """Coherence which independent signals exceed with probability alpha: ``1 - α^{1/(n_d - 1)}``.
+def coherence_significance(averages: float) -> float:
+    """Coherence which independent signals exceed in 5 % of all cases: ``1 - 0.05^{1/(n_d - 1)}``.
 
     Parameters
     ----------
     averages : float
         Number n_d of independent averages (not of overlapped segments).
-    alpha : float
-        Probability, between 0 and 1.
 
     Returns
     -------
     float
         Level of γ²; 1 if a single average makes any coherence meaningless.
     """
-    return float(1.0 - alpha ** (1.0 / (averages - 1.0))) if averages > 1.0 else 1.0
+    return float(1.0 - 0.05 ** (1.0 / (averages - 1.0))) if averages > 1.0 else 1.0
 
 
 def coherence_of_chance(spectra: CrossSpectra) -> float:
@@ -268,26 +266,21 @@ class Coherences:
     @classmethod
     def of(cls, trials: Sequence[TrialData], estimate: ImpedanceEstimate) -> "Coherences":
         """Compute the coherences behind an estimate from trials in order of the perturbed joint."""
-        n = len(trials)
+        joints = range(len(trials))
+        motion = [coherence(one.spectra, 0, one.position_channel(one.joint)) for one in trials]
+        torque = [
+            [coherence(one.spectra, 0, one.torque_channel(i)) for one in trials] for i in joints
+        ]
+        derived = [
+            [derived_coherence(one, i, estimate.f, estimate.Z[i, one.joint]) for one in trials]
+            for i in joints
+        ]
         return cls(
             f=trials[0].f,
-            motion=np.stack(
-                [coherence(t.spectra, 0, t.position_channel(t.joint)) for t in trials]
-            ),
-            torque=np.stack(
-                [
-                    [coherence(t.spectra, 0, t.torque_channel(i)) for t in trials]
-                    for i in range(n)
-                ]
-            ),
-            derived=np.stack(
-                [
-                    [derived_coherence(t, i, estimate.f, estimate.Z[i, k])
-                     for k, t in enumerate(trials)]
-                    for i in range(n)
-                ]
-            ),
-        )  # fmt: skip
+            motion=np.stack(motion),
+            torque=np.stack(torque),
+            derived=np.stack(derived),
+        )
 
 
 def band_mean(values: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Segment-averaged cross-spectra of several channels, gathered while the samples arrive.
+"""Segment-averaged cross-spectra of several channels.
 
 The convention is that of :func:`scipy.signal.csd`: ``G_xy = E[conj(X) Y]``, one-sided density.
 """
@@ -97,7 +97,7 @@ def hann(length: int) -> FloatArray:
 
 
 @functools.lru_cache(maxsize=32)
-def _ambiguity(segment: int, step: int) -> tuple[tuple[float, ...], ...]:
+def _ambiguity(segment: int, step: int) -> FloatArray:
     """Common energy ``|A(j, l)|²`` of windows j steps and l bins apart, over ``|A(0, 0)|²``.
 
     ``A(j, l) = Σ_n w(n) w(n + j·step) exp(-2πi·l·n/segment)``; rows are j, columns are l.
@@ -113,52 +113,43 @@ def _ambiguity(segment: int, step: int) -> tuple[tuple[float, ...], ...]:
                 for lag in range(_MAX_LAG + 1)
             ]
         )
-    whole = rows[0][0]
-    return tuple(tuple(value / whole for value in row) for row in rows)
+    return np.array(rows) / rows[0][0]
 
 
-def _overlap_sums(config: WelchConfig, *runs: int) -> FloatArray:
-    """Mean of ``|A(p - q, l)|²`` over all pairs (p, q) of segments, for each lag l of bins.
+def segment_averages(config: WelchConfig, *runs: int) -> tuple[float, FloatArray]:
+    """Worth of averages over overlapping segments, and their correlation between bins.
 
-    Segments of different runs have no sample in common.
+    Welch (1967): ``K / (1 + 2 Σ_j (1 - j/K) ρ_j)`` independent averages with
+    ``ρ_j = (Σ w(n) w(n + jD))² / (Σ w²)²``. A 50 s record at 1 kHz has 21 segments in the default
+    configuration, worth 11.2 averages. Averaged products (such as ``conj(X)·N``) are correlated by
+    ``|Σ w² exp(-2πi·l·n/N)|² / (Σ w²)²`` if there is one segment, that is 1, 4/9, 1/36 at lags of
+    0, 1, 2 bins. Overlapping segments, whose windows are correlated across bins as well, raise it a
+    little: 1, 0.488, 0.048 for the default configuration and 50 s.
+
+    Parameters
+    ----------
+    config : WelchConfig
+        Segments.
+    runs : int
+        Number of segments in each stretch without a gap, at least one in all; those of different
+        stretches have no sample in common.
+
+    Returns
+    -------
+    averages : float
+        Number of independent averages.
+    correlation : ndarray, shape (4,)
+        Correlation at lags of 0, 1, 2 and 3 bins; it is negligible beyond.
     """
+    # Mean of |A(p - q, l)|² over all pairs (p, q) of segments, for each lag l.
     total = np.zeros(_MAX_LAG + 1)
     for shift, row in enumerate(_ambiguity(config.segment, config.step)):
         for segments in runs:
             pairs = (segments - shift) * (1 if shift == 0 else 2)
             if pairs > 0:
-                total += pairs * np.array(row)
-    return total / sum(runs) ** 2
-
-
-def effective_averages(config: WelchConfig, *runs: int) -> float:
-    """Number of independent averages that so many overlapping segments are worth.
-
-    Of a record with gaps, the number of segments in each run without one.
-
-    Welch (1967): ``K / (1 + 2 Σ_j (1 - j/K) ρ_j)`` with
-    ``ρ_j = (Σ w(n) w(n + jD))² / (Σ w²)²``. A 50 s record at 1 kHz has 21 segments in the default
-    configuration, worth 11.2 averages.
-    """
-    if sum(runs) < 1:
-        return 0.0
-    return float(1.0 / _overlap_sums(config, *runs)[0])
-
-
-def bin_correlation(config: WelchConfig, *runs: int) -> FloatArray:
-    """Correlation between averaged products (such as ``conj(X)·N``) of neighbouring bins.
-
-    For one segment it is ``|Σ w² exp(-2πi·l·n/N)|² / (Σ w²)²``, that is 1, 4/9, 1/36 at lags of
-    0, 1, 2 bins. Overlapping segments, whose windows are correlated across bins as well,
-    raise it a little: 1, 0.488, 0.048 for the default configuration and 50 s.
-
-    Returns
-    -------
-    ndarray, shape (4,)
-        Correlation at lags of 0, 1, 2 and 3 bins; it is negligible beyond.
-    """
-    sums = _overlap_sums(config, *(runs if sum(runs) else (1,)))
-    return sums / float(sums[0])
+                total += pairs * row
+    total /= sum(runs) ** 2
+    return float(1.0 / total[0]), total / float(total[0])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -198,113 +189,57 @@ class CrossSpectra:
         return np.ascontiguousarray(self.matrix[channel, channel].real)
 
 
-class SpectralAccumulator:
-    """Averages the cross-spectra of C channels while blocks of samples are pushed.
-
-    Each segment is processed when its last sample arrives, always from the same buffer and in
-    the same order, so that the result is bit-identical however the record was cut into blocks.
+def cross_spectra(
+    *stretches: FloatArray, rate: float, config: WelchConfig | None = None
+) -> CrossSpectra:
+    """Average the cross-spectra of C channels over all segments, none of which spans a gap.
 
     Parameters
     ----------
-    channels : int
-        Number of channels C.
+    stretches : ndarray, shape (C, N)
+        Samples without a gap, of any length N each.
     rate : float
         Samples per second, Hz.
-    config : WelchConfig
+    config : WelchConfig, optional
         Segments and band.
+
+    Raises
+    ------
+    ConfigurationError
+        If no bin falls into the band.
+    DataError
+        If no stretch is as long as one segment.
     """
-
-    def __init__(self, channels: int, rate: float, config: WelchConfig | None = None) -> None:
-        self._config = config if config is not None else WelchConfig()
-        self._rate = rate
-        self._bins = slice(*self._config.bins(rate))
-        self._window = hann(self._config.segment)
-        self._buffer = np.zeros((channels, self._config.segment))
-        self._filled = 0
-        self._samples = 0
-        self._segments = 0
-        self._earlier_runs: tuple[int, ...] = ()
-        self._sum = np.zeros(
-            (channels, channels, self._bins.stop - self._bins.start), dtype=np.complex128
+    options = config if config is not None else WelchConfig()
+    segment = options.segment
+    window = hann(segment)
+    bins = slice(*options.bins(rate))
+    channels = len(stretches[0])
+    total = np.zeros((channels, channels, bins.stop - bins.start), dtype=np.complex128)
+    runs = []
+    for stretch in stretches:
+        starts = range(0, stretch.shape[1] - segment + 1, options.step)
+        runs.append(len(starts))
+        for start in starts:
+            samples = stretch[:, start : start + segment]
+            tapered = (samples - samples.mean(axis=1, keepdims=True)) * window
+            spectrum = np.fft.rfft(tapered, axis=1)[:, bins]
+            total += np.conj(spectrum)[:, None, :] * spectrum[None, :, :]
+    if not any(runs):
+        raise DataError(
+            f"record of {sum(stretch.shape[1] for stretch in stretches)} samples is shorter than "
+            f"one segment of {segment}",
+            "record_too_short",
         )
-
-    @property
-    def samples(self) -> int:
-        """Number of samples pushed so far."""
-        return self._samples
-
-    @property
-    def segments(self) -> int:
-        """Number of segments averaged so far."""
-        return self._segments
-
-    def push(self, block: FloatArray) -> None:
-        """Append samples, shape (C, m) with any m.
-
-        Raises
-        ------
-        DataError
-            If the number of channels is wrong or a sample is not finite. Nothing is appended then.
-        """
-        channels, segment = self._buffer.shape
-        if block.ndim != 2 or block.shape[0] != channels:
-            raise DataError(f"block has shape {block.shape}, expected ({channels}, m)")
-        if not np.isfinite(block).all():
-            channel, sample = np.argwhere(~np.isfinite(block))[0]
-            raise DataError(
-                f"channel {channel} is {block[channel, sample]} at sample {self._samples + sample}"
-            )
-        taken = 0
-        while taken < block.shape[1]:
-            count = min(segment - self._filled, block.shape[1] - taken)
-            self._buffer[:, self._filled : self._filled + count] = block[:, taken : taken + count]
-            self._filled += count
-            taken += count
-            if self._filled == segment:
-                self._add_segment()
-                kept = self._config.overlap
-                self._buffer[:, :kept] = self._buffer[:, segment - kept :].copy()
-                self._filled = kept
-        self._samples += block.shape[1]
-
-    def interrupt(self) -> None:
-        """Begin anew after a gap: no segment shall hold samples of both sides."""
-        run = self._segments - sum(self._earlier_runs)
-        self._earlier_runs += (run,) if run else ()
-        self._filled = 0
-
-    def _add_segment(self) -> None:
-        tapered = self._buffer - self._buffer.mean(axis=1, keepdims=True)
-        tapered *= self._window
-        spectrum = np.fft.rfft(tapered, axis=1)[:, self._bins]
-        self._sum += np.conj(spectrum)[:, None, :] * spectrum[None, :, :]
-        self._segments += 1
-
-    def result(self) -> CrossSpectra:
-        """Averages over the segments so far; more samples may be pushed afterwards.
-
-        Raises
-        ------
-        DataError
-            If the record is shorter than one segment.
-        """
-        if self._segments == 0:
-            raise DataError(
-                f"record of {self._samples} samples is shorter than one segment of "
-                f"{self._config.segment}",
-                "record_too_short",
-            )
-        runs = (*self._earlier_runs, self._segments - sum(self._earlier_runs))
-        density = 1.0 / (self._rate * float(np.sum(self._window**2)))
-        one_sided = np.full(self._sum.shape[-1], 2.0 * density / self._segments)
-        if self._config.segment % 2 == 0 and self._bins.stop == self._config.segment // 2 + 1:
-            one_sided[-1] *= 0.5  # the Nyquist bin has no negative twin
-        return CrossSpectra(
-            f=self._config.frequencies(self._rate),
-            matrix=self._sum * one_sided,
-            segments=self._segments,
-            effective_averages=effective_averages(self._config, *runs),
-            bin_correlation=np.repeat(
-                bin_correlation(self._config, *runs)[:, None], one_sided.size, axis=1
-            ),
-        )
+    density = 1.0 / (rate * float(np.sum(window**2)))
+    one_sided = np.full(total.shape[-1], 2.0 * density / sum(runs))
+    if segment % 2 == 0 and bins.stop == segment // 2 + 1:
+        one_sided[-1] *= 0.5  # the Nyquist bin has no negative twin
+    averages, correlation = segment_averages(options, *runs)
+    return CrossSpectra(
+        f=options.frequencies(rate),
+        matrix=total * one_sided,
+        segments=sum(runs),
+        effective_averages=averages,
+        bin_correlation=np.repeat(correlation[:, None], one_sided.size, axis=1),
+    )

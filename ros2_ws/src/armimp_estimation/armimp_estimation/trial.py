@@ -26,7 +26,7 @@ from armimp_estimation.periods import common_periods
 from armimp_estimation.problems import Problem
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.signal_quality import mended
-from armimp_estimation.spectra import CrossSpectra, SpectralAccumulator, WelchConfig
+from armimp_estimation.spectra import CrossSpectra, WelchConfig, cross_spectra
 from armimp_estimation.torque_timing import TorqueReading
 
 HIGHEST = 2.0
@@ -119,9 +119,9 @@ def segments_for(trials: Sequence[Sequence[TrialRecord]]) -> WelchConfig:
     Where all have the same periodic perturbation, they are as long as its period.
     """
     longest = [max(parts, key=lambda part: part.samples) for parts in trials]
-    periods = common_periods(record.periods for record in longest)
+    periods = common_periods([record.periods for record in longest])
     if periods is not None:
-        return WelchConfig(segment=periods[0].segment, overlap=periods[0].segment * 3 // 4)
+        return WelchConfig(segment=periods.segment, overlap=periods.segment * 3 // 4)
     configs = [
         WelchConfig.for_samples(*(part.samples for part in parts), rate=parts[0].rate)
         for parts in trials
@@ -151,10 +151,10 @@ class TrialData:
     ) -> TrialData:
         """Compute the spectra of a whole record, or of the intact stretches of a trial.
 
-        They are bit-identical to those that are gathered live, and no segment spans a gap. Torques
-        are taken without the delay and the filter of their ``reading``. Lost readings are
-        interpolated. Drift, as the longest stretch tells it, is taken out of record and spectra.
-        Where segments are those of its periods, spectra are taken at the lines of the perturbation.
+        No segment spans a gap. Torques are taken without the delay and the filter of their
+        ``reading``. Lost readings are interpolated. Drift, as the longest stretch tells it, is
+        taken out of record and spectra. Where segments are those of its periods, spectra are taken
+        at the lines of the perturbation.
 
         Raises
         ------
@@ -173,14 +173,14 @@ class TrialData:
         if drift is not None and drift.significant:
             stretches = tuple(drift.removed_from(stretch) for stretch in stretches)
             record = max(stretches, key=lambda stretch: stretch.samples)
-        accumulator = SpectralAccumulator(2 * record.joints + 1, record.rate, welch)
         k = record.perturbed_joint
-        for stretch in stretches:
-            accumulator.interrupt()
-            signals = stretch.perturbation[k : k + 1], stretch.position, stretch.torque
-            accumulator.push(np.concatenate(signals))
+        signals = [
+            np.concatenate((one.perturbation[k : k + 1], one.position, one.torque))
+            for one in stretches
+        ]
         try:
-            found, periods = accumulator.result(), record.periods
+            found = cross_spectra(*signals, rate=record.rate, config=welch)
+            periods = record.periods
             if periods is not None and welch is not None and welch.segment != periods.segment:
                 periods = None
             if periods is not None:

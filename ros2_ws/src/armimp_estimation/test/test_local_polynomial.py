@@ -14,7 +14,7 @@ from armimp_estimation.estimators.local_polynomial import (
 )
 from armimp_estimation.fit import covariance_of_sums
 from armimp_estimation.periods import Periods
-from armimp_estimation.spectra import SpectralAccumulator, WelchConfig
+from armimp_estimation.spectra import WelchConfig, cross_spectra
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -88,9 +88,7 @@ def test_leakage_that_spoils_averaged_spectra_is_removed() -> None:
     plain = np.abs(ratio / true - 1.0)[near]
 
     welch = WelchConfig(segment=1024, overlap=768)
-    accumulator = SpectralAccumulator(2, RATE, welch)
-    accumulator.push(np.stack((source, output)))
-    matrix = accumulator.result().matrix
+    matrix = cross_spectra(np.stack((source, output)), rate=RATE, config=welch).matrix
     f = welch.frequencies(RATE)
     true = signal.freqz(*system, worN=f, fs=RATE)[1]
     averaged = np.abs(matrix[0, 1] / matrix[0, 0] / true - 1.0)[(f > 0.5) & (f < 2.0)]

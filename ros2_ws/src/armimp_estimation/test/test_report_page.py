@@ -2,15 +2,12 @@
 
 import base64
 import hashlib
-import json
 import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from armimp_common import topics
 from armimp_common.cdr import decode_trial_status, encode_trial_status
@@ -20,7 +17,7 @@ from armimp_estimation.figures import TWO_COLUMNS, impedance_figure, write_figur
 from armimp_estimation.problems import ProblemCode, problem
 from armimp_estimation.report import REPORT_FILE, report_page, write_report
 from armimp_estimation.report.formats import difference, number, percent, plain, uncertain
-from armimp_estimation.report.page import render_page, script_json
+from armimp_estimation.report.page import render_page
 from armimp_estimation.report.run import advised, assumptions
 from armimp_estimation.result import Result, load_result
 from armimp_estimation.summary import Summary, read_summary, write_summary
@@ -289,14 +286,6 @@ def test_distortion_is_shown_by_trial_where_the_perturbation_repeats_itself(
 @pytest.mark.parametrize("value", ["a\x00b", "a\x1bb", "a\x7fb", "a\u202eb", "a\u2066b"])
 def test_characters_which_deceive_are_shown_as_replaced(value: str) -> None:
     assert plain(value) == "a\N{REPLACEMENT CHARACTER}b"
-
-
-@settings(max_examples=40)
-@given(st.recursive(st.text() | st.integers() | st.none(), st.lists))
-def test_json_for_a_script_comes_back_and_cannot_end_the_element(value: object) -> None:
-    made = script_json({"value": value, "</script>": "<!--"})
-    assert "<" not in made
-    assert json.loads(made) == {"value": value, "</script>": "<!--"}
 
 
 def test_problems_of_one_kind_come_together_in_their_order() -> None:

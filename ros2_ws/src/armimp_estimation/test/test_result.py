@@ -24,7 +24,7 @@ from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.recorder import TrialRecorder
 from armimp_estimation.report import report_page
 from armimp_estimation.result import Result, conclude
-from armimp_estimation.spectra import WelchConfig, bin_correlation, effective_averages
+from armimp_estimation.spectra import WelchConfig, segment_averages
 from armimp_estimation.summary import (
     ImpedanceCurve,
     read_frf,
@@ -265,9 +265,10 @@ def test_segments_of_all_parts_are_averaged_and_none_spans_a_gap() -> None:
     assert data.record is parts[2]
     # Of equal parts exactly; segments on either side of a gap have nothing in common.
     config = WelchConfig()
-    assert effective_averages(config, 8, 8) == pytest.approx(2 * effective_averages(config, 8))
-    assert effective_averages(config, 8, 8) > effective_averages(config, 16)
-    np.testing.assert_allclose(bin_correlation(config, 8, 8), bin_correlation(config, 8))
+    once, twice, joined = (segment_averages(config, *runs) for runs in ((8,), (8, 8), (16,)))
+    assert twice[0] == pytest.approx(2 * once[0])
+    assert twice[0] > joined[0]
+    np.testing.assert_allclose(twice[1], once[1])
 
 
 def test_all_trials_get_the_segments_of_the_one_that_can_have_least() -> None:

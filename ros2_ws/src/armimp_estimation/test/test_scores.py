@@ -9,7 +9,7 @@ from armimp_estimation import scores
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.frf import FrfMatrix, frf_matrix
 from armimp_estimation.mbk import MBK
-from armimp_estimation.spectra import CrossSpectra, SpectralAccumulator
+from armimp_estimation.spectra import CrossSpectra, cross_spectra
 from armimp_estimation.trial import TrialData
 from support.synthetic_trials import (
     TWO_JOINT_ARM,
@@ -86,9 +86,7 @@ def test_derived_coherence_follows_its_definition() -> None:
 
 
 def unrelated(rng: np.random.Generator) -> CrossSpectra:
-    accumulator = SpectralAccumulator(2, 125.0, WELCH)
-    accumulator.push(rng.standard_normal((2, 6144)))
-    return accumulator.result()
+    return cross_spectra(rng.standard_normal((2, 6144)), rate=125.0, config=WELCH)
 
 
 def test_coherence_of_unrelated_signals_exceeds_the_significance_level_as_often_as_alpha() -> None:

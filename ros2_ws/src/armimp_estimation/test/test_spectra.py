@@ -1,19 +1,14 @@
-import itertools
-
 import numpy as np
 import pytest
 import scipy.signal
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from armimp_common.errors import DataError
 from armimp_estimation.spectra import (
     CrossSpectra,
-    SpectralAccumulator,
     WelchConfig,
-    bin_correlation,
-    effective_averages,
+    cross_spectra,
+    segment_averages,
 )
 
 FloatArray = NDArray[np.float64]
@@ -30,9 +25,7 @@ def signals(channels: int, samples: int, seed: int = 0) -> FloatArray:
 
 
 def spectra_of(x: FloatArray, config: WelchConfig = SMALL, rate: float = RATE) -> CrossSpectra:
-    accumulator = SpectralAccumulator(len(x), rate, config)
-    accumulator.push(x)
-    return accumulator.result()
+    return cross_spectra(x, rate=rate, config=config)
 
 
 def assert_equals_scipy(x: FloatArray, config: WelchConfig, rate: float) -> None:
@@ -68,44 +61,9 @@ def test_default_band_is_from_the_first_bin_to_15_hz() -> None:
     assert f[-1] <= 15.0 < f[-1] + 1000.0 / 8192.0
 
 
-@settings(max_examples=25, deadline=None)
-@given(
-    channels=st.integers(1, 4),
-    samples=st.integers(64, 400),
-    cuts=st.lists(st.integers(0, 400), max_size=12),
-    overlap=st.integers(0, 63),
-)
-def test_blocks_of_any_size_give_bit_identical_matrices(
-    channels: int, samples: int, cuts: list[int], overlap: int
-) -> None:
-    config = WelchConfig(segment=64, overlap=overlap, f_low=0.0, f_high=32.0)
-    x = signals(channels, samples, seed=samples)
-    accumulator = SpectralAccumulator(channels, RATE, config)
-    edges = [0, *sorted(min(cut, samples) for cut in cuts), samples]
-    for begin, end in itertools.pairwise(edges):
-        accumulator.push(x[:, begin:end])
-    assert accumulator.samples == samples
-    assert accumulator.segments == max(0, (samples - config.overlap) // config.step)
-    assert accumulator.result().matrix.tobytes() == spectra_of(x, config).matrix.tobytes()
-
-
 def test_when_the_record_is_shorter_than_a_segment_expect_both_lengths_in_the_error() -> None:
-    accumulator = SpectralAccumulator(1, 1000.0)
-    accumulator.push(np.zeros((1, 8191)))
     with pytest.raises(DataError, match="8191 samples is shorter than one segment of 8192"):
-        accumulator.result()
-
-
-def test_when_a_sample_is_not_finite_expect_an_error_and_nothing_appended() -> None:
-    x = signals(2, 100)
-    accumulator = SpectralAccumulator(2, RATE, SMALL)
-    accumulator.push(x[:, :10])
-    bad = x[:, 10:20].copy()
-    bad[1, 4] = np.nan
-    with pytest.raises(DataError, match="channel 1 is nan at sample 14"):
-        accumulator.push(bad)
-    accumulator.push(x[:, 10:])
-    assert accumulator.result().matrix.tobytes() == spectra_of(x).matrix.tobytes()
+        cross_spectra(np.zeros((1, 8191)), rate=1000.0)
 
 
 def test_averages_scatter_and_correlate_as_white_noise_shows() -> None:
@@ -119,9 +77,10 @@ def test_averages_scatter_and_correlate_as_white_noise_shows() -> None:
     for run in range(runs):
         averages[run] = spectra_of(x[2 * run : 2 * run + 2], config, 128.0).matrix[0, 1]
     power = np.mean(np.abs(averages) ** 2)
-    assert effective_averages(WelchConfig(), 21) == pytest.approx(11.18, abs=0.01)
+    assert segment_averages(WelchConfig(), 21)[0] == pytest.approx(11.18, abs=0.01)
     # E|G_xy|² = G_xx G_yy / n_d for independent signals; G_xx = 2/rate for unit white noise.
-    assert (2.0 / 128.0) ** 2 / power == pytest.approx(effective_averages(config, 21), rel=0.03)
-    for lag, expected in enumerate(bin_correlation(config, 21)):
+    worth, correlation = segment_averages(config, 21)
+    assert (2.0 / 128.0) ** 2 / power == pytest.approx(worth, rel=0.03)
+    for lag, expected in enumerate(correlation):
         products = averages[:, lag:] * np.conj(averages[:, : averages.shape[1] - lag])
         assert np.mean(products).real / power == pytest.approx(expected, abs=0.02)

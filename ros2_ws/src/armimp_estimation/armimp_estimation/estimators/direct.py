@@ -12,16 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from armimp_common.arrays import ComplexArray
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
-from armimp_estimation.estimators.welch import (
-    Column,
-    WelchSiso,
-    estimate_by_columns,
-    with_biases,
-)
-from armimp_estimation.frf import noise_gain, order_trials
+from armimp_estimation.estimators.welch import WelchSiso, estimate_by_columns, with_biases
+from armimp_estimation.frf import frf_matrix, noise_gain, order_trials, unexplained
 from armimp_estimation.trial import TrialData
 
 
@@ -30,15 +24,6 @@ class Direct:
     """``Z_ik = G_{θk τi}/G_{θk θk}`` by averaged spectra, as if there were no loop."""
 
     name: str = "direct"
-
-    def _column(self, trial: TrialData) -> Column:
-        channel = trial.position_channel(trial.joint)
-        motion = trial.spectra.power(channel)
-        if not (motion > 0.0).all():
-            still = trial.f[~(motion > 0.0)][0]
-            raise DataError(f"joint {trial.joint + 1} does not move at {still:.4g} Hz")
-        impedance: ComplexArray = trial.spectra.matrix[channel, trial.torque_channel(0) :] / motion
-        return impedance, noise_gain(trial) * trial.input_power / motion
 
     def estimate(self, trials: Sequence[TrialData]) -> ImpedanceEstimate:
         """Whole matrix from n trials in any order, one for each joint.
@@ -53,22 +38,18 @@ class Direct:
             If a joint has no trial, there are too few segments, or a joint does not move.
         """
         ordered = order_trials(trials)
-        estimate = estimate_by_columns(self.name, ordered, self._column)
-        n = estimate.joints
-        left = [self._unexplained(trial) for trial in ordered]
-        inverse = np.eye(n, dtype=np.complex128)[:, :, None] * np.ones(estimate.f.size)
-        estimate = replace(estimate, disturbance=np.stack(left), inverse=inverse)
+        columns, gains, disturbances = [], [], []
+        for trial in ordered:
+            angle, torque = trial.position_channel(trial.joint), trial.torque_channel(0)
+            motion = trial.spectra.power(angle)
+            if not (motion > 0.0).all():
+                still = trial.f[~(motion > 0.0)][0]
+                raise DataError(f"joint {trial.joint + 1} does not move at {still:.4g} Hz")
+            columns.append(trial.spectra.matrix[angle, torque:] / motion)
+            gains.append(noise_gain(trial) * trial.input_power / motion)
+            disturbances.append(gains[-1] * unexplained(trial.spectra, angle, torque))
+        impedance = np.stack(columns, axis=1)
+        estimate = estimate_by_columns(self.name, ordered, frf_matrix(ordered), impedance, gains)
+        inverse = np.eye(len(ordered), dtype=np.complex128)[:, :, None] * np.ones(estimate.f.size)
+        estimate = replace(estimate, disturbance=np.stack(disturbances), inverse=inverse)
         return with_biases(estimate, (estimate.Z - WelchSiso().estimate(ordered).Z,))
-
-    def _unexplained(self, trial: TrialData) -> ComplexArray:
-        """Covariance of a column, shape (n, n, n_freq): that of torques without the motion."""
-        angle = trial.position_channel(trial.joint)
-        first = trial.torque_channel(0)
-        matrix, motion = trial.spectra.matrix, trial.spectra.power(angle)
-        crossed = matrix[angle, first:]
-        left = (
-            np.swapaxes(matrix[first:, first:], 0, 1)
-            - crossed[:, None] * np.conj(crossed[None]) / motion
-        )
-        covariance: ComplexArray = noise_gain(trial) * trial.input_power / motion * left
-        return covariance

@@ -36,7 +36,7 @@ class IdentifyConfig:
     calibration: Calibration = field(default_factory=Calibration)
     """What is known of the torque transducers."""
     target: MBK | None = None
-    """MBK or None Target impedance of the law, if it is known; a score compares the robot with its
+    """Target impedance of the law, if it is known; a score compares the robot with its
     diagonal."""
 
     def __post_init__(self) -> None:

@@ -6,9 +6,8 @@ cause, so ``T = Z R + V`` where ``V_ik = G_{x v_i}/G_xx`` has the variance ``G_v
 disturbance also moves the joints through the loop, but that only has an effect of second order.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 
@@ -24,10 +23,6 @@ from armimp_estimation.frf import (
 )
 from armimp_estimation.trial import TrialData
 
-Column: TypeAlias = tuple[ComplexArray, FloatArray]
-"""Column k of an impedance, (n, n_freq), and its variance, (n_freq,), over the power density of the
-torques that the motion of joint k doesn't explain."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class WelchSiso:
@@ -40,32 +35,28 @@ class WelchSiso:
 
     name: str = "welch_siso"
 
-    def _column(self, trial: TrialData) -> Column:
-        """See :func:`armimp_estimation.frf.noise_gain` for the ``n_d - 1`` of the variance."""
-        k = trial.joint
-        frf = frf_matrix([trial])
-        R, T = frf.R[k, 0], frf.T[:, 0]
-        motion = np.abs(R)
-        if not (motion > 0.0).all():
-            still = trial.f[~(motion > 0.0)][0]
-            raise DataError(
-                f"joint {k + 1} does not follow its perturbation at {still:.4g} Hz",
-                "joint_does_not_move",
-            )
-        return T / R, noise_gain(trial) / motion**2
-
     def estimate(self, trials: Sequence[TrialData]) -> ImpedanceEstimate:
         """Whole matrix from n trials in any order, one for each joint.
 
-        The variance of a column is ``G_ee / ((n_d - 1) G_xx |R_kk|²)`` with ``e = τ_i - Z_ik θ_k``.
+        The variance of a column is ``G_ee / ((n_d - 1) G_xx |R_kk|²)`` with ``e = τ_i - Z_ik θ_k``;
+        see :func:`armimp_estimation.frf.noise_gain` for the ``n_d - 1``.
 
         Raises
         ------
         DataError
             If a joint has no trial, there are too few segments, no perturbation or no motion.
         """
-        estimate = estimate_by_columns(self.name, order_trials(trials), self._column)
-        n = estimate.joints
+        ordered = order_trials(trials)
+        frf = frf_matrix(ordered)
+        n = len(ordered)
+        own = frf.R[np.arange(n), np.arange(n)]
+        for k, f in np.argwhere(~(np.abs(own) > 0.0)):
+            raise DataError(
+                f"joint {k + 1} does not follow its perturbation at {frf.f[f]:.4g} Hz",
+                "joint_does_not_move",
+            )
+        gains = [noise_gain(one) / np.abs(R) ** 2 for one, R in zip(ordered, own, strict=True)]
+        estimate = estimate_by_columns(self.name, ordered, frf, frf.T / own, gains)
         locked = estimate.R * (1.0 - np.eye(n))[:, :, None]
         # Each column takes its own angle alone.
         still = estimate.R * np.eye(n)[:, :, None]
@@ -175,21 +166,23 @@ def with_disturbance(
 
 
 def estimate_by_columns(
-    name: str, trials: Sequence[TrialData], column: Callable[[TrialData], Column]
+    name: str,
+    trials: Sequence[TrialData],
+    frf: FrfMatrix,
+    impedance: ComplexArray,
+    gains: Sequence[FloatArray],
 ) -> ImpedanceEstimate:
-    """Whole matrix of an estimator that takes each column from the trial of its joint alone.
+    """Estimate of which each column is from the trial of its joint alone, in order of the joints.
 
-    Trials are in order of their joints.
+    The variance of a column is its gain, (n_freq,), times the power density of the torques that the
+    motion of its joint doesn't explain.
     """
-    columns, variances = [], []
-    for k, trial in enumerate(trials):
-        impedance, gain = column(trial)
-        alone = np.zeros((len(trials), *impedance.shape), dtype=np.complex128)
-        alone[:, k] = impedance
-        columns.append(impedance)
+    variances = []
+    for k, (trial, gain) in enumerate(zip(trials, gains, strict=True)):
+        alone = np.zeros_like(impedance)
+        alone[:, k] = impedance[:, k]
         variances.append(gain * unexplained_power(trial, alone))
-    impedance, variance = np.stack(columns, axis=1), np.stack(variances, axis=1)
-    return matrix_estimate(name, trials, frf_matrix(trials), impedance, variance)
+    return matrix_estimate(name, trials, frf, impedance, np.stack(variances, axis=1))
 
 
 def invert(matrix: ComplexArray, f: FloatArray) -> ComplexArray:

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 
@@ -30,7 +29,7 @@ from armimp_estimation.report.formats import (
     uncertain,
     written,
 )
-from armimp_estimation.report.plots import style_rules
+from armimp_estimation.report.plots import style_rule
 
 Content = dict[str, Any]
 Rows = Sequence[Sequence[object]]
@@ -49,8 +48,6 @@ class Table:
     groups: Sequence[tuple[object, Rows]]
     """Rows that belong together under a title, which may be None; the first cell of each row is its
     header."""
-    spans: Sequence[tuple[object, int]] = ()
-    """Headers above those of the columns, with the number of columns that each is above."""
     words: Sequence[int] = ()
     """Columns of words, aligned to the left as the first one is; numbers are aligned to the right.
     """
@@ -62,32 +59,23 @@ class Table:
                     raise ValueError(f"{len(row)} cells in {len(self.columns)} columns: {row!r}")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Section:
-    """A section of a page: identifier, title in the contents, template, and what that takes.
-
-    Without content there is no such section.
-    """
+    """A section of a page; without content there is none."""
 
     identifier: str
     title: str
-    template: str
-    content: Content | None = field(default_factory=dict)
+    """In the contents."""
+    content: Content | None
+    """What the template takes."""
+    template: str = ""
+    """By default that of the name ``report/<identifier>.html``."""
 
 
 def box(tag: str, label: str, colour: str, style: str = "solid", width: int = 3) -> Content:
     """Make a control that switches what carries a tag, or an entry of a key, drawn like lines."""
     css = {"solid": "solid", "dot": "dotted"}.get(style, "dashed")
     return {"tag": tag, "label": label, "colour": f"var({colour})", "style": css, "width": width}
-
-
-def script_json(value: Any) -> Markup:
-    """Write JSON for a script element so that nothing in it can end the element."""
-    dumped = json.dumps(value, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
-    # Only strings can hold these characters, and there the escapes mean the same.
-    for character in "<>&":
-        dumped = dumped.replace(character, f"\\u{ord(character):04x}")
-    return Markup(dumped)
 
 
 def _shown(value: object) -> object:
@@ -129,13 +117,14 @@ def render_page(
     )
     environment.globals |= {one.__name__: one for one in _FUNCTIONS} | {"NONE": NONE}
     environment.filters |= {one.__name__: one for one in (number, percent)}
-    environment.filters |= {"json": script_json, "words": lambda value: Markup(value).striptags()}
+    compact = {"ensure_ascii": True, "allow_nan": False, "separators": (",", ":")}
+    environment.policies["json.dumps_kwargs"] = compact
     scripts = [str(get_plotlyjs()), _resource("plots.js")]
     return environment.get_template("report/page.html").render(
         title=title,
         header=header,
         sections=[one for one in sections if one.content is not None],
-        style=Markup(style_rules() + _resource("style.css")),
+        style=Markup(style_rule() + _resource("style.css")),
         scripts=[Markup(script) for script in scripts],
         script_hashes=[_hash(script) for script in scripts],
         **content,

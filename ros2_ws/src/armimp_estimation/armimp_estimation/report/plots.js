@@ -11,7 +11,7 @@
     modeBarButtons: [["toImage", "zoom2d", "pan2d", "resetScale2d"]],
     toImageButtonOptions: { format: "svg" },
   };
-  const everyAxis = {
+  const axis = {
     gridcolor: "--rule",
     linecolor: "--ink",
     ticks: "outside",
@@ -19,22 +19,23 @@
     tickcolor: "--ink",
     showline: true,
     zeroline: false,
+    title: { standoff: 8 },
   };
-  const everyLayout = {
-    font: { family: "system-ui, sans-serif", size: 12, color: "--ink" },
-    paper_bgcolor: "rgba(0,0,0,0)",
-    plot_bgcolor: "rgba(0,0,0,0)",
-    hoverlabel: { bgcolor: "--paper", font: { color: "--ink" }, namelength: -1 },
-    modebar: { bgcolor: "rgba(0,0,0,0)", color: "--soft", activecolor: "--ink" },
-    hovermode: "x unified",
+  // What all plots have in common; what one has of its own prevails.
+  const template = {
+    layout: {
+      font: { family: "system-ui, sans-serif", size: 12, color: "--ink" },
+      paper_bgcolor: "rgba(0,0,0,0)",
+      plot_bgcolor: "rgba(0,0,0,0)",
+      hoverlabel: { bgcolor: "--paper", font: { color: "--ink" }, namelength: -1 },
+      modebar: { bgcolor: "rgba(0,0,0,0)", color: "--soft", activecolor: "--ink" },
+      hovermode: "x unified",
+      xaxis: axis,
+      yaxis: axis,
+    },
   };
 
-  // What all plots have in common; what one has of its own prevails.
   function styled({ data, layout }, name) {
-    for (const key of Object.keys(layout).filter((one) => /^[xy]axis/.test(one))) {
-      layout[key] = { ...everyAxis, ...layout[key] };
-      layout[key].title.standoff = 8;
-    }
     if (layout.legend) {
       const seen = new Set();
       for (const trace of data) {
@@ -47,7 +48,7 @@
     const margin = { l: 72, r: 12, t: 30, b: layout.legend ? 84 : 44 };
     // What the reader zoomed into stays when lines are switched, and says nothing of another view.
     const own = { margin, showlegend: Boolean(layout.legend), uirevision: name };
-    return { data, layout: { ...structuredClone(everyLayout), ...own, ...layout } };
+    return { data, layout: { template: structuredClone(template), ...own, ...layout } };
   }
 
   // Colours are names of variables of the style, perhaps with their share: --ink, --ink/0.2.

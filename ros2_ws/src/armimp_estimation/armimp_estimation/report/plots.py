@@ -7,8 +7,8 @@ plots at once.
 One colour stands for one thing. Estimators have those of Okabe and Ito, joints those that Tol calls
 muted, elements those that he calls bright, levels steps from light to dark: all can be told apart
 by colour-blind people. Lines differ in their dashes as well. A page has them as variables of its
-style, with a lighter set for the dark mode; charts name them so, ``--estimator-0``. A page looks
-them up in ``plots.js``, a figure with `printed`.
+style, with a lighter set for the dark mode in ``style.css``; charts name them so,
+``--estimator-0``. A page looks them up in ``plots.js``, a figure with `printed`.
 """
 
 from __future__ import annotations
@@ -55,21 +55,6 @@ _PALETTES: Mapping[str, Sequence[str]] = {
     "bad": ("#b03a00",),
     "link": ("#005a94",),
 }
-_DARK: Mapping[str, Sequence[str]] = {
-    "estimator": ("#4aa8e0", "#ff8a3d", "#2cc79b", "#e79bc4", "#8fd0f5", "#f5bd4a"),
-    "joint": ("#9a8cf0", "#e58391", "#5cc4b3", "#c2c25a", "#88ccee", "#d46a9f", "#b5b5b5"),
-    "level": ("#fde725", "#4fd18b", "#58a8cf", "#c06fd6"),
-    "signal": ("#9a9a9a", "#dddddd"),
-    "ink": ("#e3e7eb",),
-    "soft": ("#a2adb8",),
-    "rule": ("#3a424b",),
-    "paper": ("#15191d",),
-    "shade": ("#1e242a",),
-    "good": ("#41c79b",),
-    "bad": ("#ff8a5c",),
-    "link": ("#6db8f0",),
-}
-"""Where the dark mode has others."""
 LEVEL_DASHES = ("solid", "dash", "dashdot", "dot")
 """Of friction and resolution in a study."""
 DASHES = ("solid", "dash", "dashdot", "longdash", "longdashdot", "dot")
@@ -147,18 +132,14 @@ def printed(colour: str) -> str:
     return _PALETTES[name][int(number or 0)]
 
 
-def style_rules() -> str:
-    """Rules of a style sheet that define the colours in both modes."""
-    light, dark = (
-        "".join(
-            f"--{name}{f'-{number}' if len(colours) > 1 else ''}:{colour};"
-            for name, colours in palettes.items()
-            for number, colour in enumerate(colours)
-        )
-        for palettes in (_PALETTES, _DARK)
+def style_rule() -> str:
+    """Rule of a style sheet that defines the colours as variables."""
+    colours = (
+        f"--{name}{f'-{number}' if len(colours) > 1 else ''}:{colour};"
+        for name, colours in _PALETTES.items()
+        for number, colour in enumerate(colours)
     )
-    screen = f"@media screen and (prefers-color-scheme:dark){{:root:not(.print){{{dark}}}}}"
-    return f":root{{{light}}}\n{screen}\n"
+    return f":root{{{''.join(colours)}}}\n"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -62,28 +62,25 @@ def report_page(result: Result) -> str:
     rates = [one.segments[0].rate for one in result.trials if one.segments]
     timing = None if summary.timing is None else {"late": LATE_NS / 1e9}
     excluded = [one for one in result.trials if one.statistics.excluded or one.statistics.clipped]
-    found: list[tuple[str, str, Content | None]] = [
-        ("verdict", "Verdict", _verdict(result)),
-        ("parameters", "M, B, K", estimated),
-        ("scores", "Scores", _scores(result)),
-        ("impedance", "Impedance", _impedance(result)),
-        ("coherence", "Coherence", _coherence(result)),
-        ("locking", "Locking", _locking(result)),
-        ("distortion", "Distortion", _distortion(result)),
-        ("samples", "Samples", {"excluded": excluded}),
-        ("timing", "Timing", timing),
-        ("signals", "Signals", _signals(result)),
-        ("settings", "Settings", settings),
-        ("assumptions", "Assumptions", assumptions(summary.config)),
+    sections = [
+        Section("verdict", "Verdict", _verdict(result)),
+        Section("parameters", "M, B, K", estimated),
+        Section("scores", "Scores", _scores(result)),
+        Section("impedance", "Impedance", _impedance(result)),
+        Section("coherence", "Coherence", _coherence(result)),
+        Section("locking", "Locking", _locking(result)),
+        Section("distortion", "Distortion", _distortion(result)),
+        Section("samples", "Samples", {"excluded": excluded}),
+        Section("timing", "Timing", timing),
+        Section("signals", "Signals", _signals(result)),
+        Section("settings", "Settings", settings),
+        Section("assumptions", "Assumptions", assumptions(summary.config)),
     ]
     state = "valid" if summary.valid else "not valid"
     return render_page(
         f"{result.name}: arm impedance, {state}",
         "report/run_header.html",
-        [
-            Section(identifier=name, title=title, template=f"report/{name}.html", content=content)
-            for name, title, content in found
-        ],
+        sections,
         result=result,
         summary=summary,
         names=names,
