@@ -38,8 +38,9 @@ period, makes what they tell of value and slope wrong."""
 _OF_OTHERS, _CHATTER_SEEN = 0.95, 0.2
 """Share of what steps explain from which on commands are of other samples, and of torques, from
 which on that can be seen."""
-_LEFT = 0.01
-"""Power that motion and jumps may leave of a torque, relative to what jumps alone explain."""
+_LEFT, _LEFT_BESIDE, _OFF = 1.0, 2.2, 0.15
+"""Rms of what motion and jumps may leave of a torque, relative to what jumps alone explain, and
+where chatter tells those of another one; and relative standard error of D per that."""
 _SHOWN = 0.5
 """Power of changes of torques, relative to that of the jumps they should show, at least."""
 _QUICK = (2.0, 3.0, 15.0, 20.0)
@@ -56,10 +57,13 @@ class HoldCorrection:
         D: torques jump by ``D Δu``, N·m per N·m.
     slope : ndarray, shape (n, n)
         S: their slopes jump by ``S Δu / L``, N·m per N·m.
+    error : ndarray, shape (n,)
+        Relative standard error of the rows of both, as far as angles are in doubt.
     """
 
     torque: FloatArray
     slope: FloatArray
+    error: FloatArray
 
     def missing(
         self, f: FloatArray, rate: float, reading: TorqueReading | None = None
@@ -158,8 +162,8 @@ def update_jump(
         τ_before = -½ D Δu + M (θ_{k+1} - 2θ_k + θ_{k-1})/L² + B (θ_{k+1} - θ_{k-1})/2L + K θ
 
     is fitted by least squares above 2 Hz, where a person does little, and the slope, which hardly
-    matters then, is taken as 0. Errors of the angles would bias that, so what it leaves has to be
-    little beside what D alone explains. Each torque is taken from chatter if that tells it, else
+    matters then, is taken as 0. Errors of the angles would bias that, so what it leaves must not be
+    much beside what D alone explains. Each torque is taken from chatter if that tells it, else
     from the motion.
 
     Readings that are late or have passed a low-pass show a step later, and more slowly. The poles
@@ -193,12 +197,14 @@ def update_jump(
             return None
     if not known.prompt:
         return None
-    moved, left = _from_motion(records)
+    moved = _from_motion(records)
     jump = HoldCorrection(
         torque=np.where(sure[:, None], jump.torque, moved.torque),
         slope=np.where(sure[:, None], jump.slope, moved.slope),
+        error=np.where(sure, 0.0, moved.error),
     )
-    told = (sure | (left < _LEFT) & _shows(*chatter, moved)).all()
+    most = _OFF * (_LEFT_BESIDE if sure.any() else _LEFT)
+    told = (sure | (moved.error < most) & _shows(*chatter, moved)).all()
     return jump if told and _is_share_of_inertia(jump.torque) else None
 
 
@@ -222,7 +228,7 @@ def _from_chatter(
         sum(weight * coefficients[:, n * lag : n * (lag + 1)] for lag, weight in enumerate(row))
         for row in to_parabola
     )
-    return HoldCorrection(torque=torque, slope=slope), explained
+    return HoldCorrection(torque=torque, slope=slope, error=np.zeros(n)), explained
 
 
 def _explained_by_chatter(
@@ -303,8 +309,7 @@ def _lags(reading: TorqueReading, rate: float) -> tuple[FloatArray, FloatArray, 
     return weights, np.linalg.pinv(changes.T)[:2], edge
 
 
-def _from_motion(records: Sequence[TrialRecord]) -> tuple[HoldCorrection, FloatArray]:
-    """Jumps, and what is left of each torque relative to what they alone explain of it, (n,)."""
+def _from_motion(records: Sequence[TrialRecord]) -> HoldCorrection:
     inputs, outputs = [], []
     for record in records:
         angle = record.position - record.position.mean(axis=1, keepdims=True)
@@ -321,8 +326,11 @@ def _from_motion(records: Sequence[TrialRecord]) -> tuple[HoldCorrection, FloatA
     _, without = regress([rows[n:] for rows in inputs], outputs)
     by_jumps = np.maximum(explained - without, np.finfo(np.float64).tiny)
     transmission = coefficients[:, :n]
-    jump = HoldCorrection(torque=transmission, slope=np.zeros_like(transmission))
-    return jump, (1.0 - explained) / by_jumps
+    return HoldCorrection(
+        torque=transmission,
+        slope=np.zeros_like(transmission),
+        error=_OFF * np.sqrt((1.0 - explained) / by_jumps),
+    )
 
 
 def _quick(signals: FloatArray, rate: float) -> FloatArray:

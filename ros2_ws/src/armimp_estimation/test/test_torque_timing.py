@@ -177,7 +177,7 @@ def test_chatter_of_the_command_or_else_the_motion_tells_how_far_torques_jump(la
 def test_what_noise_of_angles_leaves_to_the_commands_tells_no_jump() -> None:
     random = np.random.default_rng(4)
     noisy = [
-        replace(one, position=one.position + 2e-5 * random.standard_normal(one.position.shape))
+        replace(one, position=one.position + 2e-4 * random.standard_normal(one.position.shape))
         for one in rig_records(law="observer")
     ]
     assert update_jump(noisy) is None

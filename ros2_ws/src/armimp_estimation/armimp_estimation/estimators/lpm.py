@@ -167,7 +167,7 @@ class LpmFull:
         impedance = near.impedance(f) + beside
         torque = multiply(impedance, R)
         reversing, bending = _reversals(records, impedance, f)
-        skewed = self._doubts(added, f, reversing[:, None], bending)
+        skewed = self._doubts(added, f, jump, reversing[:, None], bending)
 
         every = _angles_and(_unit(n, 2 * n, f), n)
         coefficients = every[n:].copy()
@@ -262,7 +262,8 @@ class LpmFull:
         uncorrected = multiply(skew[:, :n], stacked[n : 2 * n, None])[:, 0]
         reversing, bending = _reversals([record], impedance[:, None], f)
         systematics: tuple[ComplexArray, ...]
-        systematics = self._doubts((torque - uncorrected) / stacked[k], f, reversing, bending)
+        added = (torque - uncorrected) / stacked[k]
+        systematics = self._doubts(added, f, jump, reversing, bending)
         variance = np.asarray(sum(np.abs(one) ** 2 for one in systematics))
         for i in range(n):
             coefficients = np.zeros((len(stacked), f.size), dtype=np.complex128)
@@ -288,7 +289,12 @@ class LpmFull:
         return self.config.weight_floor if column.line_power is None else LINE_FLOOR
 
     def _doubts(
-        self, correction: ComplexArray, f: FloatArray, reversing: FloatArray, bending: FloatArray
+        self,
+        correction: ComplexArray,
+        f: FloatArray,
+        jump: HoldCorrection | None,
+        reversing: FloatArray,
+        bending: FloatArray,
     ) -> tuple[ComplexArray, ...]:
         """Standard errors of what was added to an impedance for the skew.
 
@@ -296,8 +302,11 @@ class LpmFull:
         and real for that of friction, which goes with s, and is in doubt where motion reverses.
         What friction bends there within a period is not in it at all, and looks like viscosity.
         """
-        inertial = np.asarray(1j * self.config.skew_uncertainty * correction.imag)
-        share = np.hypot(self.config.skew_uncertainty, self.config.friction_uncertainty * reversing)
+        error = np.zeros(len(correction)) if jump is None else jump.error
+        known = np.hypot(self.config.skew_uncertainty, error)
+        known = known.reshape(-1, *np.ones(correction.ndim - 1, dtype=np.intp))
+        inertial = np.asarray(1j * known * correction.imag)
+        share = np.hypot(known, self.config.friction_uncertainty * reversing)
         rubbing = np.asarray(share * correction.real, dtype=np.complex128)
         bent = (_inertia(correction, f) * bending)[..., None] * 2j * np.pi * f
         return inertial, rubbing, np.asarray(bent, dtype=np.complex128)
