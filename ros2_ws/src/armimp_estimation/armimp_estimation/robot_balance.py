@@ -134,10 +134,12 @@ class RobotBalance:
         """Its standard errors.
 
         What friction of the perturbed joint isn't like a damper may be all of it at the upper end
-        of the band. Where friction takes much of what moves a locked joint, it may hide inertia.
+        of the band. Where friction takes much of what moves a locked joint, it may hide inertia,
+        the more so the less it is like a damper.
         """
         share = np.maximum(self.friction, self.unseen)
-        share *= np.where(self.friction > _HIDDEN, 1.0, _TAKEN)
+        hidden = self.friction > _HIDDEN * (1.0 - self.undamped)
+        share *= np.where(hidden, 1.0, _TAKEN)
         taken = share * np.maximum(np.abs(self.M), np.abs(self.M.T))
         own = np.diag(np.abs(np.diag(self.terms[1]))) / (2.0 * np.pi * BAND[1])
         return np.asarray(np.hypot(self._errors[0], taken + own))
