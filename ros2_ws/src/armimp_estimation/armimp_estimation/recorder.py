@@ -26,9 +26,9 @@ from armimp_common.topics import (
     COMMANDS,
     DATA_STREAMS,
     JOINT_STATES,
+    NS_PER_S,
     PERIOD_NS,
     PERTURBATION,
-    RATE,
     TORQUE_SENSORS,
     TRIAL,
     VALUE_FIELD,
@@ -44,6 +44,7 @@ from armimp_estimation.record import TrialRecord
 from armimp_estimation.scores import coherence
 from armimp_estimation.trial import TrialData, segments_for
 
+_RATE = NS_PER_S / PERIOD_NS
 _ROUND = 1000
 _SEEN_EVERY = 1.0
 """Wall time between two estimates from the running trial (s); each takes some 20 ms."""
@@ -58,8 +59,8 @@ _STEP_BACK_NS = 1_000_000_000
 """Stamps that step back by more than this (ns) belong to another run."""
 _STRAY = 50
 """As many messages show together what time it is, even if some are somebody else's."""
-_DECIDED_EVERY = 2000
-"""Samples from one decision on an early end to the next."""
+_DECIDED_EVERY = 2.0
+"""Time from one decision on an early end to the next (s)."""
 _GROWTH = 10
 """Decisions on long trials are further apart, by this part of the length so far, as an estimate
 from a long record takes long."""
@@ -238,8 +239,13 @@ class TrialRecorder:
         if not self._target_error or status is None or status.phase is not Phase.PERTURB:
             return None
         if self._rule is None:
-            bound, least = self._target_error, self._least_duration
-            self._rule = StoppingRule(bound, least, trial=status.trial, planned=status.ticks)
+            self._rule = StoppingRule(
+                self._target_error,
+                self._least_duration,
+                trial=status.trial,
+                planned=status.ticks,
+                rate=_RATE,
+            )
         return self._rule.decide(self.samples, self._column_of)
 
     def _column_of(self, samples: int) -> FittedColumn | None:
@@ -409,7 +415,7 @@ class TrialRecorder:
         (trial,) = trials
         if trial.record is not None:
             self._past.append(trial.record)
-        rtf = trial.statistics.span / RATE / elapsed
+        rtf = trial.statistics.span / _RATE / elapsed
         return replace(trial, bag=self._bag or None, rtf=rtf)
 
 
@@ -439,14 +445,19 @@ class StoppingRule:
         Number of the trial, 1-based.
     planned : int
         Samples that it has at most.
+    rate : float
+        Samples per second, Hz.
     """
 
-    def __init__(self, bound: float, least: float, *, trial: int, planned: int) -> None:
+    def __init__(
+        self, bound: float, least: float, *, trial: int, planned: int, rate: float
+    ) -> None:
         self._bound = bound
         self._trial = trial
         self._planned = planned
+        self._every = round(_DECIDED_EVERY * rate)
         self._announced = False
-        self._due: int | None = self._within(max(round(least * RATE) - NOTICE_TICKS, 1))
+        self._due: int | None = self._within(max(round(least * rate) - NOTICE_TICKS, 1))
 
     def decide(
         self, samples: int, column: Callable[[int], FittedColumn | None]
@@ -476,7 +487,7 @@ class StoppingRule:
         enough = bool(largest < self._bound)
         self._due = None
         if not enough:
-            self._due = self._within(considered + max(_DECIDED_EVERY, considered // _GROWTH))
+            self._due = self._within(considered + max(self._every, considered // _GROWTH))
         return self._decision(considered, enough=enough, largest=largest, element=element)
 
     def _within(self, samples: int) -> int | None:

@@ -32,7 +32,7 @@ def column(error: float) -> FittedColumn:
 
 
 def rule(planned: int = 50_000) -> StoppingRule:
-    return StoppingRule(BOUND, 20.0, trial=2, planned=planned)
+    return StoppingRule(BOUND, 20.0, trial=2, planned=planned, rate=1000.0)
 
 
 def decisions(
@@ -108,7 +108,7 @@ def ended(record: TrialRecord, others: Sequence[TrialRecord]) -> TrialRecord:
     def column_of(samples: int) -> FittedColumn:
         return LPM.column(part_of(record, 0, samples), others)
 
-    rule = StoppingRule(0.15, 20.0, trial=1, planned=record.samples)
+    rule = StoppingRule(0.15, 20.0, trial=1, planned=record.samples, rate=record.rate)
     decision = rule.decide(0, lambda _: None)
     while decision is not None and decision.due is not None:
         decision = rule.decide(decision.due, column_of)
