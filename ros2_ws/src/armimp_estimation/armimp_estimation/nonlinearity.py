@@ -282,7 +282,7 @@ class Deviation:
     @property
     def significant(self) -> bool:
         """Whether chance hardly explains it."""
-        return self._errors > SIGNIFICANT
+        return self.errors > SIGNIFICANT
 
     def doubt(self, elsewhere: float = 0.0, *, declared: bool = False) -> float:
         """Standard error that it is, relative to what was found: less if it may be chance.
@@ -305,11 +305,11 @@ class Deviation:
         term = TERMS[self.name]
         if term.doubted and self.error == np.inf:
             return term.likely * float(np.mean(np.square(term.sizes))), 0.0
-        if not term.likely or (term.lines_alone and not self.at_lines) or not self._errors > 0.0:
+        if not term.likely or (term.lines_alone and not self.at_lines) or not self.errors > 0.0:
             return 0.0, 0.0
         if abs(self.share) <= term.robots:
             return 0.0, 0.0
-        error = abs(self.share) / self._errors
+        error = abs(self.share) / self.errors
         told = self.share if term.positive else abs(self.share)
         return hidden_square(
             told,
@@ -321,20 +321,12 @@ class Deviation:
         )
 
     @property
-    def _errors(self) -> float:
-        return _normal_errors((self.share, self.error, self.freedom), self.looks)
-
-
-def _normal_errors(told: tuple[float, float, float], looks: int) -> float:
-    """Standard errors of a normal distribution that are as unlikely, if looked for so often.
-
-    Of a value, its standard error, and that's degrees of freedom.
-    """
-    value, error, freedom = told
-    if not error > 0.0:
-        return 0.0
-    chance = looks * float(stdtr(freedom, -abs(value) / error))
-    return float(-ndtri(min(max(chance, np.finfo(float).tiny), 0.5)))
+    def errors(self) -> float:
+        """Standard errors of a normal distribution that are as unlikely."""
+        if not self.error > 0.0:
+            return 0.0
+        chance = self.looks * float(stdtr(self.freedom, -abs(self.share) / self.error))
+        return float(-ndtri(min(max(chance, np.finfo(float).tiny), 0.5)))
 
 
 class _Band:
@@ -555,15 +547,7 @@ def deviations(
         told = _slope(instrument, linear.removed(term), remains)
         if np.linalg.norm(linear.unlike(alone)) <= _TOLD * np.linalg.norm(alone):
             told = told[0], np.inf, told[2]
-        at_lines, looks = False, 1
-        if name in _AT_ONCE:
-            which = _AT_ONCE[name]
-            seen = [band.signal(nearly * band.of(of[which]))[kept] for of in (known, signals)]
-            told, looks = max(
-                (told, looks),
-                _step(seen[0], seen[1], steady),
-                key=lambda one: _normal_errors(*one),
-            )
+        at_lines = False
         if record.periods is not None and name not in _IN_TIME:
             signal = shown if of_gain or name in _LOST else moved
             of_lines = _slope_at_lines(band.lines, signal, bent[2], bent[1], left, shown)
@@ -572,7 +556,14 @@ def deviations(
         # What M, B and K are alike of it: the derivatives 2, 1, 0.
         alike = np.linalg.lstsq(motion[2::-1, kept].T, band.signal(bent[1])[kept], rcond=None)[0]
         deviation = _deviation(name, told, alike, own, sizes[:, 0])
-        found[name] = replace(deviation, at_lines=at_lines, looks=looks)
+        found[name] = replace(deviation, at_lines=at_lines)
+        if name in _AT_ONCE:
+            which = _AT_ONCE[name]
+            seen = [band.signal(nearly * band.of(of[which]))[kept] for of in (known, signals)]
+            step, looks = _step(seen[0], seen[1], steady)
+            sudden = replace(_deviation(name, step, alike, own, sizes[:, 0]), looks=looks)
+            if abs(sudden.share) > _LEFT:
+                found[name] = max(found[name], sudden, key=lambda one: one.errors)
     return found
 
 
