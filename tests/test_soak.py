@@ -1,7 +1,6 @@
 """An hour of simulated trials back to back in one process: nothing is lost, nothing piles up."""
 
 import json
-import statistics
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -58,7 +57,8 @@ def test_in_an_hour_of_trials_nothing_is_lost_and_nothing_piles_up(
     assert [one.ticks for one in told] == [[50_000, 50_000]] * EXPERIMENTS
     assert sum(sum(one.lost) for one in told) == 0
     warm, last = told[WARM_UP : 2 * WARM_UP], told[-WARM_UP:]
-    before, after = (statistics.median(one.memory for one in part) for part in (warm, last))
+    # What was freed may stay in the process for a while, or not: the least is what it needs.
+    before, after = (min(one.memory for one in part) for part in (warm, last))
     growth = after - before
     figures.add(
         "trial of 50 s, back to back in one process",
