@@ -117,15 +117,15 @@ def judge_matrices(
 def _quick_inertia(estimate: ImpedanceEstimate) -> tuple[FloatArray, FloatArray]:
     """Largest inertia that joints may have at the upper end of the band, and its noise, each (n,).
 
-    It is ``|Z|/ω²``. Whatever else may be wrong with a torque, one that passed a low-pass shows
-    none at all.
+    It is ``|Z|/ω²``, or what any joint may have where stiffness makes that larger. Whatever else
+    may be wrong with a torque, one that passed a low-pass shows none at all.
     """
     top = estimate.f >= _TOP * estimate.f[-1]
     square = (2.0 * np.pi * estimate.f[top]) ** 2
     Z = np.einsum("iif->if", estimate.Z)[:, top] / square
     variance = np.einsum("iif->if", estimate.without_systematics().variance)[:, top] / square**2
     error = np.sqrt(np.mean(variance, axis=1) / square.size)
-    return np.median(np.abs(Z), axis=1), error
+    return np.minimum(np.median(np.abs(Z), axis=1), RANGES["M"][1]), error
 
 
 def uneven(M: FloatArray, errors: FloatArray, share: float, chance: float = _ERRORS) -> BoolArray:

@@ -111,6 +111,15 @@ def test_a_perturbation_without_power_in_a_part_of_the_band_gives_what_the_rest_
     assert all(off(one.fit).max() < 3.5 for one in result.estimators.values())
 
 
+def test_a_stiff_arm_that_is_perturbed_slowly_shows_no_inertia_that_none_has() -> None:
+    arm = dataclasses.replace(TWO_JOINT_ARM, K=150.0 * TWO_JOINT_ARM.K)
+    loop = dataclasses.replace(LOOP, bandwidth=0.5, torque_noise=0.001)
+    result = identify(synthetic_trials(loop, arm=arm), ("lpm_full",), config=CONFIG)
+    codes = {one.code for one in result.problems}
+    assert ProblemCode.BAND_NARROWED in codes
+    assert ProblemCode.IMPLAUSIBLE_VALUE not in codes
+
+
 def test_an_inertia_that_is_not_symmetric_is_refused() -> None:
     across = TWO_JOINT_ARM.M * [[1.0, 1.5], [1.0, 1.0]]
     arm = dataclasses.replace(TWO_JOINT_ARM, M=across)

@@ -304,7 +304,7 @@ class LpmFull:
         """
         error = np.zeros(len(correction)) if jump is None else jump.error
         known = np.hypot(self.config.skew_uncertainty, error)
-        known = known.reshape(-1, *np.ones(correction.ndim - 1, dtype=np.intp))
+        known = known.reshape(-1, *(1,) * (correction.ndim - 1))
         inertial = np.asarray(1j * known * correction.imag)
         share = np.hypot(known, self.config.friction_uncertainty * reversing)
         rubbing = np.asarray(share * correction.real, dtype=np.complex128)
