@@ -253,7 +253,8 @@ class RobotResponses:
         coefficients = mixed.copy()
         coefficients[:, :n] -= impedance
         angles, shown = stacked[:n], stacked[n : 2 * n]
-        leads, lost = unresolved(self.records, impedance, angles, shown, self.inverse, f)
+        ahead, leads, lost = unresolved(self.records, impedance, angles, shown, self.inverse, f)
+        impedance = impedance + ahead
         systematics = leads + lost
         if delay is not None:
             torque = multiply(mixed[:, n : 2 * n], shown)

@@ -199,8 +199,9 @@ def test_motion_that_an_encoder_misses_is_that_of_a_spring_or_a_damper() -> None
     rng = np.random.default_rng(2)
     Z, R, T, inverse = rng.standard_normal((4, 2, 2, 5, 2)) @ [1.0, 1j]
     f = np.linspace(1.0, 5.0, 5)
-    leads, lost = unresolved(records, Z, R, T, inverse, f)
-    added = np.sum([np.abs(one) ** 2 for one in leads + lost], axis=0)
+    _, leads, lost = unresolved(records, Z, R, T, inverse, f)
+    assert leads == []  # what rests isn't thrown back, and what moves fast hides nothing
+    added = np.sum([np.abs(one) ** 2 for one in lost], axis=0)
     expected = np.zeros(Z.shape)
     share, beside = lost_motion(records)
     for joint, k in ((1, 0), (0, 1)):
@@ -212,11 +213,42 @@ def test_motion_that_an_encoder_misses_is_that_of_a_spring_or_a_damper() -> None
             responses.append(size * shape / np.sqrt(np.mean(np.abs(shape) ** 2)))
         for one in responses:
             expected += np.abs(one * Z[:, joint, None] * inverse[None, k]) ** 2
-    # And readings may lead the motion, of the perturbed joint, too.
-    for (joint, k), lead in np.ndenumerate(rounding_lead(records, 5.0)):
-        ahead = 2j * np.pi * f * lead * R[joint, k]
-        expected += np.abs(ahead * Z[:, joint, None] * inverse[None, k]) ** 2
     np.testing.assert_allclose(added, expected, rtol=1e-12)
+
+
+def test_readings_of_a_joint_that_its_law_throws_back_lead_as_steps_and_speed_tell() -> None:
+    rate, step, lock, band_end = 1000.0, 4e-4, 80.0, 15.0
+    records = [trial.record for trial in synthetic_trials()]
+    records = [dataclasses.replace(one, command=None, rate=rate) for one in records]
+    load = 2.0 * records[0].perturbation[0] / np.std(records[0].perturbation[0])
+    angle, torque = np.empty((2, load.size))
+    place = speed = command = last = shown = 0.0
+    for k, push in enumerate(load):
+        reading = step * np.rint(place / step)
+        shown += 0.4 * ((reading - last) * rate - shown)
+        angle[k], torque[k], last = place, push + command, reading
+        command = -(lock**2) * reading - 2.0 * lock * shown
+        for _ in range(10):
+            speed += 0.1 / rate * (push + command)
+            place += 0.1 / rate * speed
+    readings = step * np.rint(angle / step)
+    resting = np.zeros(load.size)
+    # An arm of 1 kg·m² has all of the torque.
+    held = np.stack([resting, readings])
+    records[0] = dataclasses.replace(records[0], position=held, torque=np.stack([resting, torque]))
+    records[1] = dataclasses.replace(records[1], position=held)
+    lead, error = rounding_lead(records, np.eye(2), band_end)
+    f = np.fft.rfftfreq(load.size, 1.0 / rate)
+    band = (f > 0.5) & (f < band_end)
+    cause, moved, rounded = (np.fft.rfft(x)[band] for x in (load, angle, readings - angle))
+    # Of what follows from the load, in lines of 0.2 Hz.
+    moved, rounded = (
+        np.add.reduceat(np.conj(cause) * one, np.arange(0, cause.size, 10))
+        for one in (2j * np.pi * f[band] * moved, rounded)
+    )
+    true = np.sum((np.conj(moved) * rounded).real) / np.sum(np.abs(moved) ** 2)
+    assert true > 1e-3
+    assert abs(lead[1, 0] - true) < 2.0 * error[1, 0] < 1.2 * true
 
 
 def test_column_of_one_trial_is_that_of_the_whole_estimate_where_joints_are_locked() -> None:

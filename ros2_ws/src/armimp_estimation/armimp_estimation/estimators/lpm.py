@@ -43,8 +43,6 @@ _SPARE_BINS = 3
 _MOST_NEAR = 64
 _NEARER = 3
 _TINY = float(np.finfo(np.float64).tiny)
-_LEAD_ERROR = 0.5
-"""Assumption: relative standard error of :func:`rounding_lead`."""
 LINE_FLOOR = 0.001
 """Relative error that responses at the lines of a multisine are allowed beside their variance."""
 
@@ -172,9 +170,8 @@ class LpmFull:
         every = _angles_and(_unit(n, 2 * n, f), n)
         coefficients = every[n:].copy()
         every[n:, :n], coefficients[:, :n] = near.impedance(f), -beside
-        told, lost = unresolved(records, impedance, R, torque, inverse, f)
-        impedance = impedance + sum(told)
-        told = [_LEAD_ERROR * one for one in told]
+        ahead, told, lost = unresolved(records, impedance, R, torque, inverse, f)
+        impedance = impedance + ahead
         half_period = 0.5 / rate
         delay_uncertainty = self._delay_uncertainty(jump, rate)
         powers = _line_power(columns)
@@ -491,7 +488,7 @@ def unresolved(
     T: ComplexArray,
     inverse: ComplexArray,
     f: FloatArray,
-) -> tuple[list[ComplexArray], list[ComplexArray]]:
+) -> tuple[ComplexArray, list[ComplexArray], list[ComplexArray]]:
     """What motion of locked joints that their encoders don't show may do to the impedance.
 
     Readings are ahead of the responses R by a lead, a share of ``jω`` times that. Rounding takes
@@ -502,23 +499,29 @@ def unresolved(
 
     Returns
     -------
+    ahead : (n, n, n_freq) NDArray
+        What the impedance lacks, as readings lead.
     leads, lost : list of (n, n, n_freq) NDArray
-        What leads do on average, and standard errors. The shape over frequency of leads alone is
-        known so well that data can tell their size.
+        Standard errors, of that and of the rest. The shape over frequency of leads alone is known
+        so well that data can tell their size.
     """
     share, beside = lost_motion(records)
-    lead = rounding_lead(records, float(f[-1]))
+    inertia = _possible(_inertia(multiply(T, inverse), f))
+    lead, error = rounding_lead(records, inertia, float(f[-1]))
+    ahead = np.zeros_like(impedance)
     leads, lost = [], []
-    for joint, k in np.argwhere(share + beside + lead > 0.0):
+    for joint, k in np.argwhere(share + beside + error > 0.0):
         responses = [share[joint, k] * R[joint, k]]
         for shape in (T[joint, k], T[joint, k] / (2j * np.pi * f)):
             caused = np.sqrt(np.mean(np.abs(shape) ** 2)) * np.std(records[k].perturbation[k])
             responses.append(beside[joint, k] / max(float(caused), _TINY) * shape)
         effect = impedance[:, joint, None] * inverse[None, k]
         lost += [one * effect for one in responses if one.any()]
-        if lead[joint, k] > 0.0:
-            leads.append(2j * np.pi * f * lead[joint, k] * R[joint, k] * effect)
-    return leads, lost
+        if error[joint, k] > 0.0:
+            moved = 2j * np.pi * f * R[joint, k] * effect
+            ahead += lead[joint, k] * moved
+            leads.append(error[joint, k] * moved)
+    return ahead, leads, lost
 
 
 _APART = 0.02
