@@ -29,9 +29,14 @@ import numpy as np
 
 from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_common.errors import DataError
-from armimp_estimation.estimators.estimate import ImpedanceEstimate
+from armimp_estimation.estimators.estimate import ImpedanceEstimate, variance_of
 from armimp_estimation.estimators.local_polynomial import LocalResponse
-from armimp_estimation.estimators.lpm import LpmConfig, responses, unresolved
+from armimp_estimation.estimators.lpm import (
+    LpmConfig,
+    covariance_of,
+    responses,
+    unresolved,
+)
 from armimp_estimation.estimators.welch import invert, multiply
 from armimp_estimation.fit import (
     Calibration,
@@ -258,16 +263,12 @@ class RobotResponses:
         if delay is not None:
             torque = multiply(mixed[:, n : 2 * n], shown)
             systematics.append(delay.error * turn * rate * multiply(torque, self.inverse))
-        variance = np.asarray(sum(np.abs(one) ** 2 for one in systematics) + np.zeros(moving.shape))
-        for k, response in enumerate(self.columns):
-            for i in range(n):
-                noise = response.combined_variance(coefficients[i])
-                variance[i] += noise * np.abs(self.inverse[k]) ** 2
+        disturbance = covariance_of(self.columns, coefficients)
         estimate = ImpedanceEstimate(
             name="robot",
             f=f,
             Z=impedance,
-            variance=variance,
+            variance=variance_of(disturbance, self.inverse, systematics),
             systematics=tuple(systematics),
             bin_correlation=self.columns[0].bin_correlation(),
             averages=self.columns[0].freedom + 1.0,

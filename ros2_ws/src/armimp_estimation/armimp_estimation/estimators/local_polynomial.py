@@ -106,24 +106,6 @@ class LocalResponse:
             line_power=None if self.line_power is None else self.line_power[kept],
         )
 
-    def combined_variance(self, coefficients: ComplexArray) -> FloatArray:
-        """Variance of ``Σ_c a_c G_c`` over the outputs c, from their joint covariance.
-
-        Parameters
-        ----------
-        coefficients : ndarray, shape (C, n_freq)
-            Coefficient of each output at each frequency.
-
-        Returns
-        -------
-        ndarray, shape (n_freq,)
-            Never below what rounding alone would leave.
-        """
-        noise = np.einsum("cf,cdf,df->f", coefficients, self.noise, np.conj(coefficients)).real
-        terms = np.einsum("cf,ccf->f", np.abs(coefficients) ** 2, self.noise).real
-        variance: FloatArray = self.gain * np.maximum(noise, np.finfo(np.float64).eps * terms)
-        return variance
-
     def with_scatter_of_lines(self, outputs: slice, order: int) -> LocalResponse:
         """Return the same with the noise of some outputs at least what their lines scatter by.
 

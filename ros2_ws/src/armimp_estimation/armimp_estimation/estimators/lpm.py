@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError, DataError
-from armimp_estimation.estimators.estimate import ImpedanceEstimate
+from armimp_estimation.estimators.estimate import ImpedanceEstimate, combined, variance_of
 from armimp_estimation.estimators.local_polynomial import (
     LocalPolynomialConfig,
     LocalResponse,
@@ -183,16 +183,12 @@ class LpmFull:
             lost += untold_friction(records, impedance, f, bending)
         told += postures_apart(records, impedance, R, inverse, f)
         systematics = (*told, *lost, *skewed)
-        variance = np.asarray(sum(np.abs(one) ** 2 for one in systematics))
-        for k, column in enumerate(columns):
-            for i in range(n):
-                disturbance = column.combined_variance(coefficients[i])
-                variance[i] += disturbance * np.abs(inverse[k]) ** 2
+        disturbance = covariance_of(columns, coefficients)
         return ImpedanceEstimate(
             name=self.name,
             f=f,
             Z=impedance,
-            variance=variance,
+            variance=variance_of(disturbance, inverse, systematics),
             bin_correlation=_mean([column.bin_correlation() for column in columns]),
             averages=min(column.freedom for column in columns) + 1.0,
             T=torque,
@@ -207,8 +203,8 @@ class LpmFull:
             unbiased=True,
             without_slow=tuple(without_slow(records)),
             hold=jump,
-            covariance=_covariance(columns, every),
-            disturbance=_covariance(columns, coefficients),
+            covariance=covariance_of(columns, every),
+            disturbance=disturbance,
             inverse=inverse,
         )
 
@@ -264,12 +260,11 @@ class LpmFull:
         systematics: tuple[ComplexArray, ...]
         added = (torque - uncorrected) / stacked[k]
         systematics = self._doubts(added, f, jump, reversing, bending)
-        variance = np.asarray(sum(np.abs(one) ** 2 for one in systematics))
-        for i in range(n):
-            coefficients = np.zeros((len(stacked), f.size), dtype=np.complex128)
-            coefficients[k] = -impedance[i]
-            coefficients[n:] = skew[i]
-            variance[i] += response.combined_variance(coefficients) / np.abs(stacked[k]) ** 2
+        coefficients = np.zeros((n, *stacked.shape), dtype=np.complex128)
+        coefficients[:, k], coefficients[:, n:] = -impedance, skew
+        left = covariance_of([response], coefficients)[0]
+        variance = np.einsum("iif->if", left).real / np.abs(stacked[k]) ** 2
+        variance = variance + sum(np.abs(one) ** 2 for one in systematics)
         correlation = response.bin_correlation()
         values, errors = fit_column(
             f,
@@ -675,15 +670,9 @@ def _angles_and(skew: ComplexArray, joints: int) -> ComplexArray:
     return chosen
 
 
-def _covariance(columns: Sequence[LocalResponse], combined: ComplexArray) -> ComplexArray:
+def covariance_of(columns: Sequence[LocalResponse], coefficients: ComplexArray) -> ComplexArray:
     """Covariance of combinations (m, C, n_freq) of the responses of each trial, (n, m, m, ...)."""
-    return np.stack(
-        [
-            one.gain
-            * np.einsum("acf,cdf,bdf->abf", combined, one.noise, np.conj(combined), optimize=True)
-            for one in columns
-        ]
-    )
+    return np.stack([one.gain * combined(coefficients, one.noise) for one in columns])
 
 
 def _mean(correlations: Sequence[FloatArray]) -> FloatArray:
