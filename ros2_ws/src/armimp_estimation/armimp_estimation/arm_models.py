@@ -296,11 +296,8 @@ class _Problem:
         self.parameters = (*model.parameters, *([_LATENESS] if self.doubt else []))
         self.shapes = [(n,) * one.rank for one in self.parameters]
         self.ends = np.cumsum([math.prod(shape) for shape in self.shapes])
-        self.weights = np.zeros(estimate.Z.shape)
-        for at in np.ndindex(n, n):
-            Z, variance = estimate.Z[at], estimate.variance[at]
-            power = None if estimate.line_power is None else estimate.line_power[at[1]]
-            self.weights[at] = fit_weights(estimate.f, Z, variance, floor, config.smoothing, power)
+        Z, variance, power = estimate.Z, estimate.variance, estimate.line_power
+        self.weights = fit_weights(estimate.f, Z, variance, floor, config.smoothing, power)
         # Weights are relative, with the largest of each element 1: rows differ in their noise.
         least = np.min(estimate.variance + (floor * np.abs(estimate.Z)) ** 2, axis=2)
         self.weights /= least[:, :, None]

@@ -257,7 +257,6 @@ class LpmFull:
         impedance = torque / stacked[k]
         uncorrected = multiply(skew[:, :n], stacked[n : 2 * n, None])[:, 0]
         reversing, bending = _reversals([record], impedance[:, None], f)
-        systematics: tuple[ComplexArray, ...]
         added = (torque - uncorrected) / stacked[k]
         systematics = self._doubts(added, f, jump, reversing, bending)
         coefficients = np.zeros((n, *stacked.shape), dtype=np.complex128)
@@ -265,18 +264,23 @@ class LpmFull:
         left = covariance_of([response], coefficients)[0]
         variance = np.einsum("iif->if", left).real / np.abs(stacked[k]) ** 2
         variance = variance + sum(np.abs(one) ** 2 for one in systematics)
-        correlation = response.bin_correlation()
-        values, errors = fit_column(
-            f,
-            impedance,
-            variance,
-            systematics,
-            correlation,
-            replace(options, weight_floor=self._floor(response)),
+        power = response.line_power
+        found = ImpedanceEstimate(
+            name=self.name,
+            f=f,
+            Z=impedance[:, None],
+            variance=variance[:, None],
+            bin_correlation=response.bin_correlation(),
+            averages=np.inf,
+            T=torque[:, None],
+            R=stacked[:n, None],
+            systematics=tuple(one[:, None] for one in systematics),
+            line_power=None if power is None else power[None],
+            weight_floor=self._floor(response),
             delay_uncertainty=self._delay_uncertainty(jump, record.rate),
             delay_unknown=0.5 / record.rate,
-            line_power=response.line_power,
         )
+        values, errors = fit_column(found, options)
         return FittedColumn(joint=k, values=values, errors=errors, preliminary=True)
 
     def _floor(self, column: LocalResponse) -> float:
