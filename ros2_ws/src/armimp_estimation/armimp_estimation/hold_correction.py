@@ -277,11 +277,12 @@ def _chatter(
             steps = steps[:, weights.size - 1 :]
         changes = np.diff(torque, axis=1)
         # The step after reading k is seen for the first time in the change to a later reading,
-        # mostly that to reading k + 1.
-        last = changes.shape[1] - before
-        lagged = [steps[:, lags - 1 - lag : last - lag] for lag in range(lags)]
+        # mostly that to reading k + 1, or to an earlier one of readings that are early.
+        start = max(lags - 1, -before)
+        last = min(changes.shape[1] - before, steps.shape[1])
+        lagged = [steps[:, start - lag : last - lag] for lag in range(lags)]
         inputs.append(np.diff(np.concatenate(lagged), n=_DIFFERENCES, axis=1))
-        outputs.append(np.diff(changes[:, before + lags - 1 :], n=_DIFFERENCES, axis=1))
+        outputs.append(np.diff(changes[:, before + start : before + last], n=_DIFFERENCES, axis=1))
     return inputs, outputs
 
 
