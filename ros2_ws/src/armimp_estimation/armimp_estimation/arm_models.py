@@ -21,7 +21,6 @@ from armimp_common.errors import ConfigurationError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import (
     Calibration,
-    FitConfig,
     MBKFit,
     covariance_of_sums,
     fit_weights,
@@ -241,7 +240,6 @@ def fit_models(
     asked: str,
     estimate: ImpedanceEstimate,
     plain: MBKFit,
-    config: FitConfig,
     calibration: Calibration,
 ) -> tuple[ModelFit, ...]:
     """Fit what is asked for: one model, or all where an unbiased estimate isn't M, B and K.
@@ -254,8 +252,6 @@ def fit_models(
         As the estimator returns it: a delay that it leaves open is fitted in each model anew.
     plain : MBKFit
         That fit.
-    config : FitConfig
-        Options of that fit.
     calibration : Calibration
         What is known of the transducers.
     """
@@ -265,9 +261,7 @@ def fit_models(
     if asked == AUTO:
         fits = bool((plain.lack <= plain.lack_limit).all())
         names = () if fits or not estimate.unbiased or estimate.joints > _MOST_JOINTS else [*MODELS]
-    return tuple(
-        _Problem(MODELS[name], estimate, plain, config, calibration).fit() for name in names
-    )
+    return tuple(_Problem(MODELS[name], estimate, plain, calibration).fit() for name in names)
 
 
 def supported(models: Sequence[ModelFit]) -> ModelFit | None:
@@ -283,12 +277,10 @@ class _Problem:
         model: ArmModel,
         estimate: ImpedanceEstimate,
         plain: MBKFit,
-        config: FitConfig,
         calibration: Calibration,
     ) -> None:
         n = estimate.joints
         floor = estimate.weight_floor
-        floor = config.weight_floor if floor is None else floor
         self.calibration = calibration
         self.model, self.estimate, self.plain = model, estimate, plain
         self.s: ComplexArray = np.asarray(2j * np.pi * estimate.f, dtype=np.complex128)
@@ -297,7 +289,7 @@ class _Problem:
         self.shapes = [(n,) * one.rank for one in self.parameters]
         self.ends = np.cumsum([math.prod(shape) for shape in self.shapes])
         Z, variance, power = estimate.Z, estimate.variance, estimate.line_power
-        self.weights = fit_weights(estimate.f, Z, variance, floor, config.smoothing, power)
+        self.weights = fit_weights(estimate.f, Z, variance, floor, power)
         # Weights are relative, with the largest of each element 1: rows differ in their noise.
         least = np.min(estimate.variance + (floor * np.abs(estimate.Z)) ** 2, axis=2)
         self.weights /= least[:, :, None]

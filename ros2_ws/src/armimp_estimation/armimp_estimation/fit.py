@@ -33,39 +33,6 @@ Values = TypeVar("Values", FloatArray, ComplexArray)
 
 
 @dataclass(frozen=True, kw_only=True)
-class FitConfig:
-    """Options of the fit of ``M s² + B s + K``.
-
-    Parameters
-    ----------
-    smoothing : float
-        Half width of the band over which variances are averaged before they serve as weights, Hz.
-        The variance at one frequency comes from few averages; weights that follow its chance
-        fluctuations would favour the frequencies whose variance came out too small, and the
-        standard errors would come out too small with them.
-    weight_floor : float
-        Relative standard deviation that is added, in quadrature, to that of each value before it
-        serves as a weight. The variance does not know of errors in proportion to the impedance
-        itself, such as leakage bias and time skew of the sensors; without a floor the frequencies
-        whose random errors are tiny decide alone and bring in those errors. With 0 the skew of
-        half a millisecond biases B by up to 55 % on a quiet simulated rig, with 0.2 by 7 %.
-        Where the random errors are larger than the floor, weights are those of the variance.
-        An estimate that knows better carries a floor of its own, which takes precedence.
-    """
-
-    smoothing: float = 0.6
-    weight_floor: float = 0.2
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.weight_floor < math.inf:
-            raise ConfigurationError(
-                f"weight_floor must not be negative, got {self.weight_floor!r}"
-            )
-        if not 0.0 <= self.smoothing < math.inf:
-            raise ConfigurationError(f"smoothing must not be negative, got {self.smoothing!r} Hz")
-
-
-@dataclass(frozen=True, kw_only=True)
 class Calibration:
     """How well the transducers of torque, and encoders, are known, all alike.
 
@@ -200,6 +167,8 @@ class MBKFit:
 
 
 FEWEST_FREQUENCIES = 3
+_SMOOTHING = 0.6
+"""Half width of the band over which variances are averaged before they serve as weights, Hz."""
 LACK_LIMIT = 2.0
 """Lack of fit beyond which an impedance isn't of the form of the fit; ideal runs stay below 1.5."""
 _LACK_CHANCE = 5.0
@@ -267,20 +236,19 @@ def spread_of_mean(correlation: FloatArray) -> float:
     return math.sqrt(frequencies + 2.0 * float(np.sum(correlation[1:] ** 2))) / frequencies
 
 
-def fit_mbk(estimate: ImpedanceEstimate, config: FitConfig | None = None) -> MBKFit:
+def fit_mbk(estimate: ImpedanceEstimate) -> MBKFit:
     """Fit ``Z_ij(jω) = K - M ω² + jω B`` to each element; see :func:`fit_impedance`."""
-    return fit_impedance(estimate, config)[1]
+    return fit_impedance(estimate)[1]
 
 
 def fit_impedance(
     estimate: ImpedanceEstimate,
-    config: FitConfig | None = None,
     calibration: Calibration | None = None,
 ) -> tuple[ImpedanceEstimate, MBKFit]:
     """Fit ``Z_ij(jω) = K - M ω² + jω B`` to each element, and a delay that is common to all.
 
     The real part gives M and K, the imaginary part B. Weights are inverse variances, smoothed and
-    limited as :class:`FitConfig` says. Each parameter is then a sum ``Re Σ_f conj(b_f) Z_f``, so
+    limited as :func:`fit_weights` says. Each parameter is then a sum ``Re Σ_f conj(b_f) Z_f``, so
     whatever the weights, its variance is the sandwich ``½ Re Σ_fg conj(b_f) b_g σ_f σ_g ρ_fg``:
     half of the complex variance for either part, and the correlation ρ of the errors of
     neighbouring frequencies. The error of a correction, which is the same at all frequencies, adds
@@ -292,8 +260,6 @@ def fit_impedance(
     estimate : ImpedanceEstimate
         Impedance with variances; all of its frequencies are used. A delay is fitted if it has a
         ``delay_uncertainty``.
-    config : FitConfig
-        Options.
     calibration : Calibration, optional
         What is known of the transducers; by default that they are exact.
 
@@ -308,9 +274,8 @@ def fit_impedance(
     DataError
         If there are fewer than three frequencies, or a value or variance is not finite.
     """
-    options = config if config is not None else FitConfig()
     n = estimate.joints
-    problem = _Elements.of(estimate.with_noise_at(_first_fit(estimate, options)), options)
+    problem = _Elements.of(estimate.with_noise_at(_first_fit(estimate)))
     if calibration is not None:
         effects = calibration.effects(problem.estimate.Z)
         problem = replace(problem, calibration=tuple(map(_flat, effects)))
@@ -349,23 +314,21 @@ def fit_impedance(
     return estimate, fit
 
 
-def _first_fit(estimate: ImpedanceEstimate, options: FitConfig) -> ComplexArray:
+def _first_fit(estimate: ImpedanceEstimate) -> ComplexArray:
     """Impedance of M, B, K and a delay, as they follow from the noise at the estimated one."""
-    problem, delay = _Elements.of(estimate, options).with_delay()
+    problem, delay = _Elements.of(estimate).with_delay()
     late = 0.0 if delay is None else delay.delay
     fitted = _of_mbk(problem.values(), problem.omega) * np.exp(-1j * problem.omega * late)
     return np.asarray(fitted.reshape(estimate.Z.shape))
 
 
-def fit_column(estimate: ImpedanceEstimate, config: FitConfig) -> tuple[FloatArray, FloatArray]:
+def fit_column(estimate: ImpedanceEstimate) -> tuple[FloatArray, FloatArray]:
     """Fit the elements of one column as :func:`fit_impedance` does those of a matrix.
 
     Parameters
     ----------
     estimate : ImpedanceEstimate
         Of which arrays are (n, 1, n_freq).
-    config : FitConfig
-        Options.
 
     Returns
     -------
@@ -377,7 +340,7 @@ def fit_column(estimate: ImpedanceEstimate, config: FitConfig) -> tuple[FloatArr
     DataError
         As :func:`fit_impedance`.
     """
-    problem, _ = _Elements.of(estimate, config).with_delay()
+    problem, _ = _Elements.of(estimate).with_delay()
     values = problem.values()
     return values, _roots(problem.covariance()).reshape(values.shape)
 
@@ -388,7 +351,6 @@ class _Elements:
 
     estimate: ImpedanceEstimate
     """Where they are from: all that no correction changes."""
-    options: FitConfig
     Z: ComplexArray
     noise: FloatArray
     """Variance without that of the corrections."""
@@ -396,17 +358,14 @@ class _Elements:
     calibration: tuple[ComplexArray, ...] = ()
 
     @classmethod
-    def of(cls, estimate: ImpedanceEstimate, options: FitConfig) -> _Elements:
-        """Those of an estimate, whose own weight floor takes precedence."""
+    def of(cls, estimate: ImpedanceEstimate) -> _Elements:
+        """Those of an estimate."""
         if estimate.f.size < FEWEST_FREQUENCIES:
             raise DataError(f"{estimate.f.size} frequencies are too few to fit M, B and K")
         if not (np.isfinite(estimate.Z).all() and np.isfinite(estimate.variance).all()):
             raise DataError(f"{estimate.name}: impedance or its variance is not finite")
-        if estimate.weight_floor is not None:
-            options = replace(options, weight_floor=estimate.weight_floor)
         return cls(
             estimate=estimate,
-            options=options,
             Z=_flat(estimate.Z),
             noise=_flat(estimate.without_systematics().variance),
             systematics=tuple(map(_flat, estimate.systematics)),
@@ -443,11 +402,9 @@ class _Elements:
     @cached_property
     def weights(self) -> FloatArray:
         """Of the frequencies in the fit of each element."""
-        floor, smoothing = self.options.weight_floor, self.options.smoothing
-        power = self.estimate.line_power
-        rows = len(self.estimate.Z)
-        power = None if power is None else np.tile(power, (rows, 1))
-        return fit_weights(self.estimate.f, self.Z, self.total, floor, smoothing, power)
+        estimate, power = self.estimate, self.estimate.line_power
+        power = None if power is None else np.tile(power, (len(estimate.Z), 1))
+        return fit_weights(estimate.f, self.Z, self.total, estimate.weight_floor, power)
 
     @cached_property
     def functionals(self) -> ComplexArray:
@@ -972,12 +929,14 @@ def fit_weights(
     impedance: ComplexArray,
     variance: FloatArray,
     weight_floor: float,
-    smoothing: float,
     line_power: FloatArray | None = None,
 ) -> FloatArray:
     """Inverse of the floored variance, smoothed over frequency (geometric mean), at most 1.
 
-    Frequencies are along the last axis of all arrays, (..., n_freq).
+    Frequencies are along the last axis of all arrays, (..., n_freq). The variance at one frequency
+    comes from few averages; weights that follow its chance fluctuations would favour the
+    frequencies whose variance came out too small, and the standard errors would come out too small
+    with them. Where random errors are larger than the floor, weights are those of the variance.
 
     Where the power of the lines is known, the variance is smoothed as far as it is chance, per
     power, and floored afterwards. What floors are for, as harmonics of friction, falls on all lines
@@ -993,17 +952,17 @@ def fit_weights(
     floor = floor**2 + rounding**2
     tiny = np.finfo(np.float64).tiny
     if line_power is not None:
-        smooth = _smooth(f, np.log(variance * line_power + tiny), smoothing)
+        smooth = _smooth(f, np.log(variance * line_power + tiny))
         smooth = np.log(np.exp(smooth) / line_power + floor)
     else:
-        smooth = _smooth(f, np.log(np.maximum(variance + floor, tiny)), smoothing)
+        smooth = _smooth(f, np.log(np.maximum(variance + floor, tiny)))
     weights: FloatArray = np.exp(np.min(smooth, axis=-1, keepdims=True) - smooth)
     return weights
 
 
-def _smooth(f: FloatArray, logarithm: FloatArray, smoothing: float) -> FloatArray:
+def _smooth(f: FloatArray, logarithm: FloatArray) -> FloatArray:
     """Mean over the neighbours of each frequency, (..., n_freq)."""
-    reach = smoothing * (1.0 + 1e-9)
+    reach = _SMOOTHING * (1.0 + 1e-9)
     below = np.searchsorted(f, f - reach, side="left")
     above = np.searchsorted(f, f + reach, side="right")
     sums = np.zeros((*logarithm.shape[:-1], f.size + 1))

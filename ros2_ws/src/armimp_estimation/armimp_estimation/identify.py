@@ -195,8 +195,8 @@ def identify(
     results: dict[str, EstimatorResult] = {}
     for worker in workers:
         found = worker.estimate(ordered)
-        estimate, fit = fit_impedance(found, options.fit, options.calibration)
-        models = fit_models(options.model, found, fit, options.fit, options.calibration)
+        estimate, fit = fit_impedance(found, options.calibration)
+        models = fit_models(options.model, found, fit, options.calibration)
         results[worker.name] = EstimatorResult(
             estimate=estimate,
             fit=fit,

@@ -31,7 +31,6 @@ from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate, variance_of
 from armimp_estimation.estimators.local_polynomial import LocalResponse
 from armimp_estimation.estimators.lpm import (
-    LpmConfig,
     covariance_of,
     responses,
     unresolved,
@@ -40,7 +39,6 @@ from armimp_estimation.estimators.welch import invert, multiply
 from armimp_estimation.fit import (
     Calibration,
     CommonDelay,
-    FitConfig,
     MBKFit,
     covariance_of_sums,
     fit_weights,
@@ -202,7 +200,7 @@ class RobotResponses:
         if len(channels) < len(records):
             return None
         try:
-            columns = responses(records, channels, BAND, LpmConfig())
+            columns = responses(records, channels, BAND)
             angles = np.stack([one.response[: len(records)] for one in columns], axis=1)
             inverse = invert(angles, columns[0].f)
         except DataError:
@@ -380,9 +378,8 @@ def _least_squares(
     estimate: ImpedanceEstimate, i: int, j: int, regressors: ComplexArray
 ) -> tuple[FloatArray, FloatArray]:
     """Real coefficients (p,) of regressors (p, n_freq) in an element, and their covariance."""
-    options = FitConfig()
     f, Z, variance = estimate.f, estimate.Z[i, j], estimate.variance[i, j]
-    weights = fit_weights(f, Z, variance, options.weight_floor, options.smoothing)
+    weights = fit_weights(f, Z, variance, estimate.weight_floor)
     scale = np.linalg.norm(np.sqrt(weights) * regressors, axis=1)
     scale[scale == 0.0] = 1.0
     design = regressors / scale[:, None]

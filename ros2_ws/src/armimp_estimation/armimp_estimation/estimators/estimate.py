@@ -133,9 +133,12 @@ class ImpedanceEstimate:
     line_power: FloatArray | None = None
     """Power of the perturbation of each trial by frequency, up to a factor, if it is not chance:
     variances go with its inverse; shape (n, n_freq)."""
-    weight_floor: float | None = None
-    """Relative error beside the variance that the M-B-K fit should allow for in its weights, see
-    :class:`armimp_estimation.fit.FitConfig`; None leaves it to the options of the fit."""
+    weight_floor: float = 0.2
+    """Relative standard deviation that the M-B-K fit adds, in quadrature, to that of each value
+    before it serves as a weight. The variance does not know of errors in proportion to the
+    impedance itself, such as leakage bias and time skew of the sensors; without a floor the
+    frequencies whose random errors are tiny decide alone and bring in those errors. With 0 the skew
+    of half a millisecond biases B by up to 55 % on a quiet simulated rig, with 0.2 by 7 %."""
     friction_skew: ComplexArray | None = None
     """What was added for torques of friction that jump with the commands, N·m/rad; shape
     (n, n, n_freq)."""

@@ -17,7 +17,7 @@ from armimp_estimation.estimators.local_polynomial import (
     local_response,
 )
 from armimp_estimation.estimators.welch import invert, multiply
-from armimp_estimation.fit import FEWEST_FREQUENCIES, FitConfig, fit_column, fit_mbk
+from armimp_estimation.fit import FEWEST_FREQUENCIES, fit_column, fit_mbk
 from armimp_estimation.frf import order_trials, stands_out
 from armimp_estimation.hold_correction import (
     HoldCorrection,
@@ -49,59 +49,38 @@ LINE_FLOOR = 0.001
 """Relative error that responses at the lines of a multisine are allowed beside their variance."""
 
 
+LOCAL = LocalPolynomialConfig()
+_SPAN = 0.25
+"""Hz on either side of a bin that local polynomials may span: in shorter records, where bins are
+wider, fewer take part. The responses of an arm have a resonance around 1 Hz."""
+_FLOOR = 0.005
+"""Relative error of the polynomials beside the variance that the weights of the fit allow for."""
+_SKEW = 0.002
+"""Relative standard error of the correction of what jumps, which no residual shows, as far as it is
+of the inertial torque. In simulation D is within 0.7 %, half of the times within 0.2 %."""
+_RUBBING = 0.3
+"""And as far as it is of torque that overcomes friction, at the times when commands that chatter
+reverse the motion within a control period, so that friction answers within it."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class LpmConfig:
     """Options of the estimator ``lpm_full``."""
 
-    local: LocalPolynomialConfig = field(default_factory=LocalPolynomialConfig)
-    """Local polynomials."""
-    span: float = 0.25
-    """Hz on either side of a bin that they may span: in shorter records, where bins are wider,
-    fewer take part. The responses of an arm have a resonance around 1 Hz."""
     reading: TorqueReading = field(default_factory=TorqueReading)
     """How the readings of torque come about, and so what is corrected: see
     :mod:`armimp_estimation.torque_timing`. What jumps with the commands is told by
     :mod:`armimp_estimation.hold_correction`. Without commands in the records it has to be
     everything."""
-    skew_uncertainty: float = 0.002
-    """Relative standard error of the correction of what jumps, which no residual shows,
-    as far as it is of the inertial torque. In simulation D is within 0.7 %, half of the
-    times within 0.2 %."""
-    friction_uncertainty: float = 0.3
-    """And as far as it is of torque that overcomes friction, at the times when commands that
-    chatter reverse the motion within a control period, so that friction answers within it."""
     timing_uncertainty: float = 20e-6
     """Standard error with which the instant of torque readings is known where it was told, s. Where
     it was not, or the records refute that torques jump as it says, it is half a period."""
-    weight_floor: float = 0.005
-    """Relative error that is allowed for in the weights of the M-B-K fit, beside the variance; see
-    :class:`armimp_estimation.fit.FitConfig`. It is that of the polynomials."""
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.span < np.inf:
-            raise ConfigurationError(f"span must be positive, got {self.span!r} Hz")
-        for name in (
-            "skew_uncertainty",
-            "friction_uncertainty",
-            "timing_uncertainty",
-            "weight_floor",
-        ):
-            value = getattr(self, name)
-            if not 0.0 <= value < np.inf:
-                raise ConfigurationError(f"{name} must not be negative, got {value!r}")
-
-    def local_for(self, duration: float, *, periodic: bool = False) -> LocalPolynomialConfig:
-        """Local polynomials for a record of so many seconds.
-
-        Between the lines of a periodic perturbation they follow leakage alone, and take all bins
-        of the span.
-        """
-        within = max(
-            int(self.span * duration * (1.0 + 1e-12)),
-            self.local.order + _SPARE_BINS,
-        )
-        widest = within if periodic else self.local.half_width
-        return replace(self.local, half_width=min(widest, within))
+        if not 0.0 <= self.timing_uncertainty < np.inf:
+            raise ConfigurationError(
+                f"timing_uncertainty must not be negative, got {self.timing_uncertainty!r}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -156,7 +135,7 @@ class LpmFull:
         near = self._arm_near(records, jump)
         mixed = self._beside(near, jump, rate)
         columns = [
-            column.with_scatter_of_lines(slice(n, 2 * n), self.config.local.order)
+            column.with_scatter_of_lines(slice(n, 2 * n), LOCAL.order)
             for column in self._columns(records, with_steps=jump is not None, mix=mixed)
         ]
         f = columns[0].f
@@ -196,7 +175,7 @@ class LpmFull:
             systematics=systematics,
             bounded=len(told),
             line_power=powers,
-            weight_floor=self._floor(columns[0]),
+            weight_floor=_floor(columns[0]),
             friction_skew=added.real.astype(np.complex128),
             delay_uncertainty=delay_uncertainty,
             delay_unknown=half_period,
@@ -208,12 +187,7 @@ class LpmFull:
             inverse=inverse,
         )
 
-    def column(
-        self,
-        record: TrialRecord,
-        others: Sequence[TrialRecord] = (),
-        fit: FitConfig | None = None,
-    ) -> FittedColumn:
+    def column(self, record: TrialRecord, others: Sequence[TrialRecord] = ()) -> FittedColumn:
         """Column k of M, B and K from the trial of joint k so far, and trials that are over.
 
         With a trial of every other joint, it is that of :meth:`estimate`. Else it is preliminary:
@@ -227,8 +201,6 @@ class LpmFull:
             The trial so far.
         others : sequence of TrialRecord
             Trials of other joints; of two trials of one joint, the later counts.
-        fit : FitConfig, optional
-            Options of the fit.
 
         Raises
         ------
@@ -237,10 +209,9 @@ class LpmFull:
         """
         by_joint = {one.perturbed_joint: _without_drift(one) for one in (*others, record)}
         n, k = record.joints, record.perturbed_joint
-        options = fit or FitConfig()
         if len(by_joint) == n:
             found = self._estimate([by_joint[joint] for joint in range(n)])
-            fitted = fit_mbk(found, options)
+            fitted = fit_mbk(found)
             values = np.stack(
                 [matrix[:, k] for matrix in (fitted.mbk.M, fitted.mbk.B, fitted.mbk.K)]
             )
@@ -276,16 +247,12 @@ class LpmFull:
             R=stacked[:n, None],
             systematics=tuple(one[:, None] for one in systematics),
             line_power=None if power is None else power[None],
-            weight_floor=self._floor(response),
+            weight_floor=_floor(response),
             delay_uncertainty=self._delay_uncertainty(jump, record.rate),
             delay_unknown=0.5 / record.rate,
         )
-        values, errors = fit_column(found, options)
+        values, errors = fit_column(found)
         return FittedColumn(joint=k, values=values, errors=errors, preliminary=True)
-
-    def _floor(self, column: LocalResponse) -> float:
-        """Relative error in the weights beside the variance: lines have none of polynomials."""
-        return self.config.weight_floor if column.line_power is None else LINE_FLOOR
 
     def _doubts(
         self,
@@ -302,10 +269,10 @@ class LpmFull:
         What friction bends there within a period is not in it at all, and looks like viscosity.
         """
         error = np.zeros(len(correction)) if jump is None else jump.error
-        known = np.hypot(self.config.skew_uncertainty, error)
+        known = np.hypot(_SKEW, error)
         known = known.reshape(-1, *(1,) * (correction.ndim - 1))
         inertial = np.asarray(1j * known * correction.imag)
-        share = np.hypot(known, self.config.friction_uncertainty * reversing)
+        share = np.hypot(known, _RUBBING * reversing)
         rubbing = np.asarray(share * correction.real, dtype=np.complex128)
         bent = (_inertia(correction, f) * bending)[..., None] * 2j * np.pi * f
         return inertial, rubbing, np.asarray(bent, dtype=np.complex128)
@@ -395,14 +362,13 @@ class LpmFull:
         for record in records:
             steps = [command_steps(record, record.samples)] if with_steps else []
             channels.append(np.concatenate([record.position, record.torque, *steps]))
-        return _moved(responses(records, channels, self.band, self.config, mix, most), records)
+        return _moved(responses(records, channels, self.band, mix, most), records)
 
 
 def responses(
     records: Sequence[TrialRecord],
     outputs: Sequence[FloatArray],
     band: tuple[float, float],
-    config: LpmConfig,
     mix: Mix | None = None,
     most: int | None = None,
 ) -> list[LocalResponse]:
@@ -418,8 +384,6 @@ def responses(
         Signals of each.
     band : tuple of float
         Lowest and highest frequency, Hz.
-    config : LpmConfig
-        Options.
     mix : callable, optional
         As :func:`local_response` takes it.
     most : int, optional
@@ -434,10 +398,26 @@ def responses(
     columns = []
     for record, signals in zip(records, outputs, strict=True):
         periods = None if lines is None else record.periods
-        local = config.local_for(record.duration, periodic=periods is not None)
+        local = _local_for(record.duration, periodic=periods is not None)
         source = record.perturbation[record.perturbed_joint]
         columns.append(local_response(source, signals, rate, band, local, f, periods, mix))
     return at_common_frequencies(columns)
+
+
+def _local_for(duration: float, *, periodic: bool) -> LocalPolynomialConfig:
+    """Local polynomials for a record of so many seconds.
+
+    Between the lines of a periodic perturbation they follow leakage alone, and take all bins of the
+    span.
+    """
+    within = max(int(_SPAN * duration * (1.0 + 1e-12)), LOCAL.order + _SPARE_BINS)
+    widest = within if periodic else LOCAL.half_width
+    return replace(LOCAL, half_width=min(widest, within))
+
+
+def _floor(column: LocalResponse) -> float:
+    """Relative error in the weights beside the variance: lines have none of polynomials."""
+    return _FLOOR if column.line_power is None else LINE_FLOOR
 
 
 def _strongest(records: Sequence[TrialRecord], f: FloatArray, most: int) -> FloatArray:
