@@ -476,7 +476,7 @@ def _unexplained_torque(
     coefficients = without_skew(band.f, record.rate, n, reading, jump, late)[k]
     torque = coefficients[k] * torque
     if jump is not None:
-        steps = band.of(command_steps(record, record.samples))
+        steps = band.of(command_steps(record))
         torque = torque + np.sum(coefficients[n:] * steps, axis=0)
     motion = angle[k] * (2j * np.pi * band.f) ** np.arange(3)[:, None]
     left = torque - np.sum(arm.impedance(band.f)[k] * angle, axis=0)

@@ -47,7 +47,7 @@ from armimp_estimation.hold_correction import HoldCorrection, without_skew
 from armimp_estimation.plausibility import least_eigenvalue, uneven
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.signal_quality import speed_of, unseen_share
+from armimp_estimation.signal_quality import lost_motion, speed_of
 from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.trial import TrialData
 
@@ -210,7 +210,7 @@ class RobotResponses:
             records=tuple(records),
             columns=tuple(columns),
             inverse=inverse,
-            unseen=unseen_share(records),
+            unseen=lost_motion(records)[0],
             undamped=undamped,
             pace=pace,
         )

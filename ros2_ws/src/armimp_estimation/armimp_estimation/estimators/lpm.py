@@ -148,7 +148,7 @@ class LpmFull:
         reversing, bending = _reversals(records, impedance, f)
         skewed = self._doubts(added, f, jump, reversing[:, None], bending)
 
-        every = _angles_and(_unit(n, 2 * n, f), n)
+        every = _unit(2 * n, 3 * n, f)
         coefficients = every[n:].copy()
         every[n:, :n], coefficients[:, :n] = near.impedance(f), -beside
         told, lost = unresolved(records, impedance, R, torque, inverse, f)
@@ -158,9 +158,9 @@ class LpmFull:
         delay_uncertainty = self._delay_uncertainty(jump, rate)
         powers = _line_power(columns)
         if jump is None and delay_uncertainty == half_period:
-            told += joints_held(impedance, f, half_period)
-            lost += untold_friction(records, impedance, f, bending)
-        told += postures_apart(records, impedance, R, inverse, f)
+            told += _joints_held(impedance, f, half_period)
+            lost += _untold_friction(records, impedance, f, bending)
+        told += _postures_apart(records, impedance, R, inverse, f)
         systematics = (*told, *lost, *skewed)
         disturbance = covariance_of(columns, coefficients)
         return ImpedanceEstimate(
@@ -304,10 +304,10 @@ class LpmFull:
 
         def mixed(f: FloatArray) -> ComplexArray:
             skew = without_skew(f, rate, n, self.config.reading, jump)
-            added = skew.copy()
-            added[:, :n] = 0.0
-            chosen = _angles_and(np.concatenate((skew, added)), n)
+            chosen = _unit(3 * n, n + skew.shape[1], f)
             chosen[n : 2 * n, :n] = -near.impedance(f)
+            chosen[n:, n:] = np.concatenate((skew, skew))
+            chosen[2 * n :, n : 2 * n] = 0.0
             return chosen
 
         return mixed
@@ -360,7 +360,7 @@ class LpmFull:
         """
         channels = []
         for record in records:
-            steps = [command_steps(record, record.samples)] if with_steps else []
+            steps = [command_steps(record)] if with_steps else []
             channels.append(np.concatenate([record.position, record.torque, *steps]))
         return _moved(responses(records, channels, self.band, mix, most), records)
 
@@ -507,7 +507,7 @@ _FRICTION, _OVERCOME = 2.0, 3.0
 of a perturbation that moves it nonetheless."""
 
 
-def untold_friction(
+def _untold_friction(
     records: Sequence[TrialRecord], impedance: ComplexArray, f: FloatArray, bending: FloatArray
 ) -> list[ComplexArray]:
     """What commands that nobody recorded may do to the impedance where their instant is not known.
@@ -535,17 +535,13 @@ def untold_friction(
     return effects
 
 
-def joints_held(impedance: ComplexArray, f: FloatArray, half_period: float) -> list[ComplexArray]:
+def _joints_held(impedance: ComplexArray, f: FloatArray, half_period: float) -> list[ComplexArray]:
     """What friction of locked joints may do to the impedance where it is not known what jumps.
 
     Reading before the jump, half a period, delays the torque ``-ω² M_ik θ_k`` if commands cause it.
     If friction holds joint i, it takes what accelerates the joint off the command, which then
-    doesn't jump: up to all of the delay is missing, differently for each element.
-
-    Returns
-    -------
-    list of (n, n, n_freq) NDArray
-        Standard errors, whose shape over frequency is known so well that data can tell their size.
+    doesn't jump: up to all of the delay is missing, differently for each element. The shapes over
+    frequency of these standard errors are known so well that data can tell their size.
     """
     cubed = half_period / np.sqrt(3.0) * (2j * np.pi * f) ** 3
     effects = []
@@ -556,7 +552,7 @@ def joints_held(impedance: ComplexArray, f: FloatArray, half_period: float) -> l
     return effects
 
 
-def postures_apart(
+def _postures_apart(
     records: Sequence[TrialRecord],
     impedance: ComplexArray,
     R: ComplexArray,
@@ -567,12 +563,7 @@ def postures_apart(
 
     A joint that is locked in trial k shows the inertia at the posture there, with its small motion
     R_jk, not that of its own trial. By a distance of postures M_ij changes by that share of
-    ``√(M_ii M_jj)`` at most.
-
-    Returns
-    -------
-    list of (n, n, n_freq) NDArray
-        Standard errors, whose shape over frequency is known so well that data can tell their size.
+    ``√(M_ii M_jj)`` at most. Data can tell the size of this, too.
     """
     postures = np.stack([record.position.mean(axis=1) for record in records])
     size = np.sqrt(np.abs(np.diag(_inertia(impedance, f))))
@@ -643,15 +634,6 @@ def _possible(inertia: FloatArray) -> FloatArray:
 def _unit(rows: int, channels: int, f: FloatArray) -> ComplexArray:
     """Coefficients that take the first channels as they are, (rows, channels, n_freq)."""
     return np.repeat(np.eye(rows, channels, dtype=np.complex128)[:, :, None], f.size, axis=2)
-
-
-def _angles_and(skew: ComplexArray, joints: int) -> ComplexArray:
-    """Coefficients of all channels in angles and combined torques, shape (n + m, C, n_freq)."""
-    rows, channels, frequencies = skew.shape
-    chosen = np.zeros((joints + rows, joints + channels, frequencies), dtype=np.complex128)
-    chosen[np.arange(joints), np.arange(joints)] = 1.0
-    chosen[joints:, joints:] = skew
-    return chosen
 
 
 def covariance_of(columns: Sequence[LocalResponse], coefficients: ComplexArray) -> ComplexArray:
