@@ -279,7 +279,7 @@ def fit_impedance(
     if calibration is not None:
         effects = calibration.effects(problem.estimate.Z)
         problem = replace(problem, calibration=tuple(map(_flat, effects)))
-    problem, delay = problem.with_delay()
+    problem, delay = _with_delay(problem)
     if delay is not None and delay.delay and estimate.friction_skew is not None:
         # What is late against the angles jumps otherwise, too, as behind drives that lag.
         share = min(abs(delay.delay) / estimate.delay_unknown, 1.0)
@@ -316,7 +316,7 @@ def fit_impedance(
 
 def _first_fit(estimate: ImpedanceEstimate) -> ComplexArray:
     """Impedance of M, B, K and a delay, as they follow from the noise at the estimated one."""
-    problem, delay = _Elements.of(estimate).with_delay()
+    problem, delay = _with_delay(_Elements.of(estimate))
     late = 0.0 if delay is None else delay.delay
     fitted = _of_mbk(problem.values(), problem.omega) * np.exp(-1j * problem.omega * late)
     return np.asarray(fitted.reshape(estimate.Z.shape))
@@ -340,7 +340,7 @@ def fit_column(estimate: ImpedanceEstimate) -> tuple[FloatArray, FloatArray]:
     DataError
         As :func:`fit_impedance`.
     """
-    problem, _ = _Elements.of(estimate).with_delay()
+    problem, _ = _with_delay(_Elements.of(estimate))
     values = problem.values()
     return values, _roots(problem.covariance()).reshape(values.shape)
 
@@ -688,11 +688,6 @@ class _Elements:
         lack = np.sum(lack_ratio(estimate, fitted), axis=-1) / max(estimate.f.size - 1.5, 1.0)
         return bool((lack <= lack_limit(estimate.bin_correlation)).all())
 
-    def with_delay(self) -> tuple[_Elements, CommonDelay | None]:
-        """Fit a common delay and correct it, if the estimate leaves that open."""
-        uncertainty, unknown = self.estimate.delay_uncertainty, self.estimate.delay_unknown
-        return (self, None) if uncertainty is None else _with_delay(self, uncertainty, unknown)
-
 
 def _flat(values: Values) -> Values:
     """Elements of a matrix row by row, (elements, n_freq)."""
@@ -747,20 +742,11 @@ def _spared(Z: ComplexArray, variance: FloatArray, freedom: float) -> FloatArray
     return np.asarray((variance + least) / spare)
 
 
-def _with_delay(
-    problem: _Elements, uncertainty: float, unknown: float
-) -> tuple[_Elements, CommonDelay]:
-    """Fit a common delay and correct it.
-
-    Parameters
-    ----------
-    problem : _Elements
-        What is known without it.
-    uncertainty : float
-        Standard error with which the delay is known to be 0, s.
-    unknown : float
-        Standard error to fall back upon where the data refute that, s.
-    """
+def _with_delay(problem: _Elements) -> tuple[_Elements, CommonDelay | None]:
+    """Fit a common delay and correct it, if the estimate leaves that open."""
+    uncertainty, unknown = problem.estimate.delay_uncertainty, problem.estimate.delay_unknown
+    if uncertainty is None:
+        return problem, None
     total, told_error, apart = 0.0, math.inf, 0.0
     trial = problem
     for _ in range(_ITERATIONS):
@@ -774,11 +760,9 @@ def _with_delay(
     sure = max(uncertainty, _SUREST)
     refuted = fits and abs(total) > _REFUTED * math.hypot(sure, told_error)
     assumed = max(uncertainty, unknown) if refuted else uncertainty
-    if not fits:
-        # Another arm than M, B and K: what looks like a delay may be its own.
-        delay = 0.0
-    else:
-        delay = total * assumed**2 / (assumed**2 + told_error**2) if assumed > 0.0 else 0.0
+    # Of another arm than M, B and K, what looks like a delay may be its own.
+    told = fits and assumed > 0.0
+    delay = total * assumed**2 / (assumed**2 + told_error**2) if told else 0.0
     values = fitted if fits else plain
     turning = 1j * problem.omega
     steady = _of_mbk(values * [[0.0], [1.0], [1.0]], problem.omega)
@@ -793,12 +777,12 @@ def _with_delay(
     jumping = (assumed * turning) ** 2 / 6.0 * inertial
     terms = np.stack([assumed * turning * turned, jumping, *filtered])
     # Transducers may be late each by itself, or seem so, as with hysteresis.
-    single = (min(apart, assumed) * turning * turned,) if fits and assumed > 0.0 else ()
+    single = (min(apart, assumed) * turning * turned,) if told else ()
     trial = replace(
         problem, Z=turned - doubt, systematics=(*problem.systematics, *single, doubt, untold)
     )
     found, covariance = np.zeros(len(terms)), np.eye(len(terms))
-    if fits and assumed > 0.0:
+    if told:
         own = range(0, len(turned), math.isqrt(len(turned)) + 1)
         every = [term for _, term in problem.hidden_terms(values)]
         alike = np.zeros((len(every) * len(own), *turned.shape), dtype=np.complex128)

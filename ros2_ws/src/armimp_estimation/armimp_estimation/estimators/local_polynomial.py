@@ -260,17 +260,9 @@ def local_response(
     to_response = np.linalg.inv(triangle)[:, :1, :]
     weights = (to_response @ adjoint)[:, 0, :] / scale[:, None]
     residual = observed - basis @ (adjoint @ observed)
-    noise = np.swapaxes(residual, 1, 2) @ np.conj(residual) / config.freedom
+    freedom = np.full(bins.size, config.freedom)
     width = window * float(rate / samples)
-    noise, freedom = _with_neighbours(noise, f, config.freedom, width)
-    found = LocalResponse(
-        f=f,
-        response=np.ascontiguousarray((weights[:, None, :] @ observed)[:, 0, :].T),
-        noise=np.ascontiguousarray(np.moveaxis(noise, 0, 2)),
-        weights=weights,
-        first=first,
-        freedom=freedom,
-    )
+    found = _found(f, weights, observed, residual, freedom, first, width)
     if not perturbed.any():
         raise DataError(
             f"perturbation has too few spectral lines between {band[0]:.4g} and {band[1]:.4g} Hz"
@@ -321,18 +313,31 @@ def _periodic_response(
     observed = _observed(outputs[:, -used:], rate, places, mix)
     residual = between[:, :, None] * observed - basis @ (adjoint @ observed)
     freedom = np.sum(between, axis=1) - (config.order + 1)
-    noise = np.swapaxes(residual, 1, 2) @ np.conj(residual) / freedom[:, None, None]
     f = np.asarray(centres * float(rate / used), dtype=np.float64)
     width = window * float(rate / used)
+    found = _found(f, weights.astype(np.complex128), observed, residual, freedom, first, width)
+    return replace(found, line_power=np.abs(inputs) ** 2)
+
+
+def _found(
+    f: FloatArray,
+    weights: ComplexArray,
+    observed: ComplexArray,
+    residual: ComplexArray,
+    freedom: NDArray[np.number],
+    first: NDArray[np.intp],
+    width: float,
+) -> LocalResponse:
+    """Responses and noise by weights (n_freq, window) and residuals, (n_freq, window, C)."""
+    noise = np.swapaxes(residual, 1, 2) @ np.conj(residual) / freedom[:, None, None]
     noise, least = _with_neighbours(noise, f, int(np.min(freedom)), width)
     return LocalResponse(
         f=f,
         response=np.ascontiguousarray((weights[:, None, :] @ observed)[:, 0, :].T),
         noise=np.ascontiguousarray(np.moveaxis(noise, 0, 2)),
-        weights=weights.astype(np.complex128),
+        weights=weights,
         first=first,
         freedom=least,
-        line_power=np.abs(inputs) ** 2,
     )
 
 
