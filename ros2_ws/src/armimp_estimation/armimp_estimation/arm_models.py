@@ -12,9 +12,10 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError
@@ -296,12 +297,12 @@ class _Problem:
         # Bins that are neighbours share most of what they tell.
         self.used = np.arange(self.s.size) % max(1, len(estimate.bin_correlation) // 4) == 0
         self.weights *= self.used
-        self.positive = np.concatenate(
-            [
-                np.full(math.prod(shape), one.positive)
-                for one, shape in zip(self.parameters, self.shapes, strict=True)
-            ]
-        )
+        self.positive: BoolArray = self.vector(lambda one: one.positive)
+
+    def vector(self, of: Callable[[Parameter], Any]) -> NDArray[Any]:
+        """What there is of each parameter, alike for all of its elements or an array, (p,)."""
+        pairs = zip(self.parameters, self.shapes, strict=True)
+        return np.concatenate([np.ravel(np.broadcast_to(of(one), shape)) for one, shape in pairs])
 
     def values(self, vector: FloatArray) -> dict[str, FloatArray]:
         parts = np.split(vector, self.ends[:-1])
@@ -316,22 +317,15 @@ class _Problem:
         return np.asarray(self.model.impedance(values, s) * late)
 
     def start(self, given: Mapping[str, float]) -> FloatArray:
-        parts = []
-        for one, shape in zip(self.parameters, self.shapes, strict=True):
-            begin = np.full(shape, given.get(one.name, 0.0))
-            parts.append(np.ravel(getattr(self.plain.mbk, one.name) if one in INTRINSIC else begin))
-        return np.concatenate(parts)
+        mbk = self.plain.mbk
+        return self.vector(
+            lambda one: getattr(mbk, one.name) if one in INTRINSIC else given.get(one.name, 0.0)
+        )
 
     def free(self, variant: Mapping[str, str]) -> BoolArray:
         """Which parameters a variant has."""
-        parts = []
-        for one, shape in zip(self.parameters, self.shapes, strict=True):
-            kind = variant.get(one.name)
-            every = np.full(shape, kind != KEPT)
-            parts.append(
-                np.ravel(every & (np.eye(len(every)) > 0.0) if kind == DIAGONAL else every)
-            )
-        return np.concatenate(parts)
+        kinds = {None: True, KEPT: False, DIAGONAL: np.eye(self.estimate.joints) > 0.0}
+        return self.vector(lambda one: kinds[variant.get(one.name)])
 
     def solve(
         self,
@@ -369,10 +363,9 @@ class _Problem:
 
     def fit(self) -> ModelFit:
         """Fit each variant, and take the one with the best criterion."""
-        kinds = [np.full(math.prod(shape), len(shape) == 2) for shape in self.shapes]
         # With scalars kept, most models are linear.
         free = self.free(self.model.variants[0])
-        rough = free & np.concatenate(kinds)
+        rough = free & self.vector(lambda one: one.rank == 2)
         starts = [self.solve(self.start(one), rough, self.used, 1e-2) for one in self.model.starts]
         found = [self.solve(one, free, self.used) for one, _ in starts]
         possible = [one for one in found if self.model.possible(self.values(one[0]))]
