@@ -19,16 +19,14 @@ from itertools import product
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import log_ndtr, softmax
 
+from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.json_model import JsonModel, Number
 from armimp_estimation.mbk import MBK
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Values = TypeVar("Values", FloatArray, ComplexArray)
 
 

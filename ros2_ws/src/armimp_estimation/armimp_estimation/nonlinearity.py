@@ -37,6 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtr
 
+from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import MBKFit, hidden_square
 from armimp_estimation.hold_correction import HoldCorrection, command_steps, without_skew
@@ -44,9 +45,6 @@ from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import Concern, Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.torque_timing import TorqueReading
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 BAND = ((0.2, 0.7), (11.0, 15.0))
 """Edges of the part of the spectrum that is looked at, Hz: a person's own torque is mostly below.
@@ -813,7 +811,7 @@ def judge_linearity(
     jump: HoldCorrection | None = None,
     reading: TorqueReading | None = None,
     *,
-    resolved: NDArray[np.bool_],
+    resolved: BoolArray,
     linearity: float | None = None,
 ) -> tuple[list[Problem], list[FloatArray], FloatArray]:
     """Find what isn't linear.

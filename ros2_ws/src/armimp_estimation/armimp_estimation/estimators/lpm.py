@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate, combined, variance_of
 from armimp_estimation.estimators.local_polynomial import (
@@ -33,22 +33,18 @@ from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData, drift_of
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-
-
-# Bins on either side beyond the degree of the polynomials, so that enough of them tell the noise.
 _SPARE_BINS = 3
-# Frequencies at which an arm is taken from the responses that is near to the one which is sought.
+"""Bins on either side beyond the degree of the polynomials, so that enough of them tell the noise.
+"""
 _MOST_NEAR = 64
+"""Frequencies at which an arm is taken from the responses that is near to the one which is sought.
+"""
 _NEARER = 3
 _TINY = float(np.finfo(np.float64).tiny)
 _LEAD_ERROR = 0.5
 """Assumption: relative standard error of :func:`rounding_lead`."""
 LINE_FLOOR = 0.001
 """Relative error that responses at the lines of a multisine are allowed beside their variance."""
-
-
 LOCAL = LocalPolynomialConfig()
 _SPAN = 0.25
 """Hz on either side of a bin that local polynomials may span: in shorter records, where bins are
