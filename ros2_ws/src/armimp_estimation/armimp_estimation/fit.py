@@ -411,11 +411,11 @@ class _Elements:
 
     def values(self) -> FloatArray:
         """M, B and K, (3, elements)."""
-        return np.asarray(_sums(self.functionals, self.Z[:, None]).T)
+        return self.shifts(self.Z)
 
-    def shift(self, row: int, term: ComplexArray) -> FloatArray:
-        """What a term (n_freq,) of an element is in M, B and K, (3,)."""
-        return _sums(self.functionals[row], term)
+    def shifts(self, terms: ComplexArray) -> FloatArray:
+        """What terms (elements, n_freq) are in M, B and K, (3, elements)."""
+        return np.asarray(_sums(self.functionals, terms[:, None]).T)
 
     def covariance_of(self, functionals: ComplexArray, row: int) -> FloatArray:
         """Covariance, (p, p), of ``Re Σ_f conj(b_f) Z_f`` for functionals b, (p, n_freq)."""
@@ -438,6 +438,7 @@ class _Elements:
         terms = self.functionals * np.sqrt(0.5 * self.noise)[:, None]
         spread = with_neighbours(terms, estimate.bin_correlation)
         more = self.change_by_more_terms
+        shifts = [self.shifts(common) for common in (*self.systematics, *self.calibration)]
         covariance = np.zeros((3, count, 3, count))
         for one in range(count):
             for other in range(one, count):
@@ -445,9 +446,7 @@ class _Elements:
                 a, b = np.conj(terms[one]) * kappa, np.conj(spread[one]) * kappa
                 block = 0.5 * (a @ spread[other].T + b @ terms[other].T).real
                 if one // columns == other // columns:
-                    for common in (*self.systematics, *self.calibration):
-                        shifts = [self.shift(row, common[row]) for row in (one, other)]
-                        block += np.outer(*shifts)
+                    block += sum(np.outer(shift[:, one], shift[:, other]) for shift in shifts)
                 if one == other:
                     block += np.diag(more[:, one])
                 covariance[:, one, :, other] = block
@@ -482,9 +481,9 @@ class _Elements:
         plain = self.values()
         squares, rows = np.zeros_like(plain), range(len(self.Z))
         relative = self.omega / self.omega[-1]
-        for term, row in product((-1j * relative**3, relative**4 + 0j), rows):
-            found = self.coefficient_of(term, row)
-            squares[:, row] += _noticed(*found) * self.shift(row, term) ** 2
+        for term in (-1j * relative**3, relative**4 + 0j):
+            noticed = [_noticed(*self.coefficient_of(term, row)) for row in rows]
+            squares += noticed * self.shifts(np.broadcast_to(term, self.Z.shape)) ** 2
         low = relative <= _LOW
         if np.count_nonzero(low) >= _FEWEST:
             for row in rows:
@@ -506,8 +505,7 @@ class _Elements:
                 if place < n:
                     soft, _ = hidden_square(value, error, _SOFT, sizes=(_CUFF,), positive=True)
                     square = max(square, soft)
-                for row in rows:
-                    squares[:, row] += square * self.shift(row, terms[row]) ** 2
+                squares += square * self.shifts(terms) ** 2
             squares += self._change_by_hidden(plain) + self._change_by_coupling(Z)
         # What rounding leaves is no change.
         least = _ROUNDING * np.abs(plain)
@@ -545,15 +543,14 @@ class _Elements:
         n = len(self.estimate.Z)
         change = np.zeros_like(values)
         for (likely, terms), joint in product(self.hidden_terms(values), range(n)):
-            own, evidence = joint * (n + 1), 0.0
+            own, evidence, shifts = joint * (n + 1), 0.0, self.shifts(terms)
             for row in (own, *(row for row in range(joint, n * n, n) if row != own)):
                 told, error = self.coefficient_of(terms[row], row)
                 square, of_row = hidden_square(
                     told, error, likely, positive=True, elsewhere=evidence
                 )
                 evidence = of_row if row == own else evidence
-                shift = self.shift(row, terms[row])
-                change[:, row] = np.maximum(change[:, row], square * shift**2)
+                change[:, row] = np.maximum(change[:, row], square * shifts[:, row] ** 2)
         return change
 
     def _change_by_coupling(self, Z: ComplexArray) -> FloatArray:
@@ -576,7 +573,7 @@ class _Elements:
             for terms, one, of_one in zip(channels, told, evidence, strict=True):
                 others = max(sum(evidence) - of_one, 0.0)
                 square, _ = hidden_square(*one, _COUPLED, positive=True, elsewhere=others)
-                change = np.maximum(change, square * _sums(self.functionals, terms[:, None]).T ** 2)
+                change = np.maximum(change, square * self.shifts(terms) ** 2)
         return change
 
     def beside(self, terms: ComplexArray, row: int) -> ComplexArray:

@@ -808,11 +808,11 @@ def judge_linearity(
     records: Sequence[TrialRecord],
     estimate: ImpedanceEstimate,
     fit: MBKFit,
-    jump: HoldCorrection | None = None,
-    reading: TorqueReading | None = None,
+    jump: HoldCorrection | None,
+    reading: TorqueReading,
     *,
     resolved: BoolArray,
-    linearity: float | None = None,
+    linearity: float | None,
 ) -> tuple[list[Problem], list[FloatArray], FloatArray]:
     """Find what isn't linear.
 
@@ -824,11 +824,12 @@ def judge_linearity(
         What follows from them.
     fit : MBKFit
         M, B and K of that.
-    jump, reading : HoldCorrection and TorqueReading, optional
+    jump : HoldCorrection or None
+    reading : TorqueReading
         As :func:`deviations` takes them.
     resolved : ndarray of bool, shape (n,)
         Where the motion of locked joints isn't, its torque may look like what isn't linear.
-    linearity : float, optional
+    linearity : float or None
         That of the :class:`armimp_estimation.fit.Calibration`, N·m.
 
     Returns
@@ -843,7 +844,7 @@ def judge_linearity(
     problems: list[Problem] = []
     doubts, gain = [np.zeros((3, n, n)) for _ in records], np.zeros(n)
     late = 0.0 if fit.delay is None else fit.delay.delay
-    jumps_known = jump is not None or (reading or TorqueReading()).without_jumps
+    jumps_known = jump is not None or reading.without_jumps
     found = [deviations(record, fit.mbk, jump, reading, late) for record in records]
 
     def of_torque(joint: int, trial: int, torque: FloatArray) -> FloatArray:
