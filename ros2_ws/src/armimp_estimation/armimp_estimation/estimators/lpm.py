@@ -315,21 +315,20 @@ class LpmFull:
         before, so that the second time little of it is left, however few the bins.
         """
         n, rate = len(records), records[0].rate
-        found = np.zeros((3, n, n))
+        found, f = np.zeros((3, n, n)), _strongest(records, self.band)
         for _ in range(_NEARER):
             near = MBK(M=found[0], B=found[1], K=found[2])
             columns = self._columns(
                 records,
                 with_steps=jump is not None,
                 mix=self._beside(near, jump, rate),
-                most=_MOST_NEAR,
+                f=f,
             )
-            f = columns[0].f
             stacked = np.stack([column.response for column in columns], axis=1)
             R, beside = stacked[:n], stacked[n : 2 * n]
-            s = 2j * np.pi * f
+            s = 2j * np.pi * columns[0].f
             motion = np.stack((s**2, s, np.ones_like(s)))[:, None, None] * R
-            torques = beside + multiply(near.impedance(f), R)
+            torques = beside + multiply(near.impedance(columns[0].f), R)
             for row, (torque, left) in enumerate(zip(torques, beside, strict=True)):
                 size = np.abs(torque)
                 # Of a transducer that shows nothing, nothing is no error.
@@ -348,17 +347,14 @@ class LpmFull:
         *,
         with_steps: bool,
         mix: Mix | None = None,
-        most: int | None = None,
+        f: FloatArray | None = None,
     ) -> list[LocalResponse]:
-        """Responses of angles, torques and, if wanted, steps of the commands, or a mix of them.
-
-        Those of noise are at so many frequencies at most, if that is told.
-        """
+        """Responses of angles, torques and, if wanted, steps of the commands, or a mix of them."""
         channels = []
         for record in records:
             steps = [command_steps(record)] if with_steps else []
             channels.append(np.concatenate([record.position, record.torque, *steps]))
-        return _moved(responses(records, channels, self.band, mix, most), records)
+        return _moved(responses(records, channels, self.band, mix, f), records)
 
 
 def responses(
@@ -366,7 +362,7 @@ def responses(
     outputs: Sequence[FloatArray],
     band: tuple[float, float],
     mix: Mix | None = None,
-    most: int | None = None,
+    f: FloatArray | None = None,
 ) -> list[LocalResponse]:
     """Responses of trials to their perturbations, all at the same frequencies.
 
@@ -382,15 +378,15 @@ def responses(
         Lowest and highest frequency, Hz.
     mix : callable, optional
         As :func:`local_response` takes it.
-    most : int, optional
-        Where there are no lines, so many frequencies at most.
+    f : ndarray, shape (n_freq,), optional
+        In the place of those bins, Hz.
     """
-    shortest, rate = min(record.samples for record in records), records[0].rate
+    rate = records[0].rate
     lines = common_lines((record.periods for record in records), rate, band)
-    f = lines
-    if f is None:
-        f = bins_in_band(shortest, rate, *band).astype(np.float64) * float(rate / shortest)
-        f = f if most is None else _strongest(records, f, most)
+    if lines is not None:
+        f = lines
+    elif f is None:
+        f = _bins(records, band)
     columns = []
     for record, signals in zip(records, outputs, strict=True):
         periods = None if lines is None else record.periods
@@ -416,14 +412,21 @@ def _floor(column: LocalResponse) -> float:
     return _FLOOR if column.line_power is None else LINE_FLOOR
 
 
-def _strongest(records: Sequence[TrialRecord], f: FloatArray, most: int) -> FloatArray:
-    """Of so many bands as are asked for, the frequency at which all perturbations are strongest."""
+def _bins(records: Sequence[TrialRecord], band: tuple[float, float]) -> FloatArray:
+    """Frequencies of the bins of the shortest trial, Hz."""
+    shortest, rate = min(record.samples for record in records), records[0].rate
+    return bins_in_band(shortest, rate, *band).astype(np.float64) * float(rate / shortest)
+
+
+def _strongest(records: Sequence[TrialRecord], band: tuple[float, float]) -> FloatArray:
+    """Of `_MOST_NEAR` parts of a band, the bin at which all perturbations are strongest, Hz."""
+    f = _bins(records, band)
     strength = np.full(f.size, np.inf)
     for record in records:
         amplitudes = np.abs(np.fft.rfft(record.perturbation[record.perturbed_joint]))
         strength = np.minimum(strength, amplitudes[np.rint(f * record.duration).astype(np.intp)])
-    bands = np.array_split(np.arange(f.size), min(most, f.size))
-    return f[[band[np.argmax(strength[band])] for band in bands]]
+    parts = np.array_split(np.arange(f.size), max(min(_MOST_NEAR, f.size), 1))
+    return f[[part[np.argmax(strength[part])] for part in parts if part.size]]
 
 
 def _moved(columns: Sequence[LocalResponse], records: Sequence[TrialRecord]) -> list[LocalResponse]:
