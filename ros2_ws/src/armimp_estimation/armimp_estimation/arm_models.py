@@ -12,16 +12,16 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import (
     Calibration,
-    FitConfig,
     MBKFit,
     covariance_of_sums,
     fit_weights,
@@ -241,7 +241,6 @@ def fit_models(
     asked: str,
     estimate: ImpedanceEstimate,
     plain: MBKFit,
-    config: FitConfig,
     calibration: Calibration,
 ) -> tuple[ModelFit, ...]:
     """Fit what is asked for: one model, or all where an unbiased estimate isn't M, B and K.
@@ -254,8 +253,6 @@ def fit_models(
         As the estimator returns it: a delay that it leaves open is fitted in each model anew.
     plain : MBKFit
         That fit.
-    config : FitConfig
-        Options of that fit.
     calibration : Calibration
         What is known of the transducers.
     """
@@ -265,9 +262,7 @@ def fit_models(
     if asked == AUTO:
         fits = bool((plain.lack <= plain.lack_limit).all())
         names = () if fits or not estimate.unbiased or estimate.joints > _MOST_JOINTS else [*MODELS]
-    return tuple(
-        _Problem(MODELS[name], estimate, plain, config, calibration).fit() for name in names
-    )
+    return tuple(_Problem(MODELS[name], estimate, plain, calibration).fit() for name in names)
 
 
 def supported(models: Sequence[ModelFit]) -> ModelFit | None:
@@ -283,12 +278,10 @@ class _Problem:
         model: ArmModel,
         estimate: ImpedanceEstimate,
         plain: MBKFit,
-        config: FitConfig,
         calibration: Calibration,
     ) -> None:
         n = estimate.joints
         floor = estimate.weight_floor
-        floor = config.weight_floor if floor is None else floor
         self.calibration = calibration
         self.model, self.estimate, self.plain = model, estimate, plain
         self.s: ComplexArray = np.asarray(2j * np.pi * estimate.f, dtype=np.complex128)
@@ -296,23 +289,20 @@ class _Problem:
         self.parameters = (*model.parameters, *([_LATENESS] if self.doubt else []))
         self.shapes = [(n,) * one.rank for one in self.parameters]
         self.ends = np.cumsum([math.prod(shape) for shape in self.shapes])
-        self.weights = np.zeros(estimate.Z.shape)
-        for at in np.ndindex(n, n):
-            Z, variance = estimate.Z[at], estimate.variance[at]
-            power = None if estimate.line_power is None else estimate.line_power[at[1]]
-            self.weights[at] = fit_weights(estimate.f, Z, variance, floor, config.smoothing, power)
+        Z, variance, power = estimate.Z, estimate.variance, estimate.line_power
+        self.weights = fit_weights(estimate.f, Z, variance, floor, power)
         # Weights are relative, with the largest of each element 1: rows differ in their noise.
         least = np.min(estimate.variance + (floor * np.abs(estimate.Z)) ** 2, axis=2)
         self.weights /= least[:, :, None]
         # Bins that are neighbours share most of what they tell.
         self.used = np.arange(self.s.size) % max(1, len(estimate.bin_correlation) // 4) == 0
         self.weights *= self.used
-        self.positive = np.concatenate(
-            [
-                np.full(math.prod(shape), one.positive)
-                for one, shape in zip(self.parameters, self.shapes, strict=True)
-            ]
-        )
+        self.positive: BoolArray = self.vector(lambda one: one.positive)
+
+    def vector(self, of: Callable[[Parameter], Any]) -> NDArray[Any]:
+        """What there is of each parameter, alike for all of its elements or an array, (p,)."""
+        pairs = zip(self.parameters, self.shapes, strict=True)
+        return np.concatenate([np.ravel(np.broadcast_to(of(one), shape)) for one, shape in pairs])
 
     def values(self, vector: FloatArray) -> dict[str, FloatArray]:
         parts = np.split(vector, self.ends[:-1])
@@ -327,22 +317,15 @@ class _Problem:
         return np.asarray(self.model.impedance(values, s) * late)
 
     def start(self, given: Mapping[str, float]) -> FloatArray:
-        parts = []
-        for one, shape in zip(self.parameters, self.shapes, strict=True):
-            begin = np.full(shape, given.get(one.name, 0.0))
-            parts.append(np.ravel(getattr(self.plain.mbk, one.name) if one in INTRINSIC else begin))
-        return np.concatenate(parts)
+        mbk = self.plain.mbk
+        return self.vector(
+            lambda one: getattr(mbk, one.name) if one in INTRINSIC else given.get(one.name, 0.0)
+        )
 
     def free(self, variant: Mapping[str, str]) -> BoolArray:
         """Which parameters a variant has."""
-        parts = []
-        for one, shape in zip(self.parameters, self.shapes, strict=True):
-            kind = variant.get(one.name)
-            every = np.full(shape, kind != KEPT)
-            parts.append(
-                np.ravel(every & (np.eye(len(every)) > 0.0) if kind == DIAGONAL else every)
-            )
-        return np.concatenate(parts)
+        kinds = {None: True, KEPT: False, DIAGONAL: np.eye(self.estimate.joints) > 0.0}
+        return self.vector(lambda one: kinds[variant.get(one.name)])
 
     def solve(
         self,
@@ -380,10 +363,9 @@ class _Problem:
 
     def fit(self) -> ModelFit:
         """Fit each variant, and take the one with the best criterion."""
-        kinds = [np.full(math.prod(shape), len(shape) == 2) for shape in self.shapes]
         # With scalars kept, most models are linear.
         free = self.free(self.model.variants[0])
-        rough = free & np.concatenate(kinds)
+        rough = free & self.vector(lambda one: one.rank == 2)
         starts = [self.solve(self.start(one), rough, self.used, 1e-2) for one in self.model.starts]
         found = [self.solve(one, free, self.used) for one, _ in starts]
         possible = [one for one in found if self.model.possible(self.values(one[0]))]

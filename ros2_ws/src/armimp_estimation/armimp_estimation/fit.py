@@ -19,51 +19,15 @@ from itertools import product
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import log_ndtr, softmax
 
-from armimp_common.arrays import BoolArray
+from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.json_model import JsonModel, Number
 from armimp_estimation.mbk import MBK
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Values = TypeVar("Values", FloatArray, ComplexArray)
-
-
-@dataclass(frozen=True, kw_only=True)
-class FitConfig:
-    """Options of the fit of ``M s² + B s + K``.
-
-    Parameters
-    ----------
-    smoothing : float
-        Half width of the band over which variances are averaged before they serve as weights, Hz.
-        The variance at one frequency comes from few averages; weights that follow its chance
-        fluctuations would favour the frequencies whose variance came out too small, and the
-        standard errors would come out too small with them.
-    weight_floor : float
-        Relative standard deviation that is added, in quadrature, to that of each value before it
-        serves as a weight. The variance does not know of errors in proportion to the impedance
-        itself, such as leakage bias and time skew of the sensors; without a floor the frequencies
-        whose random errors are tiny decide alone and bring in those errors. With 0 the skew of
-        half a millisecond biases B by up to 55 % on a quiet simulated rig, with 0.2 by 7 %.
-        Where the random errors are larger than the floor, weights are those of the variance.
-        An estimate that knows better carries a floor of its own, which takes precedence.
-    """
-
-    smoothing: float = 0.6
-    weight_floor: float = 0.2
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.weight_floor < math.inf:
-            raise ConfigurationError(
-                f"weight_floor must not be negative, got {self.weight_floor!r}"
-            )
-        if not 0.0 <= self.smoothing < math.inf:
-            raise ConfigurationError(f"smoothing must not be negative, got {self.smoothing!r} Hz")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,8 +135,8 @@ class MBKFit:
     high_pass : tuple of float
         Corner of a high-pass that torques passed and angles didn't, and its standard error, Hz; to
         first order. Negative if angles passed it.
-    coefficients : ndarray, shape (n, n, 3, n_freq)
-        Rows a of ``(M, B, K) = Σ_f a_f y_f`` of each element: y is Re Z, but Im Z for B.
+    functionals : ndarray, shape (n, n, 3, n_freq)
+        Rows b of ``(M, B, K) = Re Σ_f conj(b_f) Z_f`` of each element.
     """
 
     mbk: MBK
@@ -184,14 +148,13 @@ class MBKFit:
     covariance: FloatArray
     lack: FloatArray
     lack_limit: float
-    coefficients: FloatArray
+    functionals: ComplexArray
     delay: CommonDelay | None = None
     high_pass: tuple[float, float] = (0.0, math.inf)
 
     def of_row(self, joint: int, change: ComplexArray) -> FloatArray:
         """What a change of one row of the impedance, (n, n_freq), is in M, B and K, (3, n)."""
-        of_elements = zip(self.coefficients[joint], change, strict=True)
-        return np.stack([_apply(of_one, one) for of_one, one in of_elements], axis=1)
+        return np.asarray(_sums(self.functionals[joint], change[:, None]).T)
 
     def with_doubt(self, shift: FloatArray) -> MBKFit:
         """Return the same with a change of M, B and K, (3, n, n), as one more standard error."""
@@ -202,6 +165,8 @@ class MBKFit:
 
 
 FEWEST_FREQUENCIES = 3
+_SMOOTHING = 0.6
+"""Half width of the band over which variances are averaged before they serve as weights, Hz."""
 LACK_LIMIT = 2.0
 """Lack of fit beyond which an impedance isn't of the form of the fit; ideal runs stay below 1.5."""
 _LACK_CHANCE = 5.0
@@ -269,33 +234,30 @@ def spread_of_mean(correlation: FloatArray) -> float:
     return math.sqrt(frequencies + 2.0 * float(np.sum(correlation[1:] ** 2))) / frequencies
 
 
-def fit_mbk(estimate: ImpedanceEstimate, config: FitConfig | None = None) -> MBKFit:
+def fit_mbk(estimate: ImpedanceEstimate) -> MBKFit:
     """Fit ``Z_ij(jω) = K - M ω² + jω B`` to each element; see :func:`fit_impedance`."""
-    return fit_impedance(estimate, config)[1]
+    return fit_impedance(estimate)[1]
 
 
 def fit_impedance(
     estimate: ImpedanceEstimate,
-    config: FitConfig | None = None,
     calibration: Calibration | None = None,
 ) -> tuple[ImpedanceEstimate, MBKFit]:
     """Fit ``Z_ij(jω) = K - M ω² + jω B`` to each element, and a delay that is common to all.
 
     The real part gives M and K, the imaginary part B. Weights are inverse variances, smoothed and
-    limited as :class:`FitConfig` says. Each parameter is then a sum ``Σ_f a_f y_f``, so whatever
-    the weights, its variance is the sandwich ``½ Σ_fg a_f a_g σ_f σ_g ρ_fg``: half of the complex
-    variance for either part, and the correlation ρ of the errors of neighbouring frequencies. The
-    error of a correction, which is the same at all frequencies, adds the square of ``Σ_f a_f s_f``
-    with its standard error s. Where terms with s³ and s⁴ would be significant, the change of M, B
-    and K by them is added, too.
+    limited as :func:`fit_weights` says. Each parameter is then a sum ``Re Σ_f conj(b_f) Z_f``, so
+    whatever the weights, its variance is the sandwich ``½ Re Σ_fg conj(b_f) b_g σ_f σ_g ρ_fg``:
+    half of the complex variance for either part, and the correlation ρ of the errors of
+    neighbouring frequencies. The error of a correction, which is the same at all frequencies, adds
+    the square of ``Re Σ_f conj(b_f) s_f`` with its standard error s. Where terms with s³ and s⁴
+    would be significant, the change of M, B and K by them is added, too.
 
     Parameters
     ----------
     estimate : ImpedanceEstimate
         Impedance with variances; all of its frequencies are used. A delay is fitted if it has a
         ``delay_uncertainty``.
-    config : FitConfig
-        Options.
     calibration : Calibration, optional
         What is known of the transducers; by default that they are exact.
 
@@ -310,48 +272,29 @@ def fit_impedance(
     DataError
         If there are fewer than three frequencies, or a value or variance is not finite.
     """
-    if estimate.f.size < FEWEST_FREQUENCIES:
-        raise DataError(f"{estimate.f.size} frequencies are too few to fit M, B and K")
-    if not (np.isfinite(estimate.Z).all() and np.isfinite(estimate.variance).all()):
-        raise DataError(f"{estimate.name}: impedance or its variance is not finite")
-    options = config if config is not None else FitConfig()
-    if estimate.weight_floor is not None:
-        options = replace(options, weight_floor=estimate.weight_floor)
     n = estimate.joints
-    estimate = estimate.with_noise_at(_first_fit(estimate, options))
-    problem = _Elements.of(estimate, options)
+    problem = _Elements.of(estimate.with_noise_at(_first_fit(estimate)))
     if calibration is not None:
-        effects = calibration.effects(estimate.Z)
-        problem = replace(problem, calibration=tuple(one.reshape(n * n, -1) for one in effects))
-    delay = None
-    if estimate.delay_uncertainty is not None:
-        problem, delay = _with_delay(problem, estimate.delay_uncertainty, estimate.delay_unknown)
-        if estimate.friction_skew is not None and delay.delay:
-            # What is late against the angles jumps otherwise, too, as behind drives that lag.
-            share = min(abs(delay.delay) / estimate.delay_unknown, 1.0)
-            doubt = (share * estimate.friction_skew).reshape(n * n, -1)
-            problem = replace(problem, systematics=(*problem.systematics, doubt))
-    problem = problem.with_bounds_told(estimate.bounded)
-    estimate = replace(
-        estimate,
-        Z=problem.Z.reshape(estimate.Z.shape),
-        variance=problem.total.reshape(estimate.variance.shape),
-        systematics=tuple(one.reshape(estimate.Z.shape) for one in problem.systematics),
-        bounded=0,
-        delay_uncertainty=None,
-    )
-    values, errors = problem.fit()
-    M, B, K = (value.reshape(n, n) for value in values)
+        effects = calibration.effects(problem.estimate.Z)
+        problem = replace(problem, calibration=tuple(map(_flat, effects)))
+    problem, delay = _with_delay(problem)
+    if delay is not None and delay.delay and estimate.friction_skew is not None:
+        # What is late against the angles jumps otherwise, too, as behind drives that lag.
+        share = min(abs(delay.delay) / estimate.delay_unknown, 1.0)
+        doubt = _flat(share * estimate.friction_skew)
+        problem = replace(problem, systematics=(*problem.systematics, doubt))
+    problem = problem.with_bounds_told()
+    estimate = problem.corrected
+    M, B, K = problem.values().reshape(3, n, n)
     mbk = MBK(M=M, B=B, K=K)
     fitted = mbk.impedance(estimate.f)
     lack = lack_of_fit(estimate, fitted)
     if problem.calibration:
-        variance = estimate.variance + sum(
-            np.abs(one.reshape(estimate.Z.shape)) ** 2 for one in problem.calibration
-        )
-        estimate = replace(estimate, variance=np.asarray(variance))
+        known = sum(np.abs(one) ** 2 for one in problem.calibration)
+        estimate = replace(estimate, variance=estimate.variance + np.reshape(known, fitted.shape))
     quality = [[r_squared(estimate.Z[i, j], fitted[i, j]) for j in range(n)] for i in range(n)]
-    M_se, B_se, K_se = (error.reshape(n, n) for error in errors)
+    covariance = problem.covariance()
+    M_se, B_se, K_se = _roots(covariance).reshape(3, n, n)
     fit = MBKFit(
         mbk=mbk,
         M_se=M_se,
@@ -362,106 +305,28 @@ def fit_impedance(
         lack=lack,
         lack_limit=lack_limit(estimate.bin_correlation),
         delay=delay,
-        covariance=_parameter_covariance(estimate, problem),
+        covariance=covariance,
         high_pass=problem.high_pass(fitted),
-        coefficients=problem.coefficients_of_all.reshape(n, n, 3, -1),
+        functionals=problem.functionals.reshape(n, n, 3, -1),
     )
     return estimate, fit
 
 
-def _first_fit(estimate: ImpedanceEstimate, options: FitConfig) -> ComplexArray:
+def _first_fit(estimate: ImpedanceEstimate) -> ComplexArray:
     """Impedance of M, B, K and a delay, as they follow from the noise at the estimated one."""
-    problem, late = _Elements.of(estimate, options), 0.0
-    if estimate.delay_uncertainty is not None:
-        problem, delay = _with_delay(problem, estimate.delay_uncertainty, estimate.delay_unknown)
-        late = delay.delay
-    fitted = np.stack([_of_mbk(one, problem.omega) for one in problem.values().T])
-    return np.asarray(fitted.reshape(estimate.Z.shape) * np.exp(-1j * problem.omega * late))
+    problem, delay = _with_delay(_Elements.of(estimate))
+    late = 0.0 if delay is None else delay.delay
+    fitted = _of_mbk(problem.values(), problem.omega) * np.exp(-1j * problem.omega * late)
+    return np.asarray(fitted.reshape(estimate.Z.shape))
 
 
-def _parameter_covariance(estimate: ImpedanceEstimate, problem: _Elements) -> FloatArray:
-    """Covariance of all parameters.
-
-    As the sandwich of one element, with the coherency κ of two: ``½ Σ_fg a_f b_g σ_f ς_g
-    ρ_fg (κ_f + κ_g)/2``, of which errors of like parts take the real and others the
-    imaginary part. An estimate without covariances has independent elements. The error of a
-    correction is that of one transducer, so it is common to a row.
-    """
-    n, size = estimate.joints, estimate.f.size
-    shape = (n, n, 3, size)
-    coefficients = np.stack([problem.coefficients(row) for row in range(n * n)]).reshape(shape)
-    deviation = np.sqrt(problem.noise).reshape(n, n, size)
-    terms = coefficients * (np.sqrt(0.5) * deviation)[:, :, None]
-    spread = with_neighbours(terms, estimate.bin_correlation)
-    # Whether the parts are unlike, and the sign of the imaginary part: M and K are real, B is not.
-    imaginary = np.array([[0, -1, 0], [1, 0, 1], [0, -1, 0]])
-    more = problem.change_by_more_terms()
-    covariance = np.zeros((3, n, n, 3, n, n))
-    for i, j, m, l in np.ndindex(n, n, n, n):
-        if (i, j) > (m, l):
-            continue
-        coherency = _coherency(estimate, (i, j), (m, l), deviation)
-        a, b = terms[i, j], terms[m, l]
-        wide_a, wide_b = spread[i, j], spread[m, l]
-        both = 0.5 * ((a * coherency) @ wide_b.T + (wide_a * coherency) @ b.T)
-        block = np.where(imaginary == 0, both.real, imaginary * both.imag)
-        if i == m:
-            for one in (*problem.systematics, *problem.calibration):
-                shift, other = _apply(coefficients[i, j], one[i * n + j]), one[m * n + l]
-                block = block + np.outer(shift, _apply(coefficients[m, l], other))
-        if (i, j) == (m, l):
-            block = block + np.diag(more[:, i * n + j])
-        covariance[:, i, j, :, m, l] = block
-        covariance[:, m, l, :, i, j] = block.T
-    return covariance.reshape(3 * n * n, 3 * n * n)
-
-
-def _coherency(
-    estimate: ImpedanceEstimate, one: tuple[int, int], other: tuple[int, int], sigma: FloatArray
-) -> ComplexArray:
-    """Correlation of the errors of two elements at each frequency."""
-    if one == other:
-        return np.ones(estimate.f.size, dtype=np.complex128)
-    if estimate.disturbance is None or estimate.inverse is None:
-        return np.zeros(estimate.f.size, dtype=np.complex128)
-    (i, j), (m, l) = one, other
-    shared: ComplexArray = np.sum(
-        estimate.disturbance[:, i, m] * estimate.inverse[:, j] * np.conj(estimate.inverse[:, l]),
-        axis=0,
-    )
-    size = sigma[one] * sigma[other]
-    ratio: ComplexArray = np.divide(shared, size, out=np.zeros_like(shared), where=size > 0.0)
-    return ratio
-
-
-def fit_column(  # noqa: PLR0913 (each is a fact of its own)
-    f: FloatArray,
-    impedance: ComplexArray,
-    variance: FloatArray,
-    systematics: tuple[ComplexArray, ...],
-    correlation: FloatArray,
-    config: FitConfig,
-    *,
-    delay_uncertainty: float | None = None,
-    delay_unknown: float = 0.0,
-    line_power: FloatArray | None = None,
-) -> tuple[FloatArray, FloatArray]:
+def fit_column(estimate: ImpedanceEstimate) -> tuple[FloatArray, FloatArray]:
     """Fit the elements of one column as :func:`fit_impedance` does those of a matrix.
 
     Parameters
     ----------
-    f : ndarray, shape (n_freq,)
-        Frequencies, Hz.
-    impedance, variance, each of systematics : ndarray, shape (n, n_freq)
-        As those of an :class:`ImpedanceEstimate`.
-    correlation : ndarray, shape (lags, n_freq)
-        Of the errors of neighbouring frequencies, as that of an :class:`ImpedanceEstimate`.
-    config : FitConfig
-        Options.
-    delay_uncertainty, delay_unknown : float, optional
-        As those of an :class:`ImpedanceEstimate`, s.
-    line_power : ndarray, shape (n_freq,), optional
-        That of the trial, as in an :class:`ImpedanceEstimate`.
+    estimate : ImpedanceEstimate
+        Of which arrays are (n, 1, n_freq).
 
     Returns
     -------
@@ -473,111 +338,134 @@ def fit_column(  # noqa: PLR0913 (each is a fact of its own)
     DataError
         As :func:`fit_impedance`.
     """
-    if f.size < FEWEST_FREQUENCIES:
-        raise DataError(f"{f.size} frequencies are too few to fit M, B and K")
-    if not (np.isfinite(impedance).all() and np.isfinite(variance).all()):
-        raise DataError("impedance or its variance is not finite")
-    problem = _Elements(
-        f=f,
-        Z=impedance,
-        noise=variance - sum(np.abs(one) ** 2 for one in systematics),
-        systematics=systematics,
-        correlation=correlation,
-        freedom=math.inf,
-        options=config,
-        line_power=None if line_power is None else np.tile(line_power, (len(impedance), 1)),
-    )
-    if delay_uncertainty is not None:
-        problem, _ = _with_delay(problem, delay_uncertainty, delay_unknown)
-    return problem.fit()
+    problem, _ = _with_delay(_Elements.of(estimate))
+    values = problem.values()
+    return values, _roots(problem.covariance()).reshape(values.shape)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Elements:
-    """Elements of an impedance over frequency, all fitted alike; arrays (elements, n_freq)."""
+    """Elements of an impedance, row by row and all fitted alike; arrays (elements, n_freq)."""
 
-    f: FloatArray
+    estimate: ImpedanceEstimate
+    """Where they are from: all that no correction changes."""
     Z: ComplexArray
     noise: FloatArray
+    """Variance without that of the corrections."""
     systematics: tuple[ComplexArray, ...]
-    correlation: FloatArray
-    freedom: float
-    options: FitConfig
     calibration: tuple[ComplexArray, ...] = ()
-    whole: bool = False
-    """Whether these are the n² elements of a matrix, row by row."""
-    unbiased: bool = False
-    """Whether nothing but noise hides a spring that relaxes: not so with leakage."""
-    line_power: FloatArray | None = None
-    """Power of the perturbation behind each element, (elements, n_freq), if it is not chance."""
-    without_slow: tuple[BoolArray, ...] = ()
-    """Torques, and angles, that may have passed a high-pass, two of shape (n,)."""
 
     @classmethod
-    def of(cls, estimate: ImpedanceEstimate, options: FitConfig) -> _Elements:
-        """Those of a whole matrix."""
-        elements = estimate.joints**2
+    def of(cls, estimate: ImpedanceEstimate) -> _Elements:
+        """Those of an estimate."""
+        if estimate.f.size < FEWEST_FREQUENCIES:
+            raise DataError(f"{estimate.f.size} frequencies are too few to fit M, B and K")
+        if not (np.isfinite(estimate.Z).all() and np.isfinite(estimate.variance).all()):
+            raise DataError(f"{estimate.name}: impedance or its variance is not finite")
         return cls(
-            f=estimate.f,
-            Z=estimate.Z.reshape(elements, -1),
-            noise=estimate.without_systematics().variance.reshape(elements, -1),
-            systematics=tuple(common.reshape(elements, -1) for common in estimate.systematics),
-            correlation=estimate.bin_correlation,
-            freedom=estimate.averages - 1.0,
-            options=options,
-            whole=True,
-            unbiased=estimate.unbiased,
-            without_slow=estimate.without_slow,
-            line_power=None
-            if estimate.line_power is None
-            else np.tile(estimate.line_power, (estimate.joints, 1)),
+            estimate=estimate,
+            Z=_flat(estimate.Z),
+            noise=_flat(estimate.without_systematics().variance),
+            systematics=tuple(map(_flat, estimate.systematics)),
+        )
+
+    @property
+    def corrected(self) -> ImpedanceEstimate:
+        """The estimate with all corrections and their variance."""
+        shape = self.estimate.Z.shape
+        return replace(
+            self.estimate,
+            Z=self.Z.reshape(shape),
+            variance=self.total.reshape(shape),
+            systematics=tuple(one.reshape(shape) for one in self.systematics),
+            bounded=0,
+            delay_uncertainty=None,
         )
 
     @property
     def omega(self) -> FloatArray:
-        return 2.0 * np.pi * self.f
+        return 2.0 * np.pi * self.estimate.f
+
+    @property
+    def whole(self) -> bool:
+        """Whether these are the n² elements of a matrix, not those of a column."""
+        rows, columns, _ = self.estimate.Z.shape
+        return bool(rows == columns)
 
     @property
     def total(self) -> FloatArray:
         """Variance with that of the corrections."""
         return np.asarray(self.noise + sum(np.abs(one) ** 2 for one in self.systematics))
 
-    def values(self) -> FloatArray:
-        """M, B and K, (3, elements)."""
-        rows = range(len(self.Z))
-        return np.stack([_apply(self.coefficients(row), self.Z[row]) for row in rows], axis=1)
-
-    def fit(self) -> tuple[FloatArray, FloatArray]:
-        """M, B, K and their standard errors, each (3, elements)."""
-        values = np.zeros((3, len(self.Z)))
-        errors = np.zeros((3, len(self.Z)))
-        for row in range(len(self.Z)):
-            values[:, row], errors[:, row] = self._fit_element(row)
-        return values, np.sqrt(errors**2 + self.change_by_more_terms())
-
-    def coefficients(self, row: int) -> FloatArray:
-        """Rows a, (3, n_freq), of ``(M, B, K) = Σ_f a_f y_f`` for one element."""
-        return np.asarray(self.coefficients_of_all[row])
+    @cached_property
+    def weights(self) -> FloatArray:
+        """Of the frequencies in the fit of each element."""
+        estimate, power = self.estimate, self.estimate.line_power
+        power = None if power is None else np.tile(power, (len(estimate.Z), 1))
+        return fit_weights(estimate.f, self.Z, self.total, estimate.weight_floor, power)
 
     @cached_property
-    def coefficients_of_all(self) -> FloatArray:
-        """Those of all elements, (elements, 3, n_freq)."""
-        return np.stack([mbk_coefficients(self.omega, weights) for weights in self._all_weights])
+    def functionals(self) -> ComplexArray:
+        """Rows b of ``(M, B, K) = Re Σ_f conj(b_f) Z_f``, (elements, 3, n_freq)."""
+        return np.stack([_mbk_functionals(self.omega, weights) for weights in self.weights])
 
-    def _fit_element(self, row: int) -> tuple[FloatArray, FloatArray]:
-        coefficients = self.coefficients(row)
-        values, squares = self._sums(coefficients, row)
-        for known in self.calibration:
-            squares += _apply(coefficients, known[row]) ** 2
-        return values, np.sqrt(squares)
+    def values(self) -> FloatArray:
+        """M, B and K, (3, elements)."""
+        return self.shifts(self.Z)
 
-    def _sums(self, coefficients: FloatArray, row: int) -> tuple[FloatArray, FloatArray]:
-        """Sums over frequency with such coefficients, (3, n_freq), and their variances."""
-        squares = _sandwich(coefficients, self.noise[row], self.correlation)
+    def shifts(self, terms: ComplexArray) -> FloatArray:
+        """What terms (elements, n_freq) are in M, B and K, (3, elements)."""
+        return np.asarray(_sums(self.functionals, terms[:, None]).T)
+
+    def covariance_of(self, functionals: ComplexArray, row: int) -> FloatArray:
+        """Covariance, (p, p), of ``Re Σ_f conj(b_f) Z_f`` for functionals b, (p, n_freq)."""
+        spread = functionals * np.sqrt(self.noise[row])
+        covariance = covariance_of_sums(spread, self.estimate.bin_correlation)
         for systematic in self.systematics:
-            squares += _apply(coefficients, systematic[row]) ** 2
-        return _apply(coefficients, self.Z[row]), squares
+            shift = _sums(functionals, systematic[row])
+            covariance = covariance + np.outer(shift, shift)
+        return covariance
 
+    def covariance(self) -> FloatArray:
+        """Covariance of all M, then B, then K, (3 elements, 3 elements).
+
+        As the sandwich of one element, with the coherency κ of two: ``½ Re Σ_fg conj(b_f) c_g
+        σ_f ς_g ρ_fg (κ_f + κ_g)/2``. An estimate without covariances has independent elements. The
+        error of a correction is that of one transducer, so it is common to a row.
+        """
+        (n, columns, _), estimate = self.estimate.Z.shape, self.estimate
+        count = n * columns
+        terms = self.functionals * np.sqrt(0.5 * self.noise)[:, None]
+        spread = with_neighbours(terms, estimate.bin_correlation)
+        more = self.change_by_more_terms
+        shifts = [self.shifts(common) for common in (*self.systematics, *self.calibration)]
+        covariance = np.zeros((3, count, 3, count))
+        for one in range(count):
+            for other in range(one, count):
+                kappa = self._coherency(one, other)
+                a, b = np.conj(terms[one]) * kappa, np.conj(spread[one]) * kappa
+                block = 0.5 * (a @ spread[other].T + b @ terms[other].T).real
+                if one // columns == other // columns:
+                    block += sum(np.outer(shift[:, one], shift[:, other]) for shift in shifts)
+                if one == other:
+                    block += np.diag(more[:, one])
+                covariance[:, one, :, other] = block
+                covariance[:, other, :, one] = block.T
+        return covariance.reshape(3 * count, 3 * count)
+
+    def _coherency(self, one: int, other: int) -> ComplexArray:
+        """Correlation of the errors of two elements at each frequency."""
+        disturbance, inverse = self.estimate.disturbance, self.estimate.inverse
+        if one == other:
+            return np.ones(self.omega.size, dtype=np.complex128)
+        if disturbance is None or inverse is None:
+            return np.zeros(self.omega.size, dtype=np.complex128)
+        (i, j), (m, l) = (divmod(place, self.estimate.Z.shape[1]) for place in (one, other))
+        shared = np.sum(disturbance[:, i, m] * inverse[:, j] * np.conj(inverse[:, l]), axis=0)
+        size = np.sqrt(self.noise[one]) * np.sqrt(self.noise[other])
+        return np.asarray(np.divide(shared, size, out=np.zeros_like(shared), where=size > 0.0))
+
+    @cached_property
     def change_by_more_terms(self) -> FloatArray:
         """Squared change of M, B, K, (3, elements), by ``c s³``, ``c s⁴``, cuffs and what hides.
 
@@ -590,35 +478,34 @@ class _Elements:
         that goes with s². They are the same in all elements, so they count in those, too, where
         noise hides them.
         """
-        squares = np.zeros((3, len(self.Z)))
         plain = self.values()
+        squares, rows = np.zeros_like(plain), range(len(self.Z))
         relative = self.omega / self.omega[-1]
         for term in (-1j * relative**3, relative**4 + 0j):
-            for row, of_mbk in enumerate(self.coefficients_of_all):
-                value, error = self.coefficient_of(term, row)
-                squares[:, row] += _noticed(value, error) * _apply(of_mbk, term) ** 2
+            noticed = [_noticed(*self.coefficient_of(term, row)) for row in rows]
+            squares += noticed * self.shifts(np.broadcast_to(term, self.Z.shape)) ** 2
         low = relative <= _LOW
         if np.count_nonzero(low) >= _FEWEST:
-            for row, of_mbk in enumerate(self.coefficients_of_all):
-                apart = of_mbk - mbk_coefficients(self.omega, self.weights(row) * low)
-                values, variances = self._sums(apart, row)
+            for row in rows:
+                of_low = _mbk_functionals(self.omega, self.weights[row] * low)
+                apart = self.functionals[row] - of_low
+                values, variances = _sums(apart, self.Z[row]), self.covariance_of(apart, row)
                 for place in (1, 2):
-                    error = math.sqrt(variances[place])
+                    error = math.sqrt(max(variances[place, place], 0.0))
                     squares[place, row] += _noticed(values[place], error)
-        n = math.isqrt(len(self.Z))
+        n = len(self.estimate.Z)
         if self.whole and n <= _MOST_CUFFS:
-            Z = np.stack([_of_mbk(one, self.omega) for one in plain.T]).reshape(n, n, -1)
+            Z = _of_mbk(plain, self.omega).reshape(n, n, -1)
             common = [-Z[:, joint, None] * Z[None, joint] for joint in range(n)]
             for place, one in enumerate([*common, -1j * Z / self.omega, relative**2 * Z]):
-                terms = one.reshape(self.Z.shape)
+                terms = _flat(one)
                 value, error, _ = self.common_coefficient(terms)
                 # No cuff has a negative compliance; angles may have passed the high-pass, too.
                 square = _noticed(max(value, 0.0) if place < n else value, error)
                 if place < n:
                     soft, _ = hidden_square(value, error, _SOFT, sizes=(_CUFF,), positive=True)
                     square = max(square, soft)
-                for row, of_mbk in enumerate(self.coefficients_of_all):
-                    squares[:, row] += square * _apply(of_mbk, terms[row]) ** 2
+                squares += square * self.shifts(terms) ** 2
             squares += self._change_by_hidden(plain) + self._change_by_coupling(Z)
         # What rounding leaves is no change.
         least = _ROUNDING * np.abs(plain)
@@ -626,7 +513,7 @@ class _Elements:
 
     def high_pass(self, Z: ComplexArray) -> tuple[float, float]:
         """Corner of a common high-pass of the torques of an arm Z, and its error, Hz."""
-        value, error, _ = self.common_coefficient((1j * Z / self.omega).reshape(self.Z.shape))
+        value, error, _ = self.common_coefficient(_flat(1j * Z / self.omega))
         return value / (2.0 * np.pi), error / (2.0 * np.pi)
 
     def hidden_terms(self, values: FloatArray) -> list[tuple[float, ComplexArray]]:
@@ -644,7 +531,8 @@ class _Elements:
         arcs = [np.exp(-s * delay) / (1.0 + s / muscle) ** 2 for delay, muscle in _ARCS]
         found = [(_LIKELY / len(arcs), _REFLEX * B * s * arc) for arc in arcs]
         found.append((_LIKELY, _STRETCH * K * (1.0 + s / _LEAD) * arcs[0]))
-        times = _RELAXATIONS if self.unbiased else ()
+        # Leakage, as of biased estimates, hides a spring that relaxes, too.
+        times = _RELAXATIONS if self.estimate.unbiased else ()
         return found + [(_LIKELY, _RELAXED * K * s * T / (1.0 + s * T)) for T in times]
 
     def _change_by_hidden(self, values: FloatArray) -> FloatArray:
@@ -652,24 +540,18 @@ class _Elements:
 
         What acts across joints acts on its own joint, too, which tells whether it is there.
         """
-        n = math.isqrt(len(self.Z))
+        n = len(self.estimate.Z)
         change = np.zeros_like(values)
         for (likely, terms), joint in product(self.hidden_terms(values), range(n)):
-            own, evidence = joint * (n + 1), 0.0
+            own, evidence, shifts = joint * (n + 1), 0.0, self.shifts(terms)
             for row in (own, *(row for row in range(joint, n * n, n) if row != own)):
                 told, error = self.coefficient_of(terms[row], row)
                 square, of_row = hidden_square(
                     told, error, likely, positive=True, elsewhere=evidence
                 )
                 evidence = of_row if row == own else evidence
-                change[:, row] = np.maximum(
-                    change[:, row], square * self._shift(row, terms[row]) ** 2
-                )
+                change[:, row] = np.maximum(change[:, row], square * shifts[:, row] ** 2)
         return change
-
-    def _shift(self, row: int, term: ComplexArray) -> FloatArray:
-        """What a term (n_freq,) of an element is in M, B and K, (3,)."""
-        return _apply(self.coefficients(row), term)
 
     def _change_by_coupling(self, Z: ComplexArray) -> FloatArray:
         """Squared change of M, B and K, (3, n²), by channels whose amplifiers pass nothing slow.
@@ -681,7 +563,7 @@ class _Elements:
         n, s = len(Z), 1j * self.omega
         own = np.eye(n, dtype=np.bool_)[:, :, None, None]
         change = np.zeros((3, n * n))
-        for corner, (axis, possible) in product(_CORNERS, enumerate(self.without_slow)):
+        for corner, (axis, possible) in product(_CORNERS, enumerate(self.estimate.without_slow)):
             w = 2.0 * np.pi * corner
             effect = (-w / (s + w) if axis == 0 else w / s) * Z
             channels = np.where(np.moveaxis(own, 1, 1 + axis), effect, 0.0)
@@ -691,21 +573,26 @@ class _Elements:
             for terms, one, of_one in zip(channels, told, evidence, strict=True):
                 others = max(sum(evidence) - of_one, 0.0)
                 square, _ = hidden_square(*one, _COUPLED, positive=True, elsewhere=others)
-                shifts = np.stack(
-                    [self._shift(row, term) for row, term in enumerate(terms)], axis=1
-                )
-                change = np.maximum(change, square * shifts**2)
+                change = np.maximum(change, square * self.shifts(terms) ** 2)
         return change
+
+    def beside(self, terms: ComplexArray, row: int) -> ComplexArray:
+        """What is left of terms (..., n_freq) of an element where M, B and K explain what they can.
+
+        That is orthogonal to them with the weights of the fit.
+        """
+        alike = _sums(self.functionals[row], terms[..., None, :])
+        return np.asarray(terms - _of_mbk(np.moveaxis(alike, -1, 0), self.omega))
 
     def coefficient_of(self, term: ComplexArray, row: int) -> tuple[float, float]:
         """Coefficient of a term (n_freq,) beside M, B and K of an element, and its error."""
-        weights = self.weights(row)
-        left = term - _of_mbk(_apply(self.coefficients(row), term), self.omega)
-        total = float(np.sum(weights * np.abs(left) ** 2))
+        left = self.beside(term, row)
+        total = float(np.sum(self.weights[row] * np.abs(left) ** 2))
         if not np.finfo(np.float64).tiny < total < math.inf:
             return 0.0, math.inf  # nothing was measured: the values are no numbers either
-        functional = weights * left / total
-        return _functional(functional, self.Z[row]), self.functional_error(row, functional)
+        functional = self.weights[row] * left / total
+        variance = self.covariance_of(functional[None], row)[0, 0]
+        return float(_sums(functional, self.Z[row])), math.sqrt(max(variance, 0.0))
 
     def common_coefficient(self, terms: ComplexArray) -> tuple[float, float, float]:
         """Coefficient that terms (elements, n_freq) have in common.
@@ -755,16 +642,12 @@ class _Elements:
         """
         rows = []
         for row in range(len(self.Z)):
-            term, of_mbk = terms[:, row], self.coefficients(row)
-            left = term - np.stack([_of_mbk(_apply(of_mbk, one), self.omega) for one in term])
-            size = np.sum(self.weights(row) * np.abs(left) ** 2, axis=1, keepdims=True)
-            functionals = self.weights(row) * left / np.sqrt(size + np.finfo(np.float64).tiny)
-            errors = covariance_of_sums(functionals * np.sqrt(self.noise[row]), self.correlation)
+            term = terms[:, row]
+            left = self.beside(term, row)
+            size = np.sum(self.weights[row] * np.abs(left) ** 2, axis=1, keepdims=True)
+            functionals = self.weights[row] * left / np.sqrt(size + np.finfo(np.float64).tiny)
             # Of terms that are known as well as that, what was expected would be lost by rounding.
-            errors += np.diag(_SUREST_SHARE**2 * size[:, 0])
-            for one in self.systematics:
-                common = (np.conj(functionals) @ one[row]).real
-                errors = errors + np.outer(common, common)
+            errors = self.covariance_of(functionals, row) + np.diag(_SUREST_SHARE**2 * size[:, 0])
             design = (np.conj(functionals) @ term.T).real
             information = np.linalg.pinv(errors, rcond=_SINGULAR, hermitian=True)
             rows.append((design, information, (np.conj(functionals) @ self.Z[row]).real))
@@ -777,11 +660,12 @@ class _Elements:
         covariance = np.linalg.inv(np.eye(len(terms)) + normal / scatter)
         return covariance @ (expected + mixed / scatter), covariance
 
-    def with_bounds_told(self, bounded: int) -> _Elements:
-        """Return the same less what the data tell of the first systematics, with errors of it.
+    def with_bounds_told(self) -> _Elements:
+        """Return the same less what the data tell of the systematics that are bounds.
 
         Each is of unknown size, 0 ± 1 before the data, and of its own shape over frequency.
         """
+        bounded = self.estimate.bounded
         if not bounded:
             return self
         terms, others = np.stack(self.systematics[:bounded]), self.systematics[bounded:]
@@ -792,33 +676,17 @@ class _Elements:
         Z = self.Z - np.tensordot(found, terms, axes=1)
         return replace(self, Z=Z, systematics=(*errors, *others))
 
-    def functional_error(self, row: int, functional: ComplexArray) -> float:
-        """Standard error of ``Re Σ_f conj(b_f) Z_f``."""
-        parts = np.stack((functional.real, functional.imag))
-        square = float(np.sum(_sandwich(parts, self.noise[row], self.correlation)))
-        for systematic in self.systematics:
-            square += _functional(functional, systematic[row]) ** 2
-        return math.sqrt(square)
-
-    def weights(self, row: int) -> FloatArray:
-        """Of the frequencies in the fit of one element, (n_freq,)."""
-        return self._all_weights[row]
-
-    @cached_property
-    def _all_weights(self) -> list[FloatArray]:
-        floor, smoothing = self.options.weight_floor, self.options.smoothing
-        powers = [None] * len(self.Z) if self.line_power is None else self.line_power
-        return [
-            fit_weights(self.f, Z, variance, floor, smoothing, power)
-            for Z, variance, power in zip(self.Z, self.total, powers, strict=True)
-        ]
-
     def roughly_fits(self, values: FloatArray) -> bool:
         """Whether M, B and K explain each element, or a systematic error of any shape does."""
-        left = self.Z - np.stack([_of_mbk(one, self.omega) for one in values.T])
-        ratio = np.abs(left) ** 2 / _spared(self.Z, self.total, self.freedom)
-        lack = np.sum(ratio, axis=1) / max(self.f.size - 1.5, 1.0)
-        return bool((lack <= lack_limit(self.correlation)).all())
+        estimate = self.corrected
+        fitted = _of_mbk(values, self.omega).reshape(estimate.Z.shape)
+        lack = np.sum(lack_ratio(estimate, fitted), axis=-1) / max(estimate.f.size - 1.5, 1.0)
+        return bool((lack <= lack_limit(estimate.bin_correlation)).all())
+
+
+def _flat(values: Values) -> Values:
+    """Elements of a matrix row by row, (elements, n_freq)."""
+    return values.reshape(-1, values.shape[-1])
 
 
 def lack_of_fit(estimate: ImpedanceEstimate, fitted: ComplexArray) -> FloatArray:
@@ -869,42 +737,31 @@ def _spared(Z: ComplexArray, variance: FloatArray, freedom: float) -> FloatArray
     return np.asarray((variance + least) / spare)
 
 
-def _with_delay(
-    problem: _Elements, uncertainty: float, unknown: float
-) -> tuple[_Elements, CommonDelay]:
-    """Fit a common delay and correct it.
-
-    Parameters
-    ----------
-    problem : _Elements
-        What is known without it.
-    uncertainty : float
-        Standard error with which the delay is known to be 0, s.
-    unknown : float
-        Standard error to fall back upon where the data refute that, s.
-    """
+def _with_delay(problem: _Elements) -> tuple[_Elements, CommonDelay | None]:
+    """Fit a common delay and correct it, if the estimate leaves that open."""
+    uncertainty, unknown = problem.estimate.delay_uncertainty, problem.estimate.delay_unknown
+    if uncertainty is None:
+        return problem, None
     total, told_error, apart = 0.0, math.inf, 0.0
     trial = problem
     for _ in range(_ITERATIONS):
         step, told_error, apart = _delay_of(trial)
         # No drive, filter or clock is later than that; beyond, it isn't a delay.
         total = float(np.clip(total + step, -0.02, 0.02))
-        turn = np.exp(2j * np.pi * problem.f * total)
+        turn = np.exp(1j * problem.omega * total)
         trial = replace(problem, Z=problem.Z * turn)
     fitted, plain = trial.values(), problem.values()
     fits = trial.roughly_fits(fitted)
     sure = max(uncertainty, _SUREST)
     refuted = fits and abs(total) > _REFUTED * math.hypot(sure, told_error)
     assumed = max(uncertainty, unknown) if refuted else uncertainty
-    if not fits:
-        # Another arm than M, B and K: what looks like a delay may be its own.
-        delay = 0.0
-    else:
-        delay = total * assumed**2 / (assumed**2 + told_error**2) if assumed > 0.0 else 0.0
+    # Of another arm than M, B and K, what looks like a delay may be its own.
+    told = fits and assumed > 0.0
+    delay = total * assumed**2 / (assumed**2 + told_error**2) if told else 0.0
     values = fitted if fits else plain
-    turning = 2j * np.pi * problem.f
-    steady = np.stack([_of_mbk(np.array([0.0, v[1], v[2]]), problem.omega) for v in values.T])
-    inertial = np.stack([_of_mbk(np.array([v[0], 0.0, 0.0]), problem.omega) for v in values.T])
+    turning = 1j * problem.omega
+    steady = _of_mbk(values * [[0.0], [1.0], [1.0]], problem.omega)
+    inertial = _of_mbk(values * [[1.0], [0.0], [0.0]], problem.omega)
     turned = problem.Z * np.exp(turning * delay)
     doubt = 0.5 * delay * turning * steady
     # That part is late by what nobody told, whatever the data say of the other.
@@ -915,12 +772,12 @@ def _with_delay(
     jumping = (assumed * turning) ** 2 / 6.0 * inertial
     terms = np.stack([assumed * turning * turned, jumping, *filtered])
     # Transducers may be late each by itself, or seem so, as with hysteresis.
-    single = (min(apart, assumed) * turning * turned,) if fits and assumed > 0.0 else ()
+    single = (min(apart, assumed) * turning * turned,) if told else ()
     trial = replace(
         problem, Z=turned - doubt, systematics=(*problem.systematics, *single, doubt, untold)
     )
     found, covariance = np.zeros(len(terms)), np.eye(len(terms))
-    if fits and assumed > 0.0:
+    if told:
         own = range(0, len(turned), math.isqrt(len(turned)) + 1)
         every = [term for _, term in problem.hidden_terms(values)]
         alike = np.zeros((len(every) * len(own), *turned.shape), dtype=np.complex128)
@@ -1006,29 +863,36 @@ def _delay_of(problem: _Elements) -> tuple[float, float, float]:
 
     For each element ``Z = fit - d·jω·fit`` is solved for d by weighted least squares.
     """
-    fitted = np.stack([_of_mbk(one, problem.omega) for one in problem.values().T])
+    fitted = _of_mbk(problem.values(), problem.omega)
     return problem.common_coefficient(-1j * problem.omega * fitted)
 
 
-def mbk_coefficients(omega: FloatArray, weights: FloatArray) -> FloatArray:
-    """Rows a, (3, n_freq), of ``(M, B, K) = Σ_f a_f y_f``, where y is the real part but for B."""
+def _mbk_functionals(omega: FloatArray, weights: FloatArray) -> ComplexArray:
+    """Rows b, (3, n_freq), of ``(M, B, K) = Re Σ_f conj(b_f) Z_f``."""
     scale = omega[-1]
     relative = omega / scale
     design = np.stack((-(relative**2), np.ones(omega.size)))
     normal = (design * weights) @ design.T
     of_real = np.linalg.solve(normal, design * weights)
     of_imaginary = weights * relative / np.sum(weights * relative**2)
-    return np.stack((of_real[0] / scale**2, of_imaginary / scale, of_real[1]))
+    return np.stack((of_real[0] / scale**2, 1j * (of_imaginary / scale), of_real[1]))
 
 
 def _of_mbk(values: FloatArray, omega: FloatArray) -> ComplexArray:
-    M, B, K = values
+    """Impedance, (..., n_freq), of M, B and K, (3, ...)."""
+    M, B, K = values[..., None]
     return np.asarray(K - M * omega**2 + 1j * omega * B, dtype=np.complex128)
 
 
-def _functional(functional: ComplexArray, values: ComplexArray) -> float:
-    """``Re Σ_f conj(b_f) y_f``."""
-    return float(np.sum(functional.real * values.real + functional.imag * values.imag))
+def _roots(covariance: FloatArray) -> FloatArray:
+    """Standard errors from a covariance."""
+    return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
+
+
+def _sums(functionals: ComplexArray, values: ComplexArray) -> FloatArray:
+    """``Re Σ_f conj(b_f) y_f`` along the last axis."""
+    parts = functionals.real * values.real + functionals.imag * values.imag
+    return np.asarray(np.sum(parts, axis=-1))
 
 
 def _noticed(value: float, error: float) -> float:
@@ -1039,59 +903,51 @@ def _noticed(value: float, error: float) -> float:
     return max(value**2 - (_NOTICED * error) ** 2, 0.0) if math.isfinite(error) else 0.0
 
 
-def _apply(coefficients: FloatArray, values: ComplexArray) -> FloatArray:
-    """Values of (M, B, K) from those of an impedance."""
-    parts = np.stack((values.real, values.imag, values.real))
-    applied: FloatArray = np.sum(coefficients * parts, axis=1)
-    return applied
-
-
 def fit_weights(
     f: FloatArray,
     impedance: ComplexArray,
     variance: FloatArray,
     weight_floor: float,
-    smoothing: float,
     line_power: FloatArray | None = None,
 ) -> FloatArray:
     """Inverse of the floored variance, smoothed over frequency (geometric mean), at most 1.
+
+    Frequencies are along the last axis of all arrays, (..., n_freq). The variance at one frequency
+    comes from few averages; weights that follow its chance fluctuations would favour the
+    frequencies whose variance came out too small, and the standard errors would come out too small
+    with them. Where random errors are larger than the floor, weights are those of the variance.
 
     Where the power of the lines is known, the variance is smoothed as far as it is chance, per
     power, and floored afterwards. What floors are for, as harmonics of friction, falls on all lines
     alike: of lines that are stronger than their mean it is a smaller part.
     """
     # Even with no floor a variance below rounding means nothing.
-    rounding = np.finfo(np.float64).eps * float(np.max(np.abs(impedance)))
-    floor = weight_floor * np.abs(impedance)
+    size = np.abs(impedance)
+    rounding = np.finfo(np.float64).eps * np.max(size, axis=-1, keepdims=True)
+    floor = weight_floor * size
     if line_power is not None:
-        floor = floor * np.sqrt(np.minimum(1.0, np.mean(line_power) / line_power))
+        usual = np.mean(line_power, axis=-1, keepdims=True)
+        floor = floor * np.sqrt(np.minimum(1.0, usual / line_power))
     floor = floor**2 + rounding**2
     tiny = np.finfo(np.float64).tiny
     if line_power is not None:
-        smooth = _smooth(f, np.log(variance * line_power + tiny), smoothing)
+        smooth = _smooth(f, np.log(variance * line_power + tiny))
         smooth = np.log(np.exp(smooth) / line_power + floor)
     else:
-        smooth = _smooth(f, np.log(np.maximum(variance + floor, tiny)), smoothing)
-    weights: FloatArray = np.exp(np.min(smooth) - smooth)
+        smooth = _smooth(f, np.log(np.maximum(variance + floor, tiny)))
+    weights: FloatArray = np.exp(np.min(smooth, axis=-1, keepdims=True) - smooth)
     return weights
 
 
-def _smooth(f: FloatArray, logarithm: FloatArray, smoothing: float) -> FloatArray:
-    """Mean over the neighbours of each frequency, (n_freq,)."""
-    reach = smoothing * (1.0 + 1e-9)
+def _smooth(f: FloatArray, logarithm: FloatArray) -> FloatArray:
+    """Mean over the neighbours of each frequency, (..., n_freq)."""
+    reach = _SMOOTHING * (1.0 + 1e-9)
     below = np.searchsorted(f, f - reach, side="left")
     above = np.searchsorted(f, f + reach, side="right")
-    sums = np.concatenate(([0.0], np.cumsum(logarithm)))
-    smooth: FloatArray = (sums[above] - sums[below]) / (above - below)
+    sums = np.zeros((*logarithm.shape[:-1], f.size + 1))
+    np.cumsum(logarithm, axis=-1, out=sums[..., 1:])
+    smooth: FloatArray = (sums[..., above] - sums[..., below]) / (above - below)
     return smooth
-
-
-def _sandwich(
-    coefficients: FloatArray, variance: FloatArray, correlation: FloatArray
-) -> FloatArray:
-    """Variance of ``Σ_f a_f y_f`` for each row a, shape (rows,); y is a real or imaginary part."""
-    covariance = covariance_of_sums(coefficients * np.sqrt(variance), correlation)
-    return np.asarray(np.maximum(np.diag(covariance), 0.0))
 
 
 def covariance_of_sums(spread: Values, correlation: FloatArray) -> FloatArray:

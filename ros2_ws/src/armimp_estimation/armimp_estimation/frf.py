@@ -106,30 +106,6 @@ def stands_out(f: FloatArray, response: ComplexArray, variance: FloatArray) -> B
     return np.asarray(precision * power >= _STANDS_OUT * total)
 
 
-def unexplained_power(trial: TrialData, impedance: ComplexArray) -> FloatArray:
-    """Power density of ``τ_i - Σ_j Z_ij θ_j`` for an impedance of shape (n, n, n_freq), N·m/rad.
-
-    Returns
-    -------
-    ndarray, shape (n, n_freq)
-        By i, (N·m)²/Hz.
-    """
-    n = trial.record.joints
-    coefficients = np.zeros((n, 2 * n + 1, trial.f.size), dtype=np.complex128)
-    coefficients[:, 1 : 1 + n] = -impedance
-    coefficients[np.arange(n), 1 + n + np.arange(n)] = 1.0
-    return np.stack([_power(trial.spectra.matrix, of_torque) for of_torque in coefficients])
-
-
-def _power(matrix: ComplexArray, coefficients: ComplexArray) -> FloatArray:
-    """Power density of ``e = Σ_c a_c x_c``: ``G_ee = Σ_cd conj(a_c) a_d G_cd``."""
-    power = np.einsum("cf,cdf,df->f", np.conj(coefficients), matrix, coefficients).real
-    terms = np.einsum("cf,ccf->f", np.abs(coefficients) ** 2, matrix).real
-    # Never below what rounding alone would leave.
-    floored: FloatArray = np.maximum(power, np.finfo(np.float64).eps * terms)
-    return floored
-
-
 def frf_matrix(trials: Sequence[TrialData]) -> FrfMatrix:
     """Frequency responses from trials which :func:`order_trials` has put in order.
 

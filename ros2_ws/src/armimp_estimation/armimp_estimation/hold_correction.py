@@ -65,9 +65,7 @@ class HoldCorrection:
     slope: FloatArray
     error: FloatArray
 
-    def missing(
-        self, f: FloatArray, rate: float, reading: TorqueReading | None = None
-    ) -> ComplexArray:
+    def missing(self, f: FloatArray, rate: float, reading: TorqueReading) -> ComplexArray:
         """What readings lack, per step of the commands.
 
         Parameters
@@ -76,22 +74,21 @@ class HoldCorrection:
             Frequencies, Hz.
         rate : float
             Updates per second, Hz.
-        reading : TorqueReading, optional
-            How readings come about; by default just before the updates.
+        reading : TorqueReading
+            How readings come about.
 
         Returns
         -------
         ndarray, shape (n, n, n_freq)
-            ``D (1/2 - jωL/12) + S/12`` by default, N·m per N·m.
+            N·m per N·m; ``D (1/2 - jωL/12) + S/12`` just before the updates.
         """
-        if reading is None or reading.prompt:
-            radians = 2.0 * np.pi * f / rate
-            jump = self.torque[:, :, None] * (0.5 - 1j * radians / 12.0)
-            lacking = np.asarray(jump + self.slope[:, :, None] / 12.0, dtype=np.complex128)
+        if reading.prompt:
+            edge: ComplexArray = np.asarray(0.5 - 2j * np.pi * f / rate / 12.0)
+            bend: ComplexArray = np.full(f.shape, 1.0 / 12.0, dtype=np.complex128)
         else:
             edge, bend = reading.folded(f, rate)
-            lacking = self.torque[:, :, None] * edge + self.slope[:, :, None] * bend
-        return lacking
+        lacking = self.torque[:, :, None] * edge + self.slope[:, :, None] * bend
+        return np.asarray(lacking, dtype=np.complex128)
 
 
 def without_skew(
@@ -133,16 +130,15 @@ def without_skew(
     return np.asarray(coefficients * turned, dtype=np.complex128)
 
 
-def command_steps(record: TrialRecord, samples: int) -> FloatArray:
-    """Difference of each command from the one before, ``u_k - u_{k-1}``, shape (n, samples), N·m.
+def command_steps(record: TrialRecord) -> FloatArray:
+    """Difference of each command from the one before, ``u_k - u_{k-1}``, shape (n, N), N·m.
 
     The first is 0, as the command before it is not known. A difference that is wrong at one sample
     has a flat spectrum, which looks like leakage.
     """
     if record.command is None:
         raise ValueError(f"trial {record.trial} has no commands")
-    command = record.command[:, :samples]
-    steps: FloatArray = np.diff(command, axis=1, prepend=command[:, :1])
+    steps: FloatArray = np.diff(record.command, axis=1, prepend=record.command[:, :1])
     return steps
 
 
@@ -269,7 +265,7 @@ def _chatter(
     before = reading.first(records[0].rate)[0] - 1 - beside
     inputs, outputs = [], []
     for record in records:
-        torque, steps = record.torque, command_steps(record, record.samples)
+        torque, steps = record.torque, command_steps(record)
         if weights.size > 1:
             last = record.samples
             cut = [torque[:, weights.size - 1 - age : last - age] for age in range(weights.size)]
@@ -277,11 +273,12 @@ def _chatter(
             steps = steps[:, weights.size - 1 :]
         changes = np.diff(torque, axis=1)
         # The step after reading k is seen for the first time in the change to a later reading,
-        # mostly that to reading k + 1.
-        last = changes.shape[1] - before
-        lagged = [steps[:, lags - 1 - lag : last - lag] for lag in range(lags)]
+        # mostly that to reading k + 1, or to an earlier one of readings that are early.
+        start = max(lags - 1, -before)
+        last = min(changes.shape[1] - before, steps.shape[1])
+        lagged = [steps[:, start - lag : last - lag] for lag in range(lags)]
         inputs.append(np.diff(np.concatenate(lagged), n=_DIFFERENCES, axis=1))
-        outputs.append(np.diff(changes[:, before + lags - 1 :], n=_DIFFERENCES, axis=1))
+        outputs.append(np.diff(changes[:, before + start : before + last], n=_DIFFERENCES, axis=1))
     return inputs, outputs
 
 
@@ -317,7 +314,7 @@ def _from_motion(records: Sequence[TrialRecord]) -> HoldCorrection:
         before, now, after = angle[:, :-2], angle[:, 1:-1], angle[:, 2:]
         acceleration = (after - 2.0 * now + before) * record.rate**2
         velocity = 0.5 * (after - before) * record.rate
-        steps = command_steps(record, record.samples)[:, 1:-1]
+        steps = command_steps(record)[:, 1:-1]
         moved = np.concatenate((-0.5 * steps, acceleration, velocity, now))
         inputs.append(_quick(moved, record.rate))
         outputs.append(_quick(torque[:, 1:-1], record.rate))

@@ -30,7 +30,7 @@ from armimp_estimation.robot_balance import (
     in_order,
     judge_balance,
 )
-from armimp_estimation.signal_quality import RESOLVED_SHARE, judge_signals, unseen_share
+from armimp_estimation.signal_quality import RESOLVED_SHARE, judge_signals, lost_motion
 from armimp_estimation.trial import TrialData
 from armimp_estimation.verdict import Verdict
 
@@ -195,8 +195,8 @@ def identify(
     results: dict[str, EstimatorResult] = {}
     for worker in workers:
         found = worker.estimate(ordered)
-        estimate, fit = fit_impedance(found, options.fit, options.calibration)
-        models = fit_models(options.model, found, fit, options.fit, options.calibration)
+        estimate, fit = fit_impedance(found, options.calibration)
+        models = fit_models(options.model, found, fit, options.calibration)
         results[worker.name] = EstimatorResult(
             estimate=estimate,
             fit=fit,
@@ -242,7 +242,7 @@ def identify(
             best.fit,
             hold,
             reading,
-            resolved=np.all(unseen_share(records) < RESOLVED_SHARE, axis=0),
+            resolved=np.all(lost_motion(records)[0] < RESOLVED_SHARE, axis=0),
             linearity=options.calibration.linearity,
         )
         problems += of_motion

@@ -30,12 +30,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import Enum
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtr
 
+from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import MBKFit, hidden_square
 from armimp_estimation.hold_correction import HoldCorrection, command_steps, without_skew
@@ -43,9 +45,6 @@ from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import Concern, Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.torque_timing import TorqueReading
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 BAND = ((0.2, 0.7), (11.0, 15.0))
 """Edges of the part of the spectrum that is looked at, Hz: a person's own torque is mostly below.
@@ -73,8 +72,8 @@ DEAD = 0.1
 _OWN_ZONE = 1.4
 """Half of a dead zone per what readings without it, and with little noise, show of it."""
 _OWN_LAG = 2.0
-"""Slack of a transducer per what its readings show of it, which lag themselves: 1.3 to 2 of
-perturbed joints, of slack of 1 to 15 % of the rms torque, and up to 8 where torques are small."""
+"""Slack of a transducer per what its readings show of it: 1.3 to 2 of perturbed joints, of slack of
+1 to 15 % of the rms torque, and up to 8 where torques are small."""
 SLOW = 0.1
 """Speed at which friction has three quarters of its size, in rms speeds."""
 _ENDS = 3.0
@@ -107,6 +106,19 @@ motion is linear. A bent arm leaves a lack of fit there; gains are in doubt as o
 """
 
 
+class Kind(Enum):
+    """What isn't linear, and so what its share is relative to."""
+
+    STIFFNESS = "stiffness"
+    """The arm, which changes: to the stiffness."""
+    FORCE = "force"
+    """The arm, with a torque beside it: to the largest of M, B and K that it looks like."""
+    GAIN = "gain"
+    """The transducer, of which the gain changes."""
+    LOST = "lost"
+    """The transducer, which shows less than there is, never more: to the rms torque."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Term:
     """One way in which a joint, or its transducer, may not be linear."""
@@ -115,6 +127,15 @@ class Term:
     """What follows from angle, the same and speed without what is slow, and torque, each in units
     of its rms; (4, N)."""
     code: ProblemCode
+    kind: Kind = Kind.STIFFNESS
+    in_time: bool = False
+    """Whether it differs from period to period of a periodic perturbation."""
+    at_once: int | None = None
+    """Which of those signals it is a change of that may come at once, too."""
+    lacks: Callable[[FloatArray, float], FloatArray] = lambda torque, _: 0.0 * torque
+    """What a transducer that loses torque lacks, N·m, of what it shows, by the size of that."""
+    size: float = 1.0
+    """That size per what readings show of it, which lack it themselves."""
     slope: float = 1.0
     """Of that over its argument at one rms, less at rest, or between both directions; of what the
     angle exceeds its rms by, over a normal distribution of angles."""
@@ -132,12 +153,10 @@ class Term:
     """Assumptions: how likely it is there, and by what share if so."""
     lines_alone: bool = False
     """Whether that is so where the lines of a multisine tell it, as no other term does then."""
-    positive: bool = False
-    """Whether what is told is negative by chance alone."""
     robots: float = 0.0
     """Share in the largest of M, B and K up to which it is the robot's, and no more than that."""
     doubted: float = 0.0
-    """Of a transducer, share of its change by which its gain may differ from that of the
+    """Share of a change of the gain by which that may differ from that of the
     calibration, which is right for one of two directions, for small torques, at begin or end."""
     even: bool = False
     """Whether it doesn't turn with the sign of what the perturbation causes."""
@@ -175,6 +194,7 @@ TERMS: Mapping[str, Term] = {
     "hysteresis": Term(
         bend=lambda signals: play(signals[1], PLAY),
         code=ProblemCode.HYSTERESIS,
+        kind=Kind.FORCE,
         large=0.05,
         likely=0.1,
         sizes=(0.01, 0.03, 0.1),
@@ -183,23 +203,28 @@ TERMS: Mapping[str, Term] = {
     "slack": Term(
         bend=lambda signals: -play(signals[3], SLACK),
         code=ProblemCode.HYSTERESIS,
+        kind=Kind.LOST,
+        lacks=lambda torque, slack: -slack * play(torque, slack),
+        size=_OWN_LAG,
         likely=0.4,
         sizes=(0.01, 0.03, 0.1),
-        positive=True,
         broad=True,
     ),
     "dead zone": Term(
         bend=lambda signals: -np.clip(signals[3] / DEAD, -1.0, 1.0),
         code=ProblemCode.TORQUE_NOT_LINEAR,
+        kind=Kind.LOST,
+        lacks=lambda torque, zone: -np.clip(torque, -zone, zone),
+        size=_OWN_ZONE,
         large=0.1,
         likely=0.1,
         sizes=(0.01, 0.03, 0.1),
-        positive=True,
         broad=True,
     ),
     "friction": Term(
         bend=lambda signals: np.tanh(signals[2] / SLOW),
         code=ProblemCode.FRICTION_LEFT,
+        kind=Kind.FORCE,
         robots=_RUBBING,
         likely=0.1,
         sizes=(0.01, 0.03, 0.1),
@@ -208,12 +233,15 @@ TERMS: Mapping[str, Term] = {
     "time": Term(
         bend=lambda signals: signals[0] * np.linspace(-0.5, 0.5, signals.shape[1]),
         code=ProblemCode.CHANGES_OVER_TIME,
+        in_time=True,
+        at_once=0,
         large=0.05,
         most=3.0,
     ),
     "onset": Term(
         bend=lambda signals: signals[0] * np.exp(-np.linspace(0.0, ONSETS, signals.shape[1])),
         code=ProblemCode.CHANGES_OVER_TIME,
+        in_time=True,
         large=0.3,
         likely=0.2,
         sizes=(0.1, 0.3, 1.0),
@@ -221,6 +249,7 @@ TERMS: Mapping[str, Term] = {
     "direction": Term(
         bend=lambda signals: np.abs(signals[3]),
         code=ProblemCode.TORQUE_NOT_LINEAR,
+        kind=Kind.GAIN,
         slope=2.0,
         large=0.2,
         likely=0.05,
@@ -230,6 +259,7 @@ TERMS: Mapping[str, Term] = {
     "gain": Term(
         bend=lambda signals: signals[3] ** 3,
         code=ProblemCode.TORQUE_NOT_LINEAR,
+        kind=Kind.GAIN,
         slope=3.0,
         large=0.1,
         likely=0.05,
@@ -239,6 +269,9 @@ TERMS: Mapping[str, Term] = {
     "drift": Term(
         bend=lambda signals: signals[3] * np.linspace(-0.5, 0.5, signals.shape[1]),
         code=ProblemCode.GAIN_DRIFTS,
+        kind=Kind.GAIN,
+        in_time=True,
+        at_once=3,
         large=0.1,
         likely=0.05,
         sizes=(0.1,),
@@ -277,7 +310,7 @@ class Deviation:
     @property
     def of_transducer(self) -> bool:
         """Whether it is the transducer that isn't linear, not the joint."""
-        return TERMS[self.name].doubted > 0.0 or self.name in _LOST
+        return TERMS[self.name].kind in {Kind.GAIN, Kind.LOST}
 
     @property
     def significant(self) -> bool:
@@ -292,7 +325,7 @@ class Deviation:
         """
         if self.significant:
             return 1.0
-        if declared and self.of_transducer and self.name not in _IN_TIME:
+        if declared and self.of_transducer and not TERMS[self.name].in_time:
             return 0.0
         return float(np.sqrt(self._odds(elsewhere)[0])) / abs(self.share) if self.share else 0.0
 
@@ -303,20 +336,19 @@ class Deviation:
 
     def _odds(self, elsewhere: float) -> tuple[float, float]:
         term = TERMS[self.name]
-        if term.doubted and self.error == np.inf:
+        if term.kind is Kind.GAIN and self.error == np.inf:
             return term.likely * float(np.mean(np.square(term.sizes))), 0.0
-        if not term.likely or (term.lines_alone and not self.at_lines) or not self.errors > 0.0:
-            return 0.0, 0.0
-        if abs(self.share) <= term.robots:
+        untold = not term.likely or (term.lines_alone and not self.at_lines)
+        if untold or not self.errors > 0.0 or abs(self.share) <= term.robots:
             return 0.0, 0.0
         error = abs(self.share) / self.errors
-        told = self.share if term.positive else abs(self.share)
+        lost = term.kind is Kind.LOST
         return hidden_square(
-            told,
+            self.share if lost else abs(self.share),
             error,
             term.likely,
             sizes=term.sizes,
-            positive=term.positive,
+            positive=lost,
             elsewhere=elsewhere,
         )
 
@@ -345,6 +377,7 @@ class _Band:
         fall = np.clip((end - f) / (end - shoulder), 0.0, 1.0)
         passed = np.sin(0.5 * np.pi * rise) ** 2 * np.sin(0.5 * np.pi * fall) ** 2
         inside = np.flatnonzero(passed)
+        self.pushes = record.perturbation[record.perturbed_joint]
         self.samples = round(record.duration * min(record.rate, _RATE))
         self.bins = slice(int(inside[0]), int(inside[-1]) + 1)
         self.f = np.asarray(f[self.bins], dtype=np.float64)
@@ -379,6 +412,10 @@ class _Band:
         parts = np.unique(self._parts[self._parts >= 0])
         cut = np.where(self._parts == parts[:, None], values, 0.0)
         return self.signal(np.concatenate((cut, 1j * cut)))
+
+    def caused(self, signals: FloatArray) -> FloatArray:
+        """What any linear filter makes of the perturbation in signals (..., N)."""
+        return _onto(self.filters(self.pushes))(signals)
 
     def weights(self, *noise: FloatArray) -> FloatArray:
         """What makes a sum of signals white, by frequency, the same in each of its bands."""
@@ -420,14 +457,44 @@ def play(angle: FloatArray, half: float) -> FloatArray:
     return np.asarray((angle - np.clip(0.0, least, most)) / half)
 
 
-def unexplained_torque(
+def _unexplained_torque(
+    record: TrialRecord,
+    arm: MBK,
+    jump: HoldCorrection | None,
+    reading: TorqueReading,
+    late: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Motion of the perturbed joint and what the arm leaves of its torque, both within the band.
+
+    Angle, rad, and its first two derivatives, (3, N), and the torque, (N,), N·m; 200 samples per
+    second at most.
+    """
+    k, n, band = record.perturbed_joint, record.joints, _Band(record)
+    angle, torque = band.of(record.position), band.of(record.torque[k])
+    coefficients = without_skew(band.f, record.rate, n, reading, jump, late)[k]
+    torque = coefficients[k] * torque
+    if jump is not None:
+        steps = band.of(command_steps(record))
+        torque = torque + np.sum(coefficients[n:] * steps, axis=0)
+    motion = angle[k] * (2j * np.pi * band.f) ** np.arange(3)[:, None]
+    left = torque - np.sum(arm.impedance(band.f)[k] * angle, axis=0)
+    return band.signal(motion), band.signal(left)
+
+
+def _onto(forces: FloatArray) -> Callable[[FloatArray], FloatArray]:
+    """Project signals (..., N) onto what linear filters make of a perturbation, (2 bands, N)."""
+    normal = np.linalg.pinv(forces @ forces.T, hermitian=True)
+    return lambda signals: np.asarray((signals @ forces.T) @ normal @ forces)
+
+
+def deviations(
     record: TrialRecord,
     arm: MBK,
     jump: HoldCorrection | None = None,
     reading: TorqueReading | None = None,
     late: float = 0.0,
-) -> tuple[FloatArray, FloatArray]:
-    """Motion of the perturbed joint and what the arm leaves of its torque, both within the band.
+) -> dict[str, Deviation]:
+    """In which ways the perturbed joint is not linear, by name.
 
     Parameters
     ----------
@@ -444,48 +511,6 @@ def unexplained_torque(
 
     Returns
     -------
-    motion : ndarray, shape (3, N)
-        Angle, rad, and its first two derivatives; 200 samples per second at most.
-    torque : ndarray, shape (N,)
-        N·m.
-    """
-    k, band = record.perturbed_joint, _Band(record)
-    angle, torque = band.of(record.position), band.of(record.torque[k])
-    known, n = reading or TorqueReading(), record.joints
-    coefficients = without_skew(band.f, record.rate, n, known, jump, late)[k]
-    torque = coefficients[k] * torque
-    if jump is not None:
-        steps = band.of(command_steps(record, record.samples))
-        torque = torque + np.sum(coefficients[n:] * steps, axis=0)
-    motion = angle[k] * (2j * np.pi * band.f) ** np.arange(3)[:, None]
-    left = torque - _fitted(arm, record, band, angle)
-    return band.signal(motion), band.signal(left)
-
-
-def _fitted(arm: MBK, record: TrialRecord, band: _Band, angle: ComplexArray) -> ComplexArray:
-    """Torque that the arm explains of the perturbed joint, of the spectra of all angles."""
-    return np.asarray(np.sum(arm.impedance(band.f)[record.perturbed_joint] * angle, axis=0))
-
-
-def _onto(forces: FloatArray) -> Callable[[FloatArray], FloatArray]:
-    """Take from signals (..., N) what any linear filter makes of the perturbation, (2 bands, N)."""
-    normal = np.linalg.pinv(forces @ forces.T, hermitian=True)
-    return lambda signals: np.asarray((signals @ forces.T) @ normal @ forces)
-
-
-def deviations(
-    record: TrialRecord,
-    arm: MBK,
-    jump: HoldCorrection | None = None,
-    reading: TorqueReading | None = None,
-    late: float = 0.0,
-) -> dict[str, Deviation]:
-    """In which ways the perturbed joint is not linear, by name.
-
-    Parameters are those of :func:`unexplained_torque`.
-
-    Returns
-    -------
     dict of str to Deviation
         ``"amplitude"``, ``"curvature"``, ``"posture"``, ``"hysteresis"``, ``"friction"``,
         ``"time"``, ``"onset"``, and of the transducer ``"slack"``, ``"direction"``, ``"gain"`` and
@@ -495,7 +520,7 @@ def deviations(
         return {}
     record = record.whole_periods
     band, k = _Band(record), record.perturbed_joint
-    motion, rest = unexplained_torque(record, arm, jump, reading, late)
+    motion, rest = _unexplained_torque(record, arm, jump, reading or TorqueReading(), late)
     wide, moving = _Band(record, WIDE), _Band(record, MOVING)
     # All motion and torque are bent, but what the perturbation causes of them alone is independent
     # of what the person does: it is the instrument by which the rest is found. Slow motion of the
@@ -503,13 +528,7 @@ def deviations(
     angle = moving.signal(moving.of(record.position[k]))
     torque = wide.signal(wide.of(record.torque[k]))
     kept = band.kept
-    pushes = record.perturbation[k]
-    forces = band.filters(pushes)
-    caused = (
-        _onto(moving.filters(pushes))(angle),
-        _onto(forces)(motion[:2]),
-        _onto(wide.filters(pushes))(torque),
-    )
+    caused = moving.caused(angle), band.caused(motion[:2]), wide.caused(torque)
     load = band.inner(np.full(torque.size, record.torque[k].mean()))
     actual = np.stack([angle, *motion[:2], band.inner(torque) + load])
     known = np.stack([caused[0], *caused[1], band.inner(caused[2])])
@@ -519,7 +538,7 @@ def deviations(
         return {}
     signals, known = actual / sizes, known / sizes
     loaded = known + np.array([0.0, 0.0, 0.0, 1.0])[:, None] * load / sizes
-    linear = _Linear(band.filters(record.position[k])[:, kept], forces[:, kept])
+    linear = _Linear(record, band)
     inner = band.inner(rest)
     equal = np.ones(band.f.size)
     white = band.weights(inner)
@@ -529,11 +548,12 @@ def deviations(
     weighed = [
         (one, linear.removed(band.signal(one * left)[kept])) for one in (equal, nearly, white)
     ]
-    smooth = linear if record.periods is None else _smooth_linear(record)
+    # With as many bands as there are lines, filters can follow what comes at once.
+    smooth = linear if record.periods is None else _Linear(record, _Band(record, by_lines=False))
     steady = smooth.removed(band.signal(nearly * left)[kept])
     found = {}
     for name, one in TERMS.items():
-        of_gain = one.doubted > 0.0
+        of_gain = one.kind is Kind.GAIN
         # What turns with the sign of the perturbation is as independent of the person as what that
         # alone causes, and tells more where the person moves or loads the joint.
         whole = one.bend(signals)
@@ -544,12 +564,12 @@ def deviations(
         weights, remains = weighed[2 if of_gain else 1 if one.broad else 0]
         cause, term, alone = (band.signal(weights * part)[kept] for part in bent)
         instrument = linear.unlike(cause)
-        told = _slope(instrument, linear.removed(term), remains)
+        told = _ratio(*_by_parts(instrument, linear.removed(term), remains))
         if np.linalg.norm(linear.unlike(alone)) <= _TOLD * np.linalg.norm(alone):
             told = told[0], np.inf, told[2]
         at_lines = False
-        if record.periods is not None and name not in _IN_TIME:
-            signal = shown if of_gain or name in _LOST else moved
+        if record.periods is not None and not one.in_time:
+            signal = shown if one.kind in {Kind.GAIN, Kind.LOST} else moved
             of_lines = _slope_at_lines(band.lines, signal, bent[2], bent[1], left, shown)
             at_lines = of_lines[1] < told[1]
             told = of_lines if at_lines else told
@@ -557,9 +577,9 @@ def deviations(
         alike = np.linalg.lstsq(motion[2::-1, kept].T, band.signal(bent[1])[kept], rcond=None)[0]
         deviation = _deviation(name, told, alike, own, sizes[:, 0])
         found[name] = replace(deviation, at_lines=at_lines)
-        if name in _AT_ONCE:
-            which = _AT_ONCE[name]
-            seen = [band.signal(nearly * band.of(of[which]))[kept] for of in (known, signals)]
+        if one.at_once is not None:
+            changing = known[one.at_once], signals[one.at_once]
+            seen = [band.signal(nearly * band.of(signal))[kept] for signal in changing]
             step, looks = _step(seen[0], seen[1], steady)
             sudden = replace(_deviation(name, step, alike, own, sizes[:, 0]), looks=looks)
             if abs(sudden.share) > _LEFT:
@@ -587,21 +607,21 @@ def _deviation(
     """
     term, (slope, error, freedom) = TERMS[name], told
     shift, gain, held, slack = np.zeros(3), 0.0, 0.0, 0.0
-    if term.doubted > 0.0:
+    if term.kind is Kind.GAIN:
         share = term.slope * slope / float(sizes[3])
         gain = term.doubted * share
     else:
         shift = slope * alike
-        if name in _LOST:
-            slack = _LOST[name][0] * slope
-            share = slack / float(sizes[3])
-        elif name in {"hysteresis", "friction"}:
-            share = float(np.max(np.abs(shift / own)))
-            held = slope if share > term.robots else 0.0
-        else:
-            # Where it falls that far, the stiffness of this motion is no measure of it.
-            stiffness = float(max(abs(own[2]), abs(own[2] - shift[2])))
-            share = term.slope * slope / (stiffness * float(sizes[0]))
+    if term.kind is Kind.LOST:
+        slack = term.size * slope
+        share = slack / float(sizes[3])
+    elif term.kind is Kind.FORCE:
+        share = float(np.max(np.abs(shift / own)))
+        held = slope if share > term.robots else 0.0
+    elif term.kind is Kind.STIFFNESS:
+        # Where it falls that far, the stiffness of this motion is no measure of it.
+        stiffness = float(max(abs(own[2]), abs(own[2] - shift[2])))
+        share = term.slope * slope / (stiffness * float(sizes[0]))
     return Deviation(
         name=name,
         share=share,
@@ -614,25 +634,14 @@ def _deviation(
     )
 
 
-_IN_TIME = {"time", "onset", "drift"}
-"""Terms that differ from period to period."""
-_AT_ONCE = {"time": 0, "drift": 3}
-"""Those that may come at once, too, and which of the signals they are a change of."""
-_LOST: Mapping[str, tuple[float, Callable[[FloatArray, float], FloatArray]]] = {
-    "slack": (_OWN_LAG, lambda torque, slack: -slack * play(torque, slack)),
-    "dead zone": (_OWN_ZONE, lambda torque, zone: -np.clip(torque, -zone, zone)),
-}
-"""What transducers lack by slack or a dead zone, N·m, of what they show; its size per slope."""
-
-
-def _lost(record: TrialRecord, joint: int, name: str, size: float) -> FloatArray:
-    """What the transducer of a joint lacks in one of these ways, of that size, N·m, (N,).
+def _lost(record: TrialRecord, joint: int, term: Term, size: float) -> FloatArray:
+    """What the transducer of a joint lacks in one way, of that size, N·m, (N,).
 
     It is that of the torque as it was read, whatever the person adds to it.
     """
     wide = _Band(record, WIDE)
     torque = wide.signal(wide.of(record.torque[joint])) + record.torque[joint].mean()
-    return _LOST[name][1](torque, size)
+    return term.lacks(torque, size)
 
 
 def _lacking(found: Sequence[Mapping[str, Deviation]], linearity: float | None) -> dict[str, float]:
@@ -640,7 +649,8 @@ def _lacking(found: Sequence[Mapping[str, Deviation]], linearity: float | None) 
 
     Transducers of one rig are alike, and small torques tell little of what is lost of them.
     """
-    sizes = {**dict.fromkeys(_LOST, 0.0), "slack": linearity or 0.0}
+    lost = [name for name, term in TERMS.items() if term.kind is Kind.LOST]
+    sizes = {**dict.fromkeys(lost, 0.0), "slack": linearity or 0.0}
     for joint, one in enumerate(found):
         others = [other for k, other in enumerate(found) if k != joint and other]
         for name in sizes if one else ():
@@ -661,13 +671,13 @@ def _held(record: TrialRecord, joint: int, term: Term) -> FloatArray:
     return term.bend(np.stack((angle, angle, speed, np.zeros_like(angle))))
 
 
-def response(record: TrialRecord, signal: FloatArray, f: FloatArray) -> ComplexArray:
+def _response(record: TrialRecord, signal: FloatArray, f: FloatArray) -> ComplexArray:
     """How a signal, (N,) at either rate, answers the perturbation at some frequencies, (n_freq,).
 
     From the cross-spectrum in bands of 1 Hz.
     """
     wide = _Band(record, WIDE)
-    pushes, answer = wide.of(record.perturbation[record.perturbed_joint]), wide.of(signal)
+    pushes, answer = wide.of(wide.pushes), wide.of(signal)
     cross, power = np.conj(pushes) * answer, np.abs(pushes) ** 2
     middles, real, imaginary, powers = map(wide.means, (wide.f, cross.real, cross.imag, power))
     told = powers > np.finfo(float).eps * np.max(powers)
@@ -682,13 +692,12 @@ class _Linear:
     the motion itself would take a part of that torque with it, and put the rest of the motion,
     which friction of the robot bends, in its place. The perturbation is their instrument.
 
-    Parameters
-    ----------
-    motion, forces : ndarray, shape (p, N)
-        Angle and perturbation, cut into bands.
+    Angle of the perturbed joint and perturbation are cut into parts of a band.
     """
 
-    def __init__(self, motion: FloatArray, forces: FloatArray) -> None:
+    def __init__(self, record: TrialRecord, band: _Band) -> None:
+        signals = record.position[record.perturbed_joint], band.pushes
+        motion, forces = (band.filters(one)[:, band.kept] for one in signals)
         sizes = np.linalg.norm(motion, axis=1, keepdims=True)
         self._motion = motion / np.where(sizes > 0.0, sizes, 1.0)
         self._onto = _onto(forces)
@@ -705,27 +714,6 @@ class _Linear:
         """What is orthogonal to perturbation and motion of a signal (N,) of the perturbation."""
         signal = signal - self._onto(signal)
         return np.asarray(signal - (self._inverse @ (self._motion @ signal)) @ self._caused)
-
-
-def _smooth_linear(record: TrialRecord) -> _Linear:
-    """Filters for a periodic perturbation that can't follow what comes at once.
-
-    With as many bands as there are lines, they can.
-    """
-    band, k = _Band(record, by_lines=False), record.perturbed_joint
-    signals = (record.position[k], record.perturbation[k])
-    motion, forces = (band.filters(one)[:, band.kept] for one in signals)
-    return _Linear(motion, forces)
-
-
-def _slope(
-    instrument: FloatArray, term: FloatArray, left: FloatArray
-) -> tuple[float, float, float]:
-    """Coefficient of the term in what is left, its standard error, and that's degrees of freedom.
-
-    All are signals (N,) at the lower rate.
-    """
-    return _ratio(*_by_parts(instrument, term, left))
 
 
 def _by_parts(
@@ -747,7 +735,7 @@ def _slope_at_lines(
     left: ComplexArray,
     torque: ComplexArray,
 ) -> tuple[float, float, float]:
-    """As :func:`_slope`, from spectra (n_freq,) at the lines of a periodic perturbation.
+    """As :func:`_ratio`, from spectra (n_freq,) at the lines of a periodic perturbation.
 
     Where all harmonics are lines, what bends a signal falls on them, too, in another way on each.
     What any linear filter makes of the signal is smooth over frequency: of each `_GROUP` lines a
@@ -780,7 +768,7 @@ def _step(
     Returns
     -------
     told : tuple of float
-        As :func:`_slope` gives it.
+        As :func:`_ratio` gives it.
     looks : int
         Between how many parts it was looked for.
     """
@@ -820,11 +808,11 @@ def judge_linearity(
     records: Sequence[TrialRecord],
     estimate: ImpedanceEstimate,
     fit: MBKFit,
-    jump: HoldCorrection | None = None,
-    reading: TorqueReading | None = None,
+    jump: HoldCorrection | None,
+    reading: TorqueReading,
     *,
-    resolved: NDArray[np.bool_],
-    linearity: float | None = None,
+    resolved: BoolArray,
+    linearity: float | None,
 ) -> tuple[list[Problem], list[FloatArray], FloatArray]:
     """Find what isn't linear.
 
@@ -836,11 +824,12 @@ def judge_linearity(
         What follows from them.
     fit : MBKFit
         M, B and K of that.
-    jump, reading : HoldCorrection and TorqueReading, optional
-        As :func:`unexplained_torque` takes them.
+    jump : HoldCorrection or None
+    reading : TorqueReading
+        As :func:`deviations` takes them.
     resolved : ndarray of bool, shape (n,)
         Where the motion of locked joints isn't, its torque may look like what isn't linear.
-    linearity : float, optional
+    linearity : float or None
         That of the :class:`armimp_estimation.fit.Calibration`, N·m.
 
     Returns
@@ -855,13 +844,13 @@ def judge_linearity(
     problems: list[Problem] = []
     doubts, gain = [np.zeros((3, n, n)) for _ in records], np.zeros(n)
     late = 0.0 if fit.delay is None else fit.delay.delay
-    jumps_known = jump is not None or (reading or TorqueReading()).without_jumps
+    jumps_known = jump is not None or reading.without_jumps
     found = [deviations(record, fit.mbk, jump, reading, late) for record in records]
 
     def of_torque(joint: int, trial: int, torque: FloatArray) -> FloatArray:
         shift = np.zeros((3, n, n))
         if estimate.inverse is not None:
-            answer = response(records[trial].whole_periods, torque, estimate.f)
+            answer = _response(records[trial].whole_periods, torque, estimate.f)
             shift[:, joint] = fit.of_row(joint, answer * estimate.inverse[trial])
         return shift
 
@@ -903,7 +892,7 @@ def judge_linearity(
                 )
             )
     for (name, size), k in product(_lacking(found, linearity).items(), range(n)):
-        parts = [_lost(record.whole_periods, k, name, size) for record in records]
+        parts = [_lost(record.whole_periods, k, TERMS[name], size) for record in records]
         lost = np.asarray(sum(of_torque(k, m, part) for m, part in enumerate(parts)))
         if name == "slack" and fit.delay is not None:
             # In phase it is a delay, which was fitted as far as the data tell.

@@ -40,7 +40,7 @@ _NOTICED = 2.0
 
 
 def judge_matrices(
-    names: Sequence[str], estimate: ImpedanceEstimate, fit: MBKFit, apart: float = 0.0
+    names: Sequence[str], estimate: ImpedanceEstimate, fit: MBKFit, apart: float
 ) -> list[Problem]:
     """Find matrices that no arm has.
 

@@ -22,21 +22,23 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_common.errors import DataError
-from armimp_estimation.estimators.estimate import ImpedanceEstimate
+from armimp_estimation.estimators.estimate import ImpedanceEstimate, variance_of
 from armimp_estimation.estimators.local_polynomial import LocalResponse
-from armimp_estimation.estimators.lpm import LpmConfig, responses, unresolved
+from armimp_estimation.estimators.lpm import (
+    covariance_of,
+    responses,
+    unresolved,
+)
 from armimp_estimation.estimators.welch import invert, multiply
 from armimp_estimation.fit import (
     Calibration,
     CommonDelay,
-    FitConfig,
     MBKFit,
     covariance_of_sums,
     fit_weights,
@@ -45,7 +47,7 @@ from armimp_estimation.hold_correction import HoldCorrection, without_skew
 from armimp_estimation.plausibility import least_eigenvalue, uneven
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.signal_quality import speed_of, unseen_share
+from armimp_estimation.signal_quality import lost_motion, speed_of
 from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.trial import TrialData
 
@@ -181,6 +183,11 @@ class RobotResponses:
     """Of angles, torques and commands, by trial."""
     inverse: ComplexArray
     """``R⁻¹``; shape (n, n, n_freq)."""
+    unseen: FloatArray
+    undamped: FloatArray
+    """As a :class:`RobotBalance` has them."""
+    pace: FloatArray
+    """Rms speed over rms angle of each joint in its own trial, 1/s; shape (n,)."""
 
     @classmethod
     def of(cls, records: Sequence[TrialRecord]) -> RobotResponses | None:
@@ -193,12 +200,20 @@ class RobotResponses:
         if len(channels) < len(records):
             return None
         try:
-            columns = responses(records, channels, BAND, LpmConfig())
+            columns = responses(records, channels, BAND)
             angles = np.stack([one.response[: len(records)] for one in columns], axis=1)
             inverse = invert(angles, columns[0].f)
         except DataError:
             return None
-        return cls(records=tuple(records), columns=tuple(columns), inverse=inverse)
+        undamped, pace = _not_of_a_damper(records)
+        return cls(
+            records=tuple(records),
+            columns=tuple(columns),
+            inverse=inverse,
+            unseen=lost_motion(records)[0],
+            undamped=undamped,
+            pace=pace,
+        )
 
     def order(self) -> tuple[int, ...]:
         """Row of the commands that belongs to each joint.
@@ -259,16 +274,12 @@ class RobotResponses:
         if delay is not None:
             torque = multiply(mixed[:, n : 2 * n], shown)
             systematics.append(delay.error * turn * rate * multiply(torque, self.inverse))
-        variance = np.asarray(sum(np.abs(one) ** 2 for one in systematics) + np.zeros(moving.shape))
-        for k, response in enumerate(self.columns):
-            for i in range(n):
-                noise = response.combined_variance(coefficients[i])
-                variance[i] += noise * np.abs(self.inverse[k]) ** 2
+        disturbance = covariance_of(self.columns, coefficients)
         estimate = ImpedanceEstimate(
             name="robot",
             f=f,
             Z=impedance,
-            variance=variance,
+            variance=variance_of(disturbance, self.inverse, systematics),
             systematics=tuple(systematics),
             bin_correlation=self.columns[0].bin_correlation(),
             averages=self.columns[0].freedom + 1.0,
@@ -278,25 +289,17 @@ class RobotResponses:
         locked = stacked[:n] * np.einsum("jjf->jf", self.inverse)
         driven = multiply(multiply(mixed[:, 2 * n :], stacked[2 * n :]), self.inverse)
         terms, covariance, friction = _fit_robot(estimate, locked, driven)
-        undamped, pace = self._undamped
+        rubbing = np.abs(np.diag(terms[1])) * np.diag(self.undamped) * self.pace
         return RobotBalance(
             terms=terms,
             covariance=covariance,
             friction=friction,
-            unseen=self._unseen,
-            undamped=undamped,
-            rubbing=np.abs(np.diag(terms[1])) * np.diag(undamped) * pace,
+            unseen=self.unseen,
+            undamped=self.undamped,
+            rubbing=rubbing,
             answered=self._answered(order),
             order=order,
         )
-
-    @cached_property
-    def _unseen(self) -> FloatArray:
-        return unseen_share(self.records)
-
-    @cached_property
-    def _undamped(self) -> tuple[FloatArray, FloatArray]:
-        return _not_of_a_damper(self.records)
 
     def _answered(self, order: tuple[int, ...]) -> BoolArray:
         """Whether the command of each joint answers the perturbation of its trial, (n,)."""
@@ -376,10 +379,8 @@ def _least_squares(
     estimate: ImpedanceEstimate, i: int, j: int, regressors: ComplexArray
 ) -> tuple[FloatArray, FloatArray]:
     """Real coefficients (p,) of regressors (p, n_freq) in an element, and their covariance."""
-    options = FitConfig()
     f, Z, variance = estimate.f, estimate.Z[i, j], estimate.variance[i, j]
-    power = None if estimate.line_power is None else estimate.line_power[j]
-    weights = fit_weights(f, Z, variance, options.weight_floor, options.smoothing, power)
+    weights = fit_weights(f, Z, variance, estimate.weight_floor)
     scale = np.linalg.norm(np.sqrt(weights) * regressors, axis=1)
     scale[scale == 0.0] = 1.0
     design = regressors / scale[:, None]
@@ -418,152 +419,40 @@ def _imbalance(
 ) -> tuple[FloatArray, FloatArray]:
     """What :func:`imbalance` finds where K of the robot has other standard errors, too, (n, n)."""
     n = len(robot.order)
-    used = [2] if n == 1 else [1, 2]
+    used, others = ([2], np.ones((1, 1))) if n == 1 else ([1, 2], 1.0 - np.eye(n))
     covariance = robot.covariance.copy()
     covariance[2, 2] += other**2
-    shares, errors = np.zeros((2, n, n))
-    for i, row in np.ndindex(n, n):
-        mixed, square = 0.0, np.finfo(np.float64).tiny
-        doubt, taken, held, own, left = 0.0, 0.0, 0.0, 0.0, 0.0
-        for j in range(n) if n == 1 else np.delete(np.arange(n), i):
-            arms = np.array([arm.mbk.M[row, j], arm.mbk.B[row, j], arm.mbk.K[row, j]])[used]
-            arms_se = np.array([arm.M_se[row, j], arm.B_se[row, j], arm.K_se[row, j]])[used]
-            information = np.linalg.pinv(covariance[np.ix_(used, used)][:, :, i, j])
-            part = float(arms @ information @ arms)
-            residual = robot.terms[used, i, j]
-            mixed += float(arms @ information @ residual)
-            left += float(residual @ information @ residual)
-            square += part
-            doubt += part * robot.friction[i, j]
-            taken += part * robot.friction[i, j] * max(_TAKEN, robot.undamped[i, j])
-            held += part * robot.unseen[i, j]
-            # Where the arm hardly couples the joints its own errors count.
-            own += float(arms_se @ information @ arms_se)
-        shares[i, row] = mixed / square
-        # One share has to explain all of the row.
-        spread = max(1.0, (left - mixed * mixed / square) / max(len(used) * max(n - 1, 1) - 1, 1))
-        own_error = shares[i, row] * np.sqrt(own / square)
-        # Friction that holds a joint takes torque: to the transducer it is a gain above 1.
-        holds = mixed < 0.0 or i != row
-        doubt = (_HELD * max(doubt, held) if holds else taken) / square
-        errors[i, row] = np.linalg.norm((np.sqrt(spread / square), doubt, own_error))
-    return shares, errors
-
-
-def gains_in_doubt(
-    shares: FloatArray, errors: FloatArray, springs: FloatArray, calibration: Calibration
-) -> FloatArray:
-    """Standard errors of gains and, beside the diagonal, of cross-talk that the balance leaves.
-
-    A share ρ that the commands tell is possible, whatever else may explain it, so it comes beside
-    what is assumed; so does what they could not have told, up to `_UNCONFIRMED`, or up to what
-    a spring of the joint itself would be of the arm's, if there seems to be one. A calibration that
-    was declared holds until ρ refutes it, or a negative spring speaks against it, for which a robot
-    needs gravity. Cross-talk is told where it explains more than a gain.
-
-    Parameters
-    ----------
-    shares, errors : ndarray, shape (n, n)
-        Of :func:`imbalance`.
-    springs : ndarray, shape (2, n)
-        Of :func:`apparent_springs`.
-    calibration : Calibration
-        What is known of the transducers.
-
-    Returns
-    -------
-    ndarray, shape (n, n)
-        By joint and the other one whose torque its transducer may show.
-    """
-    size, own = np.abs(shares), np.eye(len(shares), dtype=np.bool_)
-    told = np.where(
-        (size > _REFUTED * errors) & (own | _explained_better(shares, errors)), size, 0.0
-    )
-    # Of a gain that nobody declared, what commands rather tell than not is possible, too.
-    unconfirmed = np.maximum(_UNCONFIRMED, np.where(size > errors, size, 0.0))
-    cross_talk = _UNCONFIRMED_CROSS_TALK
-    if not calibration.assumed:
-        told = np.where(_springs(shares) & (shares > 0.0), 0.0, told)
-        springs, unconfirmed, cross_talk = np.minimum(springs, 0.0), 0.0 * size, 0.0
-    apparent, unexplained = np.abs(springs)
-    most = np.where(own, np.maximum(apparent, unconfirmed), cross_talk)
-    untold = np.minimum(np.hypot(shares, errors), most)
-    untold = np.maximum(untold, _LOADED * np.diag(unexplained))
-    return np.asarray(np.maximum(told, untold))
-
-
-def _springs(shares: FloatArray) -> BoolArray:
-    """Where shares may be springs or gravity of the robot: with one joint, no other tells."""
-    return np.asarray((np.abs(shares) < 1.0) & (len(shares) == 1))
-
-
-def _beyond(shares: FloatArray, errors: FloatArray) -> BoolArray:
-    """Where shares are larger than what is tolerated and chance, or no numbers."""
-    return np.asarray(~(np.abs(shares) <= GAIN_TOLERANCE + _ERRORS * errors))
-
-
-def _explained_better(shares: FloatArray, errors: FloatArray) -> BoolArray:
-    """Where a share is the most significant one of its row, (n, n)."""
-    sure = np.abs(shares) / np.maximum(errors, np.finfo(np.float64).tiny)
-    return np.asarray(sure == np.max(sure, axis=1, keepdims=True))
-
-
-def apparent_springs(robot: RobotBalance, arm: MBKFit) -> FloatArray:
-    """Stiffness of each joint of the robot beyond chance, relative to the arm's.
-
-    There is none but that of gravity and of friction which holds a joint, unless the transducer
-    shows another torque than the drive feels.
-
-    Returns
-    -------
-    ndarray, shape (2, n)
-        Of each joint; and the same where friction would have to be more viscous to have it. Of a
-        negative one friction may hide a part, which is added.
-    """
-    own, error, K = np.diag(robot.K), np.diag(robot.K_se), np.abs(np.diag(arm.mbk.K))
-    hidden = np.where(own < 0.0, robot.rubbing, 0.0)
-    whole = np.stack((own, own - hidden)) / np.maximum(K, np.finfo(np.float64).tiny)
-    rubbing = _RUBBING * np.abs(np.diag(robot.terms[1]))
-    beyond = np.abs(own) - np.stack((np.zeros_like(own), rubbing)) > _SPRING * error
-    return np.asarray(np.where(beyond, np.maximum(whole, -1.0), 0.0))
-
-
-def _cross_talk(
-    names: Sequence[str], shares: FloatArray, errors: FloatArray, too_much: BoolArray
-) -> list[Problem]:
-    """Transducers that show the torque of another joint, which explains more than their gain.
-
-    What makes a transducer show too much of its own torque is a gain.
-    """
-    others = ~(np.eye(len(names), dtype=np.bool_) | too_much[:, None])
-    beyond = _beyond(shares, errors) & _explained_better(shares, errors) & others
-    return [
-        problem(
-            ProblemCode.TORQUES_CROSS,
-            name=names[i],
-            other=names[row],
-            percent=-100.0 * shares[i, row],
-            error=100.0 * errors[i, row],
+    known = np.moveaxis(covariance[np.ix_(used, used)], (0, 1), (2, 3))
+    information = others[:, :, None, None] * np.linalg.pinv(known)
+    residual = robot.terms[used]
+    arms = np.stack((arm.mbk.M, arm.mbk.B, arm.mbk.K))[used]
+    arms_se = np.stack((arm.M_se, arm.B_se, arm.K_se))[used]
+    # Of joint i, by the row of the arm whose torque it may show, and by j.
+    part = np.einsum("arj,ijab,brj->irj", arms, information, arms)
+    square = np.finfo(np.float64).tiny + np.sum(part, axis=2)
+    mixed = np.einsum("arj,ijab,bij->ir", arms, information, residual)
+    left = np.einsum("aij,ijab,bij->i", residual, information, residual)
+    taken, damped, held = (
+        np.einsum("irj,ij->ir", part, share)
+        for share in (
+            robot.friction,
+            robot.friction * np.maximum(_TAKEN, robot.undamped),
+            robot.unseen,
         )
-        for i, row in np.argwhere(beyond)
-    ]
+    )
+    # Where the arm hardly couples the joints its own errors count.
+    own = np.einsum("arj,ijab,brj->ir", arms_se, information, arms_se)
+    shares = mixed / square
+    # One share has to explain all of the row.
+    freedom = max(len(used) * max(n - 1, 1) - 1, 1)
+    spread = np.maximum(1.0, (left[:, None] - mixed * mixed / square) / freedom)
+    # Friction that holds a joint takes torque: to the transducer it is a gain above 1.
+    holds = (mixed < 0.0) | ~np.eye(n, dtype=np.bool_)
+    doubt = np.where(holds, _HELD * np.maximum(taken, held), damped) / square
+    return shares, np.sqrt(spread / square + doubt**2 + shares**2 * own / square)
 
 
-def _unconfirmed(name: str, doubt: float) -> Problem:
-    code = ProblemCode.GAIN_UNCONFIRMED
-    return problem(code, severity=Severity.NOTE, name=name, doubt=100.0 * doubt)
-
-
-def _nothing_confirmed(
-    names: Sequence[str], calibration: Calibration
-) -> tuple[list[Problem], FloatArray]:
-    """What :func:`judge_balance` finds where no command tells of the transducers."""
-    doubt = max(_UNCONFIRMED, calibration.gain) if calibration.assumed else 0.0
-    problems = [_unconfirmed(name, doubt) for name in names if doubt > 0.0]
-    return problems, doubt * np.eye(len(names))
-
-
-def gains_above_one(
+def _gains_above_one(
     robot: RobotBalance, arm: MBKFit, shares: FloatArray, errors: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Shares of the arm's torque that negative elements of the robot on the diagonal tell.
@@ -572,17 +461,8 @@ def gains_above_one(
     show too much. So it has where stiffness is, beyond what friction may seem to have, unless
     gravity pulls the robot away. Then the elements off the diagonal tell that, too: they know the
     gain, and it is nearer to 1 than to the one that the stiffness seems to be.
-
-    Parameters
-    ----------
-    robot, arm : RobotBalance, MBKFit
-    shares, errors : ndarray, shape (n,)
-        Of the joints themselves, of :func:`imbalance`.
-
-    Returns
-    -------
-    shares, errors : ndarray, shape (n,)
-        0 where there is none beyond chance. Friction may hide a part of each.
+    Shares and standard errors, (n,), are 0 where there is none beyond chance. Friction may hide a
+    part of each. Given are those of the joints themselves of :func:`imbalance`.
     """
     own = np.diagonal(robot.terms[1:3], axis1=1, axis2=2)
     own_error = np.stack((np.diag(robot.B_se), np.diag(robot.K_se)))
@@ -596,6 +476,61 @@ def gains_above_one(
     by_stiffness = beyond[1] & ~gravity & (len(shares) > 1)
     share, error = (np.where(by_stiffness, one[1], one[0]) for one in (told, told_error))
     return np.maximum(share, -0.99), error
+
+
+def _springs(robot: RobotBalance, arm: MBKFit) -> FloatArray:
+    """Stiffness of each joint of the robot beyond chance, relative to the arm's.
+
+    There is none but that of gravity and of friction which holds a joint, unless the transducer
+    shows another torque than the drive feels.
+    Of each joint; and the same where friction would have to be more viscous to have it; (2, n). Of
+    a negative one friction may hide a part, which is added.
+    """
+    own, error, K = np.diag(robot.K), np.diag(robot.K_se), np.abs(np.diag(arm.mbk.K))
+    hidden = np.where(own < 0.0, robot.rubbing, 0.0)
+    whole = np.stack((own, own - hidden)) / np.maximum(K, np.finfo(np.float64).tiny)
+    rubbing = _RUBBING * np.abs(np.diag(robot.terms[1]))
+    beyond = np.abs(own) - np.stack((np.zeros_like(own), rubbing)) > _SPRING * error
+    return np.asarray(np.where(beyond, np.maximum(whole, -1.0), 0.0))
+
+
+def _gains_in_doubt(
+    shares: FloatArray, errors: FloatArray, springs: FloatArray, calibration: Calibration
+) -> FloatArray:
+    """Standard errors of gains and, beside the diagonal, of cross-talk that the balance leaves.
+
+    A share ρ that the commands tell is possible, whatever else may explain it, so it comes beside
+    what is assumed; so does what they could not have told, up to `_UNCONFIRMED`, or up to what
+    a spring of the joint itself would be of the arm's, if there seems to be one. A calibration that
+    was declared holds until ρ refutes it, or a negative spring speaks against it, for which a robot
+    needs gravity. Cross-talk is told where it explains more than a gain.
+    """
+    size, own = np.abs(shares), np.eye(len(shares), dtype=np.bool_)
+    told = np.where(
+        (size > _REFUTED * errors) & (own | _explained_better(shares, errors)), size, 0.0
+    )
+    # Of a gain that nobody declared, what commands rather tell than not is possible, too.
+    unconfirmed = np.maximum(_UNCONFIRMED, np.where(size > errors, size, 0.0))
+    cross_talk = _UNCONFIRMED_CROSS_TALK
+    if not calibration.assumed:
+        told = np.where(_may_be_spring(shares) & (shares > 0.0), 0.0, told)
+        springs, unconfirmed, cross_talk = np.minimum(springs, 0.0), 0.0 * size, 0.0
+    apparent, unexplained = np.abs(springs)
+    most = np.where(own, np.maximum(apparent, unconfirmed), cross_talk)
+    untold = np.minimum(np.hypot(shares, errors), most)
+    untold = np.maximum(untold, _LOADED * np.diag(unexplained))
+    return np.asarray(np.maximum(told, untold))
+
+
+def _may_be_spring(shares: FloatArray) -> BoolArray:
+    """Where shares may be springs or gravity of the robot: with one joint, no other tells."""
+    return np.asarray((np.abs(shares) < 1.0) & (len(shares) == 1))
+
+
+def _explained_better(shares: FloatArray, errors: FloatArray) -> BoolArray:
+    """Where a share is the most significant one of its row, (n, n)."""
+    sure = np.abs(shares) / np.maximum(errors, np.finfo(np.float64).tiny)
+    return np.asarray(sure == np.max(sure, axis=1, keepdims=True))
 
 
 def judge_balance(
@@ -619,48 +554,52 @@ def judge_balance(
     problems : list of Problem
     doubts : ndarray, shape (n, n)
         Relative standard errors of the gains of transducers that are not refused, and of their
-        cross-talk, see :func:`gains_in_doubt`.
+        cross-talk, see `_gains_in_doubt`.
     """
     if balance is None:
         return _nothing_confirmed(names, calibration)
-    problems = []
-    nowhere = np.zeros((len(names), len(names)))
-    every, uncertain = imbalance(balance, arm)
-    shares, errors = np.diag(every), np.diag(uncertain)
+    problems, wrong = [], []
     if balance.permuted:
         order = ", ".join(names[row] for row in np.argsort(balance.order))
         problems.append(problem(ProblemCode.COMMANDS_PERMUTED, severity=Severity.NOTE, order=order))
-    less, less_error = gains_above_one(balance, arm, shares, errors)
-    crossed = _cross_talk(names, every, uncertain, less < 0.0)
-    problems += crossed
-    wrong = [str(one.values["name"]) for one in crossed]
-    unbalanced = _beyond(shares, errors)
-    nothing = unbalanced & (np.abs(shares + 1.0) <= _NOT_ALL + 2.0 * errors) & ~balance.answered
-    unbalanced &= ~np.diag(_springs(every))
-    if (nothing & ~np.isin(names, wrong)).any():
-        # The arm moves, but not by these commands.
+    own = np.eye(len(names), dtype=np.bool_)
+    shares, errors = imbalance(balance, arm)
+    less, less_error = _gains_above_one(balance, arm, np.diag(shares), np.diag(errors))
+    # Written so that NaN is beyond.
+    beyond = ~(np.abs(shares) <= GAIN_TOLERANCE + _ERRORS * errors)
+    # What makes a transducer show too much of its own torque is a gain.
+    crossed = beyond & ~own & _explained_better(shares, errors) & ~(less < 0.0)[:, None]
+    nothing = beyond & (np.abs(shares + 1.0) <= _NOT_ALL + 2.0 * errors)
+    # The arm moves, but not by these commands.
+    foreign = (np.diag(nothing) & ~balance.answered & ~crossed.any(axis=1)).any()
+    explanations = [(crossed, shares, errors)]
+    if not foreign:
+        explanations += [
+            (beyond & own & ~_may_be_spring(shares), shares, errors),
+            (np.diag(less < 0.0), np.diag(less), np.diag(less_error)),
+        ]
+    for told, share, error in explanations:
+        for i, row in np.argwhere(told):
+            if i != row or names[i] not in wrong:
+                wrong.append(names[i])
+                problems.append(_wrong(names, i, row, share[i, row], error[i, row]))
+    if foreign:
         untold, doubts = _nothing_confirmed(names, calibration)
         return problems + untold, doubts
-    for name, share, error, off in zip(names, shares, errors, unbalanced, strict=True):
-        # In terms of the stiffness, so that a gain near 0 or below counts as well.
-        if off and name not in wrong:
-            wrong.append(name)
-            problems.append(problem(ProblemCode.TORQUE_UNBALANCED, **_gain_of(name, share, error)))
-    for name, share, error in zip(names, less, less_error, strict=True):
-        if share < 0.0 and name not in wrong:
-            wrong.append(name)
-            problems.append(problem(ProblemCode.TORQUE_UNBALANCED, **_gain_of(name, share, error)))
     if balance.impossible:
-        M = balance.M
-        inertia = "[" + "; ".join(" ".join(f"{x:.3g}" for x in row) for row in M) + "] kg·m²"
+        inertia = (
+            "[" + "; ".join(" ".join(f"{x:.3g}" for x in row) for row in balance.M) + "] kg·m²"
+        )
         suspects = ", ".join(wrong or names)
         problems.append(
             problem(ProblemCode.ROBOT_INERTIA_IMPOSSIBLE, inertia=inertia, name=suspects)
         )
     if wrong:
-        return problems, nowhere
-    doubts = gains_in_doubt(every, uncertain, apparent_springs(balance, arm), calibration)
-    for name, share, error, doubt in zip(names, shares, errors, np.diag(doubts), strict=True):
+        return problems, np.zeros(own.shape)
+    doubts = _gains_in_doubt(shares, errors, _springs(balance, arm), calibration)
+    for name, share, error, doubt in zip(
+        names, *map(np.diag, (shares, errors, doubts)), strict=True
+    ):
         if doubt > 0.0 and (abs(share) > _REFUTED * error or not calibration.assumed):
             about = _gain_of(name, share, error) | {"doubt": 100.0 * float(doubt)}
             problems.append(problem(ProblemCode.GAIN_DOUBTED, severity=Severity.NOTE, **about))
@@ -669,7 +608,35 @@ def judge_balance(
     return problems, doubts
 
 
+def _nothing_confirmed(
+    names: Sequence[str], calibration: Calibration
+) -> tuple[list[Problem], FloatArray]:
+    """What :func:`judge_balance` finds where no command tells of the transducers."""
+    doubt = max(_UNCONFIRMED, calibration.gain) if calibration.assumed else 0.0
+    problems = [_unconfirmed(name, doubt) for name in names if doubt > 0.0]
+    return problems, doubt * np.eye(len(names))
+
+
+def _unconfirmed(name: str, doubt: float) -> Problem:
+    code = ProblemCode.GAIN_UNCONFIRMED
+    return problem(code, severity=Severity.NOTE, name=name, doubt=100.0 * doubt)
+
+
+def _wrong(names: Sequence[str], i: int, row: int, share: float, error: float) -> Problem:
+    """A transducer that shows a share too much of the torque of a joint: its own, or another."""
+    if i == row:
+        return problem(ProblemCode.TORQUE_UNBALANCED, **_gain_of(names[i], share, error))
+    return problem(
+        ProblemCode.TORQUES_CROSS,
+        name=names[i],
+        other=names[row],
+        percent=-100.0 * share,
+        error=100.0 * error,
+    )
+
+
 def _gain_of(name: str, share: float, error: float) -> dict[str, Any]:
+    # In terms of the stiffness, so that a gain near 0 or below counts as well.
     gain = 1.0 / (1.0 + share)
     return {"name": name, "share": float(gain), "error": float(error * gain**2)}
 

@@ -7,7 +7,7 @@ and its intervals know. But what follows from the motion itself biases it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
@@ -94,51 +94,45 @@ def judge_signals(record: TrialRecord) -> list[Problem]:
     record : TrialRecord
         One trial, without gaps.
     """
-    problems = []
-    streams = {JOINT_STATES: record.position, TORQUE_SENSORS: record.torque}
     # What was interpolated with all that is recorded did the same to cause and effect.
     resampled = repeating(record.perturbation[record.perturbed_joint]) > 0.0
-    for stream, signals in streams.items():
-        for joint, (name, signal) in enumerate(zip(record.joint_names, signals, strict=True)):
-            found: list[tuple[ProblemCode, Values]] = []
-            for value, count in clipping(signal):
-                about: Values = {"value": value, "unit": _UNITS[stream], "count": count}
-                found.append((ProblemCode.CLIPPED, about))
-            moves = stream == TORQUE_SENSORS or joint == record.perturbed_joint
-            if moves:
-                counts = counts_of(signal)
-                if counts < RESOLVED[stream]:
-                    found.append((ProblemCode.UNRESOLVED, {"counts": counts}))
-                k = record.perturbed_joint
-                partner = (record.torque if stream == JOINT_STATES else record.position)[k]
-                longest, count, limit = sticking(signal, record.rate, partner)
-                if count:
-                    about = {"longest": longest, "count": count, "limit": limit}
-                    found.append((ProblemCode.STUCK, about))
-                locked = joint != record.perturbed_joint
-                dropped, share = dropouts(
-                    signal, partner, record.position[joint] if locked else None
-                )
-                if share > DROPPED:
-                    about = {"count": dropped, "percent": 100.0 * share}
-                    found.append((ProblemCode.DROPPED, about))
-            if stream == TORQUE_SENSORS and (count := zeros_beyond_chance(signal)):
-                about = {"count": count, "percent": 100.0 * count / signal.size}
-                found.append((ProblemCode.DEAD_ZONE, about))
-            if stream == TORQUE_SENSORS and not resampled and (share := repeating(signal)):
-                found.append((ProblemCode.TORQUE_REPEATS, {"percent": 100.0 * share}))
-            if stream == TORQUE_SENSORS and joint == record.perturbed_joint:
-                for source in ("command", "perturbation"):
-                    factor, share = _copied(record, source)
-                    as_it_is = source == "command" and abs(factor - 1.0) < _SAME
-                    if share < (_OF_COMMAND if as_it_is else _SCALED):
-                        about = {"source": source, "factor": factor, "percent": 100.0 * share}
-                        found.append((ProblemCode.TORQUE_IS_COMMAND, about))
-            problems += [
-                problem(code, trial=record.trial, stream=stream, name=name, **values)
-                for code, values in found
-            ]
-    return problems
+    return [
+        problem(code, trial=record.trial, stream=stream, name=name, **values)
+        for stream in (JOINT_STATES, TORQUE_SENSORS)
+        for joint, name in enumerate(record.joint_names)
+        for code, values in _faults(record, stream, joint)
+        if not (code is ProblemCode.TORQUE_REPEATS and resampled)
+    ]
+
+
+def _faults(record: TrialRecord, stream: str, joint: int) -> Iterator[tuple[ProblemCode, Values]]:
+    """What is wrong with one signal, with the values of each problem."""
+    k, torques = record.perturbed_joint, stream == TORQUE_SENSORS
+    signal = (record.torque if torques else record.position)[joint]
+    for value, count in clipping(signal):
+        yield ProblemCode.CLIPPED, {"value": value, "unit": _UNITS[stream], "count": count}
+    if torques or joint == k:
+        counts = counts_of(signal)
+        if counts < RESOLVED[stream]:
+            yield ProblemCode.UNRESOLVED, {"counts": counts}
+        partner = (record.position if torques else record.torque)[k]
+        longest, count, limit = sticking(signal, record.rate, partner)
+        if count:
+            yield ProblemCode.STUCK, {"longest": longest, "count": count, "limit": limit}
+        kicked = None if joint == k else record.position[joint]
+        dropped, share = dropouts(signal, partner, kicked)
+        if share > DROPPED:
+            yield ProblemCode.DROPPED, {"count": dropped, "percent": 100.0 * share}
+    if torques and (count := zeros_beyond_chance(signal)):
+        yield ProblemCode.DEAD_ZONE, {"count": count, "percent": 100.0 * count / signal.size}
+    if torques and (share := repeating(signal)):
+        yield ProblemCode.TORQUE_REPEATS, {"percent": 100.0 * share}
+    for source in ("command", "perturbation") if torques and joint == k else ():
+        factor, share = _copied(record, source)
+        as_it_is = source == "command" and abs(factor - 1.0) < _SAME
+        if share < (_OF_COMMAND if as_it_is else _SCALED):
+            about: Values = {"source": source, "factor": factor, "percent": 100.0 * share}
+            yield ProblemCode.TORQUE_IS_COMMAND, about
 
 
 def mended(record: TrialRecord) -> tuple[TrialRecord, list[Problem]]:
@@ -196,7 +190,7 @@ def _of_commands(record: TrialRecord) -> FloatArray:
     if record.command is None or record.samples <= _TELLING_COUNTS:
         return np.zeros_like(record.torque)
     lags = range(_PERIODS)
-    steps = np.pad(command_steps(record, record.samples), ((0, 0), (_PERIODS, 0)))
+    steps = np.pad(command_steps(record), ((0, 0), (_PERIODS, 0)))
     lagged = np.concatenate([steps[:, _PERIODS - lag : steps.shape[1] - lag] for lag in lags])
     changes = np.diff(record.torque, axis=1, prepend=record.torque[:, :1])
     answers, _ = regress([lagged[:, :_TELLING_MOST]], [changes[:, :_TELLING_MOST]])
@@ -268,31 +262,14 @@ def resolution_of(signal: FloatArray) -> float:
     return float(np.min(gaps[gaps > 1e-9 * float(np.max(gaps))]))
 
 
-def unseen_share(records: Sequence[TrialRecord]) -> FloatArray:
-    """Share of the motion of locked joints that their encoders may not show.
+def lost_motion(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]:
+    """Motion that follows the perturbation and that the encoders of locked joints may not show.
 
     Rounding to steps q takes ``2 exp(-2π²σ²/q²)`` off the response of a motion of the standard
     deviation σ, which follows from that of the readings in each half second, less that of rounding,
     ``q²/12``. A joint that shows fewer than three values there, or hardly changes between them, may
-    be held by friction, and move as it likes within a step.
-
-    Parameters
-    ----------
-    records : sequence of TrialRecord
-        One trial for each joint, in order.
-
-    Returns
-    -------
-    ndarray, shape (n, n)
-        Of each joint in each trial, 0 to 1; 0 where all is seen.
-    """
-    return lost_motion(records)[0]
-
-
-def lost_motion(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]:
-    """Motion that follows the perturbation and that the encoders of locked joints may not show.
-
-    Of a motion of 0.2 q, at which most of it is lost, that is 0.16 q.
+    be held by friction, and move as it likes within a step. Of a motion of 0.2 q, at which most of
+    it is lost, that is 0.16 q.
 
     Parameters
     ----------
@@ -302,7 +279,7 @@ def lost_motion(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]
     Returns
     -------
     share : ndarray, shape (n, n)
-        Of each joint in each trial, of the motion that its encoder shows: all of it while it seems
+        Of each joint in each trial, 0 to 1 of the motion that its encoder shows: all while it seems
         to rest, as it may be less if rounding goes to and fro.
     beside : ndarray, shape (n, n)
         Of each joint in each trial, rad, while it seems to rest. Both are 0 where all is seen.

@@ -15,7 +15,7 @@ from armimp_estimation.arm_models import (
     supported,
 )
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
-from armimp_estimation.fit import Calibration, FitConfig, fit_impedance
+from armimp_estimation.fit import Calibration, fit_impedance
 from support.synthetic_trials import TWO_JOINT_ARM, made_estimate
 
 FloatArray = NDArray[np.float64]
@@ -55,8 +55,8 @@ def fits_of(
     estimate: ImpedanceEstimate, asked: str = AUTO, calibration: Calibration | None = None
 ) -> tuple[ModelFit, ...]:
     known = calibration or Calibration()
-    _, plain = fit_impedance(estimate, FitConfig(), known)
-    return fit_models(asked, estimate, plain, FitConfig(), known)
+    _, plain = fit_impedance(estimate, known)
+    return fit_models(asked, estimate, plain, known)
 
 
 @pytest.mark.parametrize(
@@ -107,9 +107,9 @@ def test_where_m_b_and_k_fit_no_other_model_is_tried() -> None:
 
 def test_uncertain_calibrations_widen_intervals_but_hide_no_lack_of_fit() -> None:
     estimate = measured("mbk_delay", seed=1, noise=1e-3)
-    _, exact = fit_impedance(estimate, FitConfig())
+    _, exact = fit_impedance(estimate)
     known = Calibration(gain=0.02, cross_talk=0.01, angle=0.03)
-    _, loose = fit_impedance(estimate, FitConfig(), known)
+    _, loose = fit_impedance(estimate, known)
 
     K = exact.mbk.K
     of_scale = 0.02**2 + 0.03**2

@@ -11,7 +11,6 @@ from scipy.signal import butter, freqs
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import (
-    FitConfig,
     MBKFit,
     fit_impedance,
     fit_mbk,
@@ -60,7 +59,7 @@ def test_equal_variances_give_ordinary_least_squares_with_its_standard_errors_of
     noise = rng.standard_normal((1, 1, F.size)) + 1j * rng.standard_normal((1, 1, F.size))
     truth = MBK(M=np.array([[0.2]]), B=np.array([[0.7]]), K=np.array([[8.0]]))
     Z = truth.impedance(F) + noise
-    fit = fit_mbk(estimate_of(Z, np.full(Z.shape, 2.0)), FitConfig(smoothing=0.0, weight_floor=0.0))
+    fit = fit_mbk(replace(estimate_of(Z, np.full(Z.shape, 2.0)), weight_floor=0.0))
     omega = 2.0 * np.pi * F
     design = np.zeros((2 * F.size, 3))
     design[: F.size, 0] = -(omega**2)
@@ -81,7 +80,7 @@ def test_floor_of_weights_bounds_what_time_skew_does_to_viscosity() -> None:
     Z = TWO_JOINT_ARM.impedance(F) * np.exp(-1j * np.pi * F * 1e-3)
     variance = np.full(Z.shape, 1e-4)
     viscosity = fit_mbk(estimate_of(Z, variance)).mbk.B / TWO_JOINT_ARM.B
-    unlimited = fit_mbk(estimate_of(Z, variance), FitConfig(weight_floor=0.0)).mbk.B
+    unlimited = fit_mbk(replace(estimate_of(Z, variance), weight_floor=0.0)).mbk.B
     assert (np.abs(viscosity - 1.0) < 0.08).all()
     assert (unlimited / TWO_JOINT_ARM.B > 1.25).all()
 

@@ -16,7 +16,6 @@ from armimp_estimation.estimators.local_polynomial import LocalPolynomialConfig
 from armimp_estimation.estimators.lpm import LpmConfig
 from armimp_estimation.estimators.registry import IdentifyConfig, make_estimator
 from armimp_estimation.estimators.welch import WelchSiso, invert
-from armimp_estimation.fit import FitConfig
 from armimp_estimation.frf import frf_matrix, order_trials
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
@@ -41,19 +40,13 @@ radius = functools.partial(confidence_radius, np.ones(1), 11.0)
         (WelchConfig, "overlap", {"overlap": -1}),
         *((WelchConfig, "band", {"f_low": f}) for f in (15.0, -1.0)),
         *((WelchConfig, "band", {"f_high": f}) for f in (INFINITE, NAN)),
-        *((LpmConfig, "span must be positive", {"span": span}) for span in (0.0, INFINITE)),
         *(
-            (LpmConfig, "weight_floor must not be negative", {"weight_floor": floor})
-            for floor in (-0.1, NAN)
+            (LpmConfig, "timing_uncertainty must not be negative", {"timing_uncertainty": error})
+            for error in (-0.1, NAN)
         ),
         (LocalPolynomialConfig, "order must not be negative, got -1", {"order": -1}),
         (LocalPolynomialConfig, "5 bins are too few .* at least 3, got 2", {"half_width": 2}),
         (LocalPolynomialConfig, "at least 6, got 5", {"order": 5, "half_width": 5}),
-        *(
-            (FitConfig, option, {option: value})
-            for option in ("smoothing", "weight_floor")
-            for value in (-0.1, NAN, INFINITE)
-        ),
         (of_matrices, r"B has shape \(3, 3\), expected \(2, 2\)", {"B": np.eye(3)}),
         (of_matrices, "finite", {"B": np.full((2, 2), NAN)}),
         *((radius, "confidence level", {"level": level}) for level in (0.0, 1.0, -0.5, NAN)),

@@ -109,7 +109,7 @@ def test_response_at_the_lines_is_free_of_the_transient_and_scatter_tells_its_er
     def response(disturbance: Array) -> tuple[NDArray[np.complex128], Array, Array]:
         output_of_all, config = (output + disturbance)[None], LocalPolynomialConfig()
         found = local_response(source, output_of_all, 1000.0, (0.0, 15.0), config, periods=periods)
-        variance = found.combined_variance(np.ones((1, found.f.size), complex))
+        variance = found.gain * found.noise[0, 0].real
         return found.response[0], variance, found.f
 
     clean, _, f = response(np.zeros_like(source))

@@ -18,7 +18,6 @@ from armimp_estimation.signal_quality import (
     mended,
     repeating,
     sticking,
-    unseen_share,
     without_slow,
     zeros_beyond_chance,
 )
@@ -229,8 +228,9 @@ def trials_of(locked: np.ndarray) -> list[TrialRecord]:
 def test_a_joint_that_rests_within_a_step_may_move_unseen() -> None:
     slow = np.round(np.linspace(0.0, 3.0, 50_000))
     records = trials_of(slow)
-    assert unseen_share(records)[1, 0] == 1.0
-    assert lost_motion(records)[1][1, 0] == pytest.approx(0.16)
+    share, beside = lost_motion(records)
+    assert share[1, 0] == 1.0
+    assert beside[1, 0] == pytest.approx(0.16)
 
 
 def test_a_channel_behind_a_high_pass_shows_nothing_slow_and_others_do() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from armimp_common.status import NOTICE_TICKS, StoppingDecision
 from armimp_estimation.estimators.lpm import FittedColumn, LpmConfig, LpmFull
-from armimp_estimation.fit import FitConfig, fit_mbk
+from armimp_estimation.fit import fit_mbk
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.recorder import StoppingRule, largest_error
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
@@ -126,7 +126,7 @@ def test_intervals_of_trials_that_end_early_hold_the_truth_and_estimates_are_not
         for joint in (0, 1):
             trials.append(ended(synthetic_trial(TWO_JOINT_ARM, joint, loop, seed), trials))
         data = [TrialData.of(one, welch=WELCH) for one in trials]
-        fit = fit_mbk(LPM.estimate(data), FitConfig(weight_floor=LPM.config.weight_floor))
+        fit = fit_mbk(LPM.estimate(data))
         off.append((stacked(fit.mbk) - stacked(TWO_JOINT_ARM)) / errors_of(fit))
         lengths += [one.duration for one in trials]
     assert np.percentile(lengths, 90) > 2.0 * np.percentile(lengths, 10)

@@ -8,13 +8,13 @@ opposite sign. Averaging does not help. Noise of the encoder biases it, too. It 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
-from armimp_estimation.estimators.welch import WelchSiso, estimate_by_columns, with_biases
+from armimp_estimation.estimators.welch import WelchSiso, matrix_estimate, with_biases
 from armimp_estimation.frf import frf_matrix, noise_gain, order_trials, unexplained
 from armimp_estimation.trial import TrialData
 
@@ -38,7 +38,7 @@ class Direct:
             If a joint has no trial, there are too few segments, or a joint does not move.
         """
         ordered = order_trials(trials)
-        columns, gains, disturbances = [], [], []
+        columns, disturbances = [], []
         for trial in ordered:
             angle, torque = trial.position_channel(trial.joint), trial.torque_channel(0)
             motion = trial.spectra.power(angle)
@@ -46,10 +46,11 @@ class Direct:
                 still = trial.f[~(motion > 0.0)][0]
                 raise DataError(f"joint {trial.joint + 1} does not move at {still:.4g} Hz")
             columns.append(trial.spectra.matrix[angle, torque:] / motion)
-            gains.append(noise_gain(trial) * trial.input_power / motion)
-            disturbances.append(gains[-1] * unexplained(trial.spectra, angle, torque))
-        impedance = np.stack(columns, axis=1)
-        estimate = estimate_by_columns(self.name, ordered, frf_matrix(ordered), impedance, gains)
-        inverse = np.eye(len(ordered), dtype=np.complex128)[:, :, None] * np.ones(estimate.f.size)
-        estimate = replace(estimate, disturbance=np.stack(disturbances), inverse=inverse)
+            gain = noise_gain(trial) * trial.input_power / motion
+            disturbances.append(gain * unexplained(trial.spectra, angle, torque))
+        frf = frf_matrix(ordered)
+        inverse = np.eye(len(ordered), dtype=np.complex128)[:, :, None] * np.ones(frf.f.size)
+        estimate = matrix_estimate(
+            self.name, ordered, frf, np.stack(columns, axis=1), np.stack(disturbances), inverse
+        )
         return with_biases(estimate, (estimate.Z - WelchSiso().estimate(ordered).Z,))

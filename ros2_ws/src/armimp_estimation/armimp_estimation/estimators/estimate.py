@@ -1,6 +1,6 @@
 """What an estimator of the impedance matrix takes and gives."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
 
@@ -46,6 +46,53 @@ def confidence_radius(variance: FloatArray, averages: float, level: float = 0.95
     return radius
 
 
+def combined(coefficients: ComplexArray, covariance: ComplexArray) -> ComplexArray:
+    """Covariance of combinations, ``E[δ_a conj(δ_b)]``, from that of the channels.
+
+    Parameters
+    ----------
+    coefficients : ndarray, shape (m, C, n_freq)
+        Of each channel in each combination.
+    covariance : ndarray, shape (C, C, n_freq)
+        Of the channels.
+
+    Returns
+    -------
+    ndarray, shape (m, m, n_freq)
+        Variances on the diagonal are never below what rounding alone would leave.
+    """
+    found: ComplexArray = np.einsum(
+        "acf,cdf,bdf->abf", coefficients, covariance, np.conj(coefficients), optimize=True
+    )
+    terms = np.einsum("acf,ccf->af", np.abs(coefficients) ** 2, covariance.real)
+    own = np.arange(len(found))
+    found[own, own] = np.maximum(found[own, own].real, np.finfo(np.float64).eps * terms)
+    return found
+
+
+def disturbances(arms: Iterable[ComplexArray], covariance: ComplexArray) -> ComplexArray:
+    """Covariance of ``T - Z R`` of each trial from that of R and T, (n, 2n, 2n, n_freq).
+
+    With an impedance Z, (n, n, n_freq), for each trial; shape (n, n, n, n_freq).
+    """
+    n, size = covariance.shape[0], covariance.shape[-1]
+    torques = np.broadcast_to(np.eye(n)[:, :, None], (n, n, size))
+    return np.stack(
+        [
+            combined(np.concatenate((-Z, torques), axis=1), one)
+            for Z, one in zip(arms, covariance, strict=True)
+        ]
+    )
+
+
+def variance_of(
+    disturbance: ComplexArray, inverse: ComplexArray, systematics: Iterable[ComplexArray] = ()
+) -> FloatArray:
+    """Variance of an impedance, (n, n, n_freq), from what an :class:`ImpedanceEstimate` has."""
+    noise = np.einsum("kiif,kjf->ijf", disturbance.real, np.abs(inverse) ** 2)
+    return np.asarray(noise + sum(np.abs(common) ** 2 for common in systematics))
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImpedanceEstimate:
     """The impedance matrix over frequency."""
@@ -86,9 +133,12 @@ class ImpedanceEstimate:
     line_power: FloatArray | None = None
     """Power of the perturbation of each trial by frequency, up to a factor, if it is not chance:
     variances go with its inverse; shape (n, n_freq)."""
-    weight_floor: float | None = None
-    """Relative error beside the variance that the M-B-K fit should allow for in its weights, see
-    :class:`armimp_estimation.fit.FitConfig`; None leaves it to the options of the fit."""
+    weight_floor: float = 0.2
+    """Relative standard deviation that the M-B-K fit adds, in quadrature, to that of each value
+    before it serves as a weight. The variance does not know of errors in proportion to the
+    impedance itself, such as leakage bias and time skew of the sensors; without a floor the
+    frequencies whose random errors are tiny decide alone and bring in those errors. With 0 the skew
+    of half a millisecond biases B by up to 55 % on a quiet simulated rig, with 0.2 by 7 %."""
     friction_skew: ComplexArray | None = None
     """What was added for torques of friction that jump with the commands, N·m/rad; shape
     (n, n, n_freq)."""
@@ -145,16 +195,9 @@ class ImpedanceEstimate:
         """
         if self.covariance is None or self.inverse is None:
             return self
-        n = self.joints
-        left = np.zeros((n, 2 * n, self.f.size), dtype=np.complex128)
-        left[:, :n] = -impedance
-        left[np.arange(n), n + np.arange(n)] = 1.0
-        disturbance = np.einsum(
-            "iaf,kabf,mbf->kimf", left, self.covariance, np.conj(left), optimize=True
-        )
-        noise = np.einsum("kiif,kjf->ijf", disturbance.real, np.abs(self.inverse) ** 2)
-        variance = noise + sum(np.abs(common) ** 2 for common in self.systematics)
-        return replace(self, variance=np.asarray(variance), disturbance=disturbance)
+        disturbance = disturbances([impedance] * self.joints, self.covariance)
+        variance = variance_of(disturbance, self.inverse, self.systematics)
+        return replace(self, variance=variance, disturbance=disturbance)
 
 
 class Estimator(Protocol):

@@ -106,24 +106,6 @@ class LocalResponse:
             line_power=None if self.line_power is None else self.line_power[kept],
         )
 
-    def combined_variance(self, coefficients: ComplexArray) -> FloatArray:
-        """Variance of ``Σ_c a_c G_c`` over the outputs c, from their joint covariance.
-
-        Parameters
-        ----------
-        coefficients : ndarray, shape (C, n_freq)
-            Coefficient of each output at each frequency.
-
-        Returns
-        -------
-        ndarray, shape (n_freq,)
-            Never below what rounding alone would leave.
-        """
-        noise = np.einsum("cf,cdf,df->f", coefficients, self.noise, np.conj(coefficients)).real
-        terms = np.einsum("cf,ccf->f", np.abs(coefficients) ** 2, self.noise).real
-        variance: FloatArray = self.gain * np.maximum(noise, np.finfo(np.float64).eps * terms)
-        return variance
-
     def with_scatter_of_lines(self, outputs: slice, order: int) -> LocalResponse:
         """Return the same with the noise of some outputs at least what their lines scatter by.
 
@@ -278,17 +260,9 @@ def local_response(
     to_response = np.linalg.inv(triangle)[:, :1, :]
     weights = (to_response @ adjoint)[:, 0, :] / scale[:, None]
     residual = observed - basis @ (adjoint @ observed)
-    noise = np.swapaxes(residual, 1, 2) @ np.conj(residual) / config.freedom
+    freedom = np.full(bins.size, config.freedom)
     width = window * float(rate / samples)
-    noise, freedom = _with_neighbours(noise, f, config.freedom, width)
-    found = LocalResponse(
-        f=f,
-        response=np.ascontiguousarray((weights[:, None, :] @ observed)[:, 0, :].T),
-        noise=np.ascontiguousarray(np.moveaxis(noise, 0, 2)),
-        weights=weights,
-        first=first,
-        freedom=freedom,
-    )
+    found = _found(f, weights, observed, residual, freedom, first, width)
     if not perturbed.any():
         raise DataError(
             f"perturbation has too few spectral lines between {band[0]:.4g} and {band[1]:.4g} Hz"
@@ -339,18 +313,31 @@ def _periodic_response(
     observed = _observed(outputs[:, -used:], rate, places, mix)
     residual = between[:, :, None] * observed - basis @ (adjoint @ observed)
     freedom = np.sum(between, axis=1) - (config.order + 1)
-    noise = np.swapaxes(residual, 1, 2) @ np.conj(residual) / freedom[:, None, None]
     f = np.asarray(centres * float(rate / used), dtype=np.float64)
     width = window * float(rate / used)
+    found = _found(f, weights.astype(np.complex128), observed, residual, freedom, first, width)
+    return replace(found, line_power=np.abs(inputs) ** 2)
+
+
+def _found(
+    f: FloatArray,
+    weights: ComplexArray,
+    observed: ComplexArray,
+    residual: ComplexArray,
+    freedom: NDArray[np.number],
+    first: NDArray[np.intp],
+    width: float,
+) -> LocalResponse:
+    """Responses and noise by weights (n_freq, window) and residuals, (n_freq, window, C)."""
+    noise = np.swapaxes(residual, 1, 2) @ np.conj(residual) / freedom[:, None, None]
     noise, least = _with_neighbours(noise, f, int(np.min(freedom)), width)
     return LocalResponse(
         f=f,
         response=np.ascontiguousarray((weights[:, None, :] @ observed)[:, 0, :].T),
         noise=np.ascontiguousarray(np.moveaxis(noise, 0, 2)),
-        weights=weights.astype(np.complex128),
+        weights=weights,
         first=first,
         freedom=least,
-        line_power=np.abs(inputs) ** 2,
     )
 
 

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError, DataError
-from armimp_estimation.estimators.estimate import ImpedanceEstimate
+from armimp_estimation.estimators.estimate import ImpedanceEstimate, combined, variance_of
 from armimp_estimation.estimators.local_polynomial import (
     LocalPolynomialConfig,
     LocalResponse,
@@ -17,7 +17,7 @@ from armimp_estimation.estimators.local_polynomial import (
     local_response,
 )
 from armimp_estimation.estimators.welch import invert, multiply
-from armimp_estimation.fit import FEWEST_FREQUENCIES, FitConfig, fit_column, fit_mbk
+from armimp_estimation.fit import FEWEST_FREQUENCIES, fit_column, fit_mbk
 from armimp_estimation.frf import order_trials, stands_out
 from armimp_estimation.hold_correction import (
     HoldCorrection,
@@ -33,73 +33,48 @@ from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData, drift_of
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-
-
-# Bins on either side beyond the degree of the polynomials, so that enough of them tell the noise.
 _SPARE_BINS = 3
-# Frequencies at which an arm is taken from the responses that is near to the one which is sought.
+"""Bins on either side beyond the degree of the polynomials, so that enough of them tell the noise.
+"""
 _MOST_NEAR = 64
+"""Frequencies at which an arm is taken from the responses that is near to the one which is sought.
+"""
 _NEARER = 3
 _TINY = float(np.finfo(np.float64).tiny)
 LINE_FLOOR = 0.001
 """Relative error that responses at the lines of a multisine are allowed beside their variance."""
+LOCAL = LocalPolynomialConfig()
+_SPAN = 0.25
+"""Hz on either side of a bin that local polynomials may span: in shorter records, where bins are
+wider, fewer take part. The responses of an arm have a resonance around 1 Hz."""
+_FLOOR = 0.005
+"""Relative error of the polynomials beside the variance that the weights of the fit allow for."""
+_SKEW = 0.002
+"""Relative standard error of the correction of what jumps, which no residual shows, as far as it is
+of the inertial torque. In simulation D is within 0.7 %, half of the times within 0.2 %."""
+_RUBBING = 0.3
+"""And as far as it is of torque that overcomes friction, at the times when commands that chatter
+reverse the motion within a control period, so that friction answers within it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LpmConfig:
     """Options of the estimator ``lpm_full``."""
 
-    local: LocalPolynomialConfig = field(default_factory=LocalPolynomialConfig)
-    """Local polynomials."""
-    span: float = 0.25
-    """Hz on either side of a bin that they may span: in shorter records, where bins are wider,
-    fewer take part. The responses of an arm have a resonance around 1 Hz."""
     reading: TorqueReading = field(default_factory=TorqueReading)
     """How the readings of torque come about, and so what is corrected: see
     :mod:`armimp_estimation.torque_timing`. What jumps with the commands is told by
     :mod:`armimp_estimation.hold_correction`. Without commands in the records it has to be
     everything."""
-    skew_uncertainty: float = 0.002
-    """Relative standard error of the correction of what jumps, which no residual shows,
-    as far as it is of the inertial torque. In simulation D is within 0.7 %, half of the
-    times within 0.2 %."""
-    friction_uncertainty: float = 0.3
-    """And as far as it is of torque that overcomes friction, at the times when commands that
-    chatter reverse the motion within a control period, so that friction answers within it."""
     timing_uncertainty: float = 20e-6
     """Standard error with which the instant of torque readings is known where it was told, s. Where
     it was not, or the records refute that torques jump as it says, it is half a period."""
-    weight_floor: float = 0.005
-    """Relative error that is allowed for in the weights of the M-B-K fit, beside the variance; see
-    :class:`armimp_estimation.fit.FitConfig`. It is that of the polynomials."""
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.span < np.inf:
-            raise ConfigurationError(f"span must be positive, got {self.span!r} Hz")
-        for name in (
-            "skew_uncertainty",
-            "friction_uncertainty",
-            "timing_uncertainty",
-            "weight_floor",
-        ):
-            value = getattr(self, name)
-            if not 0.0 <= value < np.inf:
-                raise ConfigurationError(f"{name} must not be negative, got {value!r}")
-
-    def local_for(self, duration: float, *, periodic: bool = False) -> LocalPolynomialConfig:
-        """Local polynomials for a record of so many seconds.
-
-        Between the lines of a periodic perturbation they follow leakage alone, and take all bins
-        of the span.
-        """
-        within = max(
-            int(self.span * duration * (1.0 + 1e-12)),
-            self.local.order + _SPARE_BINS,
-        )
-        widest = within if periodic else self.local.half_width
-        return replace(self.local, half_width=min(widest, within))
+        if not 0.0 <= self.timing_uncertainty < np.inf:
+            raise ConfigurationError(
+                f"timing_uncertainty must not be negative, got {self.timing_uncertainty!r}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -154,7 +129,7 @@ class LpmFull:
         near = self._arm_near(records, jump)
         mixed = self._beside(near, jump, rate)
         columns = [
-            column.with_scatter_of_lines(slice(n, 2 * n), self.config.local.order)
+            column.with_scatter_of_lines(slice(n, 2 * n), LOCAL.order)
             for column in self._columns(records, with_steps=jump is not None, mix=mixed)
         ]
         f = columns[0].f
@@ -167,7 +142,7 @@ class LpmFull:
         reversing, bending = _reversals(records, impedance, f)
         skewed = self._doubts(added, f, jump, reversing[:, None], bending)
 
-        every = _angles_and(_unit(n, 2 * n, f), n)
+        every = _unit(2 * n, 3 * n, f)
         coefficients = every[n:].copy()
         every[n:, :n], coefficients[:, :n] = near.impedance(f), -beside
         ahead, told, lost = unresolved(records, impedance, R, torque, inverse, f)
@@ -176,20 +151,16 @@ class LpmFull:
         delay_uncertainty = self._delay_uncertainty(jump, rate)
         powers = _line_power(columns)
         if jump is None and delay_uncertainty == half_period:
-            told += joints_held(impedance, f, half_period)
-            lost += untold_friction(records, impedance, f, bending)
-        told += postures_apart(records, impedance, R, inverse, f)
+            told += _joints_held(impedance, f, half_period)
+            lost += _untold_friction(records, impedance, f, bending)
+        told += _postures_apart(records, impedance, R, inverse, f)
         systematics = (*told, *lost, *skewed)
-        variance = np.asarray(sum(np.abs(one) ** 2 for one in systematics))
-        for k, column in enumerate(columns):
-            for i in range(n):
-                disturbance = column.combined_variance(coefficients[i])
-                variance[i] += disturbance * np.abs(inverse[k]) ** 2
+        disturbance = covariance_of(columns, coefficients)
         return ImpedanceEstimate(
             name=self.name,
             f=f,
             Z=impedance,
-            variance=variance,
+            variance=variance_of(disturbance, inverse, systematics),
             bin_correlation=_mean([column.bin_correlation() for column in columns]),
             averages=min(column.freedom for column in columns) + 1.0,
             T=torque,
@@ -197,24 +168,19 @@ class LpmFull:
             systematics=systematics,
             bounded=len(told),
             line_power=powers,
-            weight_floor=self._floor(columns[0]),
+            weight_floor=_floor(columns[0]),
             friction_skew=added.real.astype(np.complex128),
             delay_uncertainty=delay_uncertainty,
             delay_unknown=half_period,
             unbiased=True,
             without_slow=tuple(without_slow(records)),
             hold=jump,
-            covariance=_covariance(columns, every),
-            disturbance=_covariance(columns, coefficients),
+            covariance=covariance_of(columns, every),
+            disturbance=disturbance,
             inverse=inverse,
         )
 
-    def column(
-        self,
-        record: TrialRecord,
-        others: Sequence[TrialRecord] = (),
-        fit: FitConfig | None = None,
-    ) -> FittedColumn:
+    def column(self, record: TrialRecord, others: Sequence[TrialRecord] = ()) -> FittedColumn:
         """Column k of M, B and K from the trial of joint k so far, and trials that are over.
 
         With a trial of every other joint, it is that of :meth:`estimate`. Else it is preliminary:
@@ -228,8 +194,6 @@ class LpmFull:
             The trial so far.
         others : sequence of TrialRecord
             Trials of other joints; of two trials of one joint, the later counts.
-        fit : FitConfig, optional
-            Options of the fit.
 
         Raises
         ------
@@ -238,10 +202,9 @@ class LpmFull:
         """
         by_joint = {one.perturbed_joint: _without_drift(one) for one in (*others, record)}
         n, k = record.joints, record.perturbed_joint
-        options = fit or FitConfig()
         if len(by_joint) == n:
             found = self._estimate([by_joint[joint] for joint in range(n)])
-            fitted = fit_mbk(found, options)
+            fitted = fit_mbk(found)
             values = np.stack(
                 [matrix[:, k] for matrix in (fitted.mbk.M, fitted.mbk.B, fitted.mbk.K)]
             )
@@ -258,32 +221,31 @@ class LpmFull:
         impedance = torque / stacked[k]
         uncorrected = multiply(skew[:, :n], stacked[n : 2 * n, None])[:, 0]
         reversing, bending = _reversals([record], impedance[:, None], f)
-        systematics: tuple[ComplexArray, ...]
         added = (torque - uncorrected) / stacked[k]
         systematics = self._doubts(added, f, jump, reversing, bending)
-        variance = np.asarray(sum(np.abs(one) ** 2 for one in systematics))
-        for i in range(n):
-            coefficients = np.zeros((len(stacked), f.size), dtype=np.complex128)
-            coefficients[k] = -impedance[i]
-            coefficients[n:] = skew[i]
-            variance[i] += response.combined_variance(coefficients) / np.abs(stacked[k]) ** 2
-        correlation = response.bin_correlation()
-        values, errors = fit_column(
-            f,
-            impedance,
-            variance,
-            systematics,
-            correlation,
-            replace(options, weight_floor=self._floor(response)),
+        coefficients = np.zeros((n, *stacked.shape), dtype=np.complex128)
+        coefficients[:, k], coefficients[:, n:] = -impedance, skew
+        left = covariance_of([response], coefficients)[0]
+        variance = np.einsum("iif->if", left).real / np.abs(stacked[k]) ** 2
+        variance = variance + sum(np.abs(one) ** 2 for one in systematics)
+        power = response.line_power
+        found = ImpedanceEstimate(
+            name=self.name,
+            f=f,
+            Z=impedance[:, None],
+            variance=variance[:, None],
+            bin_correlation=response.bin_correlation(),
+            averages=np.inf,
+            T=torque[:, None],
+            R=stacked[:n, None],
+            systematics=tuple(one[:, None] for one in systematics),
+            line_power=None if power is None else power[None],
+            weight_floor=_floor(response),
             delay_uncertainty=self._delay_uncertainty(jump, record.rate),
             delay_unknown=0.5 / record.rate,
-            line_power=response.line_power,
         )
+        values, errors = fit_column(found)
         return FittedColumn(joint=k, values=values, errors=errors, preliminary=True)
-
-    def _floor(self, column: LocalResponse) -> float:
-        """Relative error in the weights beside the variance: lines have none of polynomials."""
-        return self.config.weight_floor if column.line_power is None else LINE_FLOOR
 
     def _doubts(
         self,
@@ -300,10 +262,10 @@ class LpmFull:
         What friction bends there within a period is not in it at all, and looks like viscosity.
         """
         error = np.zeros(len(correction)) if jump is None else jump.error
-        known = np.hypot(self.config.skew_uncertainty, error)
+        known = np.hypot(_SKEW, error)
         known = known.reshape(-1, *(1,) * (correction.ndim - 1))
         inertial = np.asarray(1j * known * correction.imag)
-        share = np.hypot(known, self.config.friction_uncertainty * reversing)
+        share = np.hypot(known, _RUBBING * reversing)
         rubbing = np.asarray(share * correction.real, dtype=np.complex128)
         bent = (_inertia(correction, f) * bending)[..., None] * 2j * np.pi * f
         return inertial, rubbing, np.asarray(bent, dtype=np.complex128)
@@ -335,10 +297,10 @@ class LpmFull:
 
         def mixed(f: FloatArray) -> ComplexArray:
             skew = without_skew(f, rate, n, self.config.reading, jump)
-            added = skew.copy()
-            added[:, :n] = 0.0
-            chosen = _angles_and(np.concatenate((skew, added)), n)
+            chosen = _unit(3 * n, n + skew.shape[1], f)
             chosen[n : 2 * n, :n] = -near.impedance(f)
+            chosen[n:, n:] = np.concatenate((skew, skew))
+            chosen[2 * n :, n : 2 * n] = 0.0
             return chosen
 
         return mixed
@@ -350,21 +312,20 @@ class LpmFull:
         before, so that the second time little of it is left, however few the bins.
         """
         n, rate = len(records), records[0].rate
-        found = np.zeros((3, n, n))
+        found, f = np.zeros((3, n, n)), _strongest(records, self.band)
         for _ in range(_NEARER):
             near = MBK(M=found[0], B=found[1], K=found[2])
             columns = self._columns(
                 records,
                 with_steps=jump is not None,
                 mix=self._beside(near, jump, rate),
-                most=_MOST_NEAR,
+                f=f,
             )
-            f = columns[0].f
             stacked = np.stack([column.response for column in columns], axis=1)
             R, beside = stacked[:n], stacked[n : 2 * n]
-            s = 2j * np.pi * f
+            s = 2j * np.pi * columns[0].f
             motion = np.stack((s**2, s, np.ones_like(s)))[:, None, None] * R
-            torques = beside + multiply(near.impedance(f), R)
+            torques = beside + multiply(near.impedance(columns[0].f), R)
             for row, (torque, left) in enumerate(zip(torques, beside, strict=True)):
                 size = np.abs(torque)
                 # Of a transducer that shows nothing, nothing is no error.
@@ -383,26 +344,22 @@ class LpmFull:
         *,
         with_steps: bool,
         mix: Mix | None = None,
-        most: int | None = None,
+        f: FloatArray | None = None,
     ) -> list[LocalResponse]:
-        """Responses of angles, torques and, if wanted, steps of the commands, or a mix of them.
-
-        Those of noise are at so many frequencies at most, if that is told.
-        """
+        """Responses of angles, torques and, if wanted, steps of the commands, or a mix of them."""
         channels = []
         for record in records:
-            steps = [command_steps(record, record.samples)] if with_steps else []
+            steps = [command_steps(record)] if with_steps else []
             channels.append(np.concatenate([record.position, record.torque, *steps]))
-        return _moved(responses(records, channels, self.band, self.config, mix, most), records)
+        return _moved(responses(records, channels, self.band, mix, f), records)
 
 
 def responses(
     records: Sequence[TrialRecord],
     outputs: Sequence[FloatArray],
     band: tuple[float, float],
-    config: LpmConfig,
     mix: Mix | None = None,
-    most: int | None = None,
+    f: FloatArray | None = None,
 ) -> list[LocalResponse]:
     """Responses of trials to their perturbations, all at the same frequencies.
 
@@ -416,36 +373,57 @@ def responses(
         Signals of each.
     band : tuple of float
         Lowest and highest frequency, Hz.
-    config : LpmConfig
-        Options.
     mix : callable, optional
         As :func:`local_response` takes it.
-    most : int, optional
-        Where there are no lines, so many frequencies at most.
+    f : ndarray, shape (n_freq,), optional
+        In the place of those bins, Hz.
     """
-    shortest, rate = min(record.samples for record in records), records[0].rate
+    rate = records[0].rate
     lines = common_lines((record.periods for record in records), rate, band)
-    f = lines
-    if f is None:
-        f = bins_in_band(shortest, rate, *band).astype(np.float64) * float(rate / shortest)
-        f = f if most is None else _strongest(records, f, most)
+    if lines is not None:
+        f = lines
+    elif f is None:
+        f = _bins(records, band)
     columns = []
     for record, signals in zip(records, outputs, strict=True):
         periods = None if lines is None else record.periods
-        local = config.local_for(record.duration, periodic=periods is not None)
+        local = _local_for(record.duration, periodic=periods is not None)
         source = record.perturbation[record.perturbed_joint]
         columns.append(local_response(source, signals, rate, band, local, f, periods, mix))
     return at_common_frequencies(columns)
 
 
-def _strongest(records: Sequence[TrialRecord], f: FloatArray, most: int) -> FloatArray:
-    """Of so many bands as are asked for, the frequency at which all perturbations are strongest."""
+def _local_for(duration: float, *, periodic: bool) -> LocalPolynomialConfig:
+    """Local polynomials for a record of so many seconds.
+
+    Between the lines of a periodic perturbation they follow leakage alone, and take all bins of the
+    span.
+    """
+    within = max(int(_SPAN * duration * (1.0 + 1e-12)), LOCAL.order + _SPARE_BINS)
+    widest = within if periodic else LOCAL.half_width
+    return replace(LOCAL, half_width=min(widest, within))
+
+
+def _floor(column: LocalResponse) -> float:
+    """Relative error in the weights beside the variance: lines have none of polynomials."""
+    return _FLOOR if column.line_power is None else LINE_FLOOR
+
+
+def _bins(records: Sequence[TrialRecord], band: tuple[float, float]) -> FloatArray:
+    """Frequencies of the bins of the shortest trial, Hz."""
+    shortest, rate = min(record.samples for record in records), records[0].rate
+    return bins_in_band(shortest, rate, *band).astype(np.float64) * float(rate / shortest)
+
+
+def _strongest(records: Sequence[TrialRecord], band: tuple[float, float]) -> FloatArray:
+    """Of `_MOST_NEAR` parts of a band, the bin at which all perturbations are strongest, Hz."""
+    f = _bins(records, band)
     strength = np.full(f.size, np.inf)
     for record in records:
         amplitudes = np.abs(np.fft.rfft(record.perturbation[record.perturbed_joint]))
         strength = np.minimum(strength, amplitudes[np.rint(f * record.duration).astype(np.intp)])
-    bands = np.array_split(np.arange(f.size), min(most, f.size))
-    return f[[band[np.argmax(strength[band])] for band in bands]]
+    parts = np.array_split(np.arange(f.size), max(min(_MOST_NEAR, f.size), 1))
+    return f[[part[np.argmax(strength[part])] for part in parts if part.size]]
 
 
 def _moved(columns: Sequence[LocalResponse], records: Sequence[TrialRecord]) -> list[LocalResponse]:
@@ -531,7 +509,7 @@ _FRICTION, _OVERCOME = 2.0, 3.0
 of a perturbation that moves it nonetheless."""
 
 
-def untold_friction(
+def _untold_friction(
     records: Sequence[TrialRecord], impedance: ComplexArray, f: FloatArray, bending: FloatArray
 ) -> list[ComplexArray]:
     """What commands that nobody recorded may do to the impedance where their instant is not known.
@@ -559,17 +537,13 @@ def untold_friction(
     return effects
 
 
-def joints_held(impedance: ComplexArray, f: FloatArray, half_period: float) -> list[ComplexArray]:
+def _joints_held(impedance: ComplexArray, f: FloatArray, half_period: float) -> list[ComplexArray]:
     """What friction of locked joints may do to the impedance where it is not known what jumps.
 
     Reading before the jump, half a period, delays the torque ``-ω² M_ik θ_k`` if commands cause it.
     If friction holds joint i, it takes what accelerates the joint off the command, which then
-    doesn't jump: up to all of the delay is missing, differently for each element.
-
-    Returns
-    -------
-    list of (n, n, n_freq) NDArray
-        Standard errors, whose shape over frequency is known so well that data can tell their size.
+    doesn't jump: up to all of the delay is missing, differently for each element. The shapes over
+    frequency of these standard errors are known so well that data can tell their size.
     """
     cubed = half_period / np.sqrt(3.0) * (2j * np.pi * f) ** 3
     effects = []
@@ -580,7 +554,7 @@ def joints_held(impedance: ComplexArray, f: FloatArray, half_period: float) -> l
     return effects
 
 
-def postures_apart(
+def _postures_apart(
     records: Sequence[TrialRecord],
     impedance: ComplexArray,
     R: ComplexArray,
@@ -591,12 +565,7 @@ def postures_apart(
 
     A joint that is locked in trial k shows the inertia at the posture there, with its small motion
     R_jk, not that of its own trial. By a distance of postures M_ij changes by that share of
-    ``√(M_ii M_jj)`` at most.
-
-    Returns
-    -------
-    list of (n, n, n_freq) NDArray
-        Standard errors, whose shape over frequency is known so well that data can tell their size.
+    ``√(M_ii M_jj)`` at most. Data can tell the size of this, too.
     """
     postures = np.stack([record.position.mean(axis=1) for record in records])
     size = np.sqrt(np.abs(np.diag(_inertia(impedance, f))))
@@ -669,24 +638,9 @@ def _unit(rows: int, channels: int, f: FloatArray) -> ComplexArray:
     return np.repeat(np.eye(rows, channels, dtype=np.complex128)[:, :, None], f.size, axis=2)
 
 
-def _angles_and(skew: ComplexArray, joints: int) -> ComplexArray:
-    """Coefficients of all channels in angles and combined torques, shape (n + m, C, n_freq)."""
-    rows, channels, frequencies = skew.shape
-    chosen = np.zeros((joints + rows, joints + channels, frequencies), dtype=np.complex128)
-    chosen[np.arange(joints), np.arange(joints)] = 1.0
-    chosen[joints:, joints:] = skew
-    return chosen
-
-
-def _covariance(columns: Sequence[LocalResponse], combined: ComplexArray) -> ComplexArray:
+def covariance_of(columns: Sequence[LocalResponse], coefficients: ComplexArray) -> ComplexArray:
     """Covariance of combinations (m, C, n_freq) of the responses of each trial, (n, m, m, ...)."""
-    return np.stack(
-        [
-            one.gain
-            * np.einsum("acf,cdf,bdf->abf", combined, one.noise, np.conj(combined), optimize=True)
-            for one in columns
-        ]
-    )
+    return np.stack([one.gain * combined(coefficients, one.noise) for one in columns])
 
 
 def _mean(correlations: Sequence[FloatArray]) -> FloatArray:

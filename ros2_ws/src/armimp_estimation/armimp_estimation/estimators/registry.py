@@ -9,14 +9,14 @@ from armimp_estimation.estimators.direct import Direct
 from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
 from armimp_estimation.estimators.welch import WelchFull, WelchSiso
-from armimp_estimation.fit import Calibration, FitConfig
+from armimp_estimation.fit import Calibration
 from armimp_estimation.mbk import MBK
 from armimp_estimation.spectra import WelchConfig
 
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifyConfig:
-    """Options of the spectra and of the parametric fit.
+    """Options of an identification.
 
     Raises
     ------
@@ -28,8 +28,6 @@ class IdentifyConfig:
     """Segments and band."""
     lpm: LpmConfig = field(default_factory=LpmConfig)
     """Options of the estimator ``lpm_full``, which takes the same band."""
-    fit: FitConfig = field(default_factory=FitConfig)
-    """Fit of M, B and K."""
     model: str = AUTO
     """Model of the arm to fit beside M, B and K, see :mod:`armimp_estimation.arm_models`; by
     default those that it takes where M, B and K don't fit."""

@@ -13,14 +13,8 @@ import numpy as np
 
 from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import DataError
-from armimp_estimation.estimators.estimate import ImpedanceEstimate
-from armimp_estimation.frf import (
-    FrfMatrix,
-    frf_matrix,
-    noise_gain,
-    order_trials,
-    unexplained_power,
-)
+from armimp_estimation.estimators.estimate import ImpedanceEstimate, disturbances, variance_of
+from armimp_estimation.frf import FrfMatrix, frf_matrix, order_trials
 from armimp_estimation.trial import TrialData
 
 
@@ -55,17 +49,15 @@ class WelchSiso:
                 f"joint {k + 1} does not follow its perturbation at {frf.f[f]:.4g} Hz",
                 "joint_does_not_move",
             )
-        gains = [noise_gain(one) / np.abs(R) ** 2 for one, R in zip(ordered, own, strict=True)]
-        estimate = estimate_by_columns(self.name, ordered, frf, frf.T / own, gains)
-        locked = estimate.R * (1.0 - np.eye(n))[:, :, None]
         # Each column takes its own angle alone.
-        still = estimate.R * np.eye(n)[:, :, None]
-        inverse = invert(still, estimate.f)
-        estimate = with_disturbance(
-            estimate, np.einsum("ikf,kl->klif", -estimate.Z, np.eye(n)), inverse
-        )
-        biases = known_biases(estimate, still, inverse, trials[0])
-        return with_biases(estimate, (*biases, multiply(multiply(estimate.Z, locked), inverse)))
+        still = frf.R * np.eye(n)[:, :, None]
+        inverse, impedance = invert(still, frf.f), frf.T / own
+        taken = np.einsum("ikf,kl->kilf", impedance, np.eye(n))
+        disturbance = disturbances(taken, frf.covariance)
+        estimate = matrix_estimate(self.name, ordered, frf, impedance, disturbance, inverse)
+        biases = known_biases(estimate, still, trials[0])
+        moving = multiply(multiply(impedance, frf.R - still), inverse)
+        return with_biases(estimate, (*biases, moving))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,22 +80,15 @@ class WelchFull:
         """
         ordered = order_trials(trials)
         frf = frf_matrix(ordered)
-        n = len(ordered)
         inverse = invert(frf.R, frf.f)
         impedance = multiply(frf.T, inverse)
-        variance = np.zeros(impedance.shape)
-        for k, trial in enumerate(ordered):
-            gain = noise_gain(trial)
-            disturbance = gain * unexplained_power(trial, impedance)
-            variance += disturbance[:, None] * np.abs(inverse[k]) ** 2
-        estimate = matrix_estimate(self.name, ordered, frf, impedance, variance)
-        taken = np.broadcast_to(-np.swapaxes(impedance, 0, 1), (n, *impedance.shape))
-        estimate = with_disturbance(estimate, taken, inverse)
-        return with_biases(estimate, known_biases(estimate, frf.R, inverse, trials[0]))
+        disturbance = disturbances([impedance] * len(ordered), frf.covariance)
+        estimate = matrix_estimate(self.name, ordered, frf, impedance, disturbance, inverse)
+        return with_biases(estimate, known_biases(estimate, frf.R, trials[0]))
 
 
 def known_biases(
-    estimate: ImpedanceEstimate, R: ComplexArray, inverse: ComplexArray, trial: TrialData
+    estimate: ImpedanceEstimate, R: ComplexArray, trial: TrialData
 ) -> tuple[ComplexArray, ...]:
     """Biases that averaged spectra are known to have, as standard errors of the impedance.
 
@@ -114,19 +99,19 @@ def known_biases(
     Parameters
     ----------
     estimate : ImpedanceEstimate
-        Impedance and its T.
-    R, inverse : ndarray, shape (n, n, n_freq)
-        Responses of the angles that it takes into account, and their inverse.
+        Impedance, its T, and the inverse of R.
+    R : ndarray, shape (n, n, n_freq)
+        Responses of the angles that it takes into account.
     trial : TrialData
         One of the trials. At the lines of a periodic perturbation, nothing leaks.
     """
-    if estimate.f.size < 3:
+    if estimate.f.size < 3 or estimate.inverse is None:
         return ()
     skew = 1j * np.pi * estimate.f / trial.record.rate * estimate.Z
     if trial.at_lines:
         return (skew,)
     change = _second_difference(estimate.T) - multiply(estimate.Z, _second_difference(R))
-    leakage = multiply(change, inverse) / 6.0
+    leakage = multiply(change, estimate.inverse) / 6.0
     return leakage, skew
 
 
@@ -139,50 +124,6 @@ def with_biases(estimate: ImpedanceEstimate, biases: tuple[ComplexArray, ...]) -
 def _second_difference(values: ComplexArray) -> ComplexArray:
     inner = values[..., 2:] - 2.0 * values[..., 1:-1] + values[..., :-2]
     return np.concatenate([inner[..., :1], inner, inner[..., -1:]], axis=-1)
-
-
-def with_disturbance(
-    estimate: ImpedanceEstimate, taken: ComplexArray, inverse: ComplexArray
-) -> ImpedanceEstimate:
-    """Add the covariance of the disturbance, which follows from that of R and T.
-
-    Parameters
-    ----------
-    estimate : ImpedanceEstimate
-        With the covariance of R and T.
-    taken : ndarray, shape (n, n, n, n_freq)
-        Share of the error of ``R_lk`` in ``V_ik``, by k, l, i.
-    inverse : ndarray, shape (n, n, n_freq)
-        See :class:`armimp_estimation.estimators.estimate.ImpedanceEstimate`.
-    """
-    assert estimate.covariance is not None  # made from averaged spectra
-    n = estimate.joints
-    torques = np.broadcast_to(np.eye(n)[None, :, :, None], taken.shape)
-    shares = np.concatenate((taken, torques), axis=1)
-    disturbance = np.einsum(
-        "kaif,kabf,kbmf->kimf", shares, estimate.covariance, np.conj(shares), optimize=True
-    )
-    return replace(estimate, disturbance=disturbance, inverse=inverse)
-
-
-def estimate_by_columns(
-    name: str,
-    trials: Sequence[TrialData],
-    frf: FrfMatrix,
-    impedance: ComplexArray,
-    gains: Sequence[FloatArray],
-) -> ImpedanceEstimate:
-    """Estimate of which each column is from the trial of its joint alone, in order of the joints.
-
-    The variance of a column is its gain, (n_freq,), times the power density of the torques that the
-    motion of its joint doesn't explain.
-    """
-    variances = []
-    for k, (trial, gain) in enumerate(zip(trials, gains, strict=True)):
-        alone = np.zeros_like(impedance)
-        alone[:, k] = impedance[:, k]
-        variances.append(gain * unexplained_power(trial, alone))
-    return matrix_estimate(name, trials, frf, impedance, np.stack(variances, axis=1))
 
 
 def invert(matrix: ComplexArray, f: FloatArray) -> ComplexArray:
@@ -219,7 +160,8 @@ def matrix_estimate(
     trials: Sequence[TrialData],
     frf: FrfMatrix,
     impedance: ComplexArray,
-    variance: FloatArray,
+    disturbance: ComplexArray,
+    inverse: ComplexArray,
 ) -> ImpedanceEstimate:
     """Put together what an estimator on averaged spectra has found from trials in order of k."""
     # Trials may differ in length: the shortest has the least certain variance.
@@ -228,10 +170,12 @@ def matrix_estimate(
         name=name,
         f=frf.f,
         Z=impedance,
-        variance=variance,
+        variance=variance_of(disturbance, inverse),
         bin_correlation=shortest.bin_correlation,
         averages=shortest.effective_averages,
         T=frf.T,
         R=frf.R,
         covariance=frf.covariance,
+        disturbance=disturbance,
+        inverse=inverse,
     )
