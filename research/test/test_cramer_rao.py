@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from armimp_common.errors import DataError
-from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from research.cramer_rao import (
     SensorNoise,
@@ -27,7 +26,6 @@ ComplexArray = NDArray[np.complex128]
 
 BAND = (0.122, 15.0)
 SAMPLES = 8192
-ONE_JOINT = MBK(M=np.array([[0.2]]), B=np.array([[0.6]]), K=np.array([[8.0]]))
 NOISE = SensorNoise(angle=2e-5, torque=5e-3)
 
 
@@ -37,21 +35,6 @@ def motion(joints: int, trials: int) -> tuple[FloatArray, ComplexArray]:
     parts = random.standard_normal((2, trials, joints, f.size))
     theta: ComplexArray = parts[0] + 1j * parts[1]
     return f, theta
-
-
-def test_one_joint_has_the_bound_of_the_closed_form() -> None:
-    f, theta = motion(1, 1)
-    covariance = error_covariance(ONE_JOINT, f, SAMPLES, NOISE)
-    omega = 2.0 * np.pi * f
-    real = 8.0 - 0.2 * omega**2
-    variance = SAMPLES * (5e-3**2 + (real**2 + (0.6 * omega) ** 2) * 2e-5**2)
-    power = 2.0 * np.abs(theta[0, 0]) ** 2 / variance
-    # M and K act on the part in phase, B on the other one, so B stands alone.
-    m_m, m_k, k_k = (np.sum(power * omega**order) for order in (4, 2, 0))
-    determinant = m_m * k_k - m_k**2
-    expected = [k_k / determinant, 1.0 / np.sum(power * omega**2), m_m / determinant]
-    found = cramer_rao_bound(f, theta, covariance)
-    np.testing.assert_allclose(found[:, 0, 0], np.sqrt(expected), rtol=1e-9)
 
 
 def test_joints_that_cannot_be_told_apart_are_refused() -> None:

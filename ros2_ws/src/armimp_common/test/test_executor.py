@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 from rclpy.context import Context
 from rclpy.node import Node
-from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Empty
 
@@ -62,23 +61,6 @@ def test_when_a_callback_raises_expect_it_at_the_caller(
     end = time.monotonic() + PATIENCE
     with pytest.raises(CallbackError, match="in a callback"), Spinner([node]) as spinner:
         spinner.spin(lambda: time.monotonic() > end, period=0.01)
-
-
-def test_spin_until_returns_as_soon_as_the_future_is_done(node: Node) -> None:
-    done: Future = Future()
-    never: Future = Future()
-    node.create_timer(0.02, lambda: None if done.done() else done.set_result(1))
-
-    with Spinner([node]) as spinner:
-        start = time.monotonic()
-        assert not spinner.spin_until(never, 0.1)
-        assert time.monotonic() - start > 0.09
-        assert spinner.spin_until(done, PATIENCE)
-        start = time.monotonic()
-        fresh: Future = Future()
-        node.create_timer(0.02, lambda: None if fresh.done() else fresh.set_result(1))
-        assert spinner.spin_until(fresh, PATIENCE)
-        assert time.monotonic() - start < PATIENCE
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -79,32 +79,6 @@ def test_nested_fields_become_dotted_names_in_order() -> None:
     assert build(Parameters, {}) == Parameters()
 
 
-def test_leaves_tell_type_bounds_and_description() -> None:
-    known = leaves(Parameters)
-
-    assert {name: leaf.type_name for name, leaf in known.items()} == {
-        "joints": "string array",
-        "offset": "double",
-        "count": "integer",
-        "flags": "bool array",
-        "ticks": "integer array",
-        "mode": "string",
-        "sampling": "string",
-        "inner.law.gamma": "double",
-        "inner.law.mass": "double array",
-        "inner.law.delay": "integer",
-        "inner.quiet": "bool",
-        "law.gamma": "double",
-        "law.mass": "double array",
-        "law.delay": "integer",
-    }
-    gamma = known["law.gamma"]
-    assert (gamma.minimum, gamma.maximum) == (0.0, 1e4)
-    assert gamma.description == "feedback gain (rad/s)"
-    assert (known["law.delay"].minimum, known["law.delay"].maximum) == (1, 10)
-    assert (known["offset"].minimum, known["offset"].maximum) == (None, None)
-
-
 def test_when_integers_stand_for_doubles_expect_them_accepted() -> None:
     parameters = build(Parameters, {"law.gamma": 7, "law.mass": [1, 2.5]})
 

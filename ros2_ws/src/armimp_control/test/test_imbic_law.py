@@ -116,23 +116,6 @@ def test_law_is_that_of_the_design(n: int, limit: float, dither: float) -> None:
     assert (saturated == 0) if limit > 100.0 else (20 < saturated < 200 * n - 20)
 
 
-def test_a_tare_is_taken_from_the_torque_that_the_law_feels_and_outlasts_a_change_of_roles() -> (
-    None
-):
-    config, reading = _config(), np.array([1.5, -0.7])
-    tared, plain = (Controller(config, safety=torque_only(80.0)) for _ in range(2))
-    for k in (0, 1):
-        for controller in (tared, plain):
-            controller.perturb_joint(k)
-        if k == 0:
-            tared.tare((0.5, -0.2))
-        for _ in range(5):
-            tared.tick(config.target_posture, reading, np.zeros(2))
-            plain.tick(config.target_posture, reading - [0.5, -0.2], np.zeros(2))
-        assert np.max(np.abs(plain.command)) > 0.1
-        assert tared.command == pytest.approx(plain.command, rel=1e-12)
-
-
 @pytest.mark.parametrize("shape", [(1,), (3,), (1, 2)])
 @pytest.mark.parametrize("which", [0, 1, 2])
 def test_inputs_of_another_shape_are_refused(which: int, shape: tuple[int, ...]) -> None:

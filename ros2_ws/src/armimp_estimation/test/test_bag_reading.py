@@ -106,9 +106,6 @@ def resent(record: TrialRecord, order: Callable[[int], Sequence[str]]) -> list[M
 
 
 class TestStorages:
-    def test_metadata_yaml_itself_stands_for_its_bag(self, tmp_path: Path) -> None:
-        assert_reads(write_ours(tmp_path / "bag") / "metadata.yaml")
-
     @pytest.mark.parametrize("version", [8, 9])
     @pytest.mark.parametrize(
         ("storage", "mode"),
@@ -325,19 +322,6 @@ class TestRefusals:
 
 
 class TestSpoiledTrials:
-    def test_other_trials_remain_and_the_error_names_bag_and_trial(self, tmp_path: Path) -> None:
-        messages = [
-            message
-            for number, message in enumerate(RECORDING.messages)
-            if number not in (200, 201, 300)
-        ]
-        path = write_ours(tmp_path / "bag", messages)
-        content = read_bag(path)
-        assert_same(content.trials[1].intact()[0], RECORDING.records[1])
-        assert refusal(path).startswith(f"{path}: trial 1: samples of ")
-        with pytest.raises(DataError, match="trial 1: samples of "):
-            content.trials[0].intact()
-
     def test_damaged_status_is_noted(self, tmp_path: Path) -> None:
         recording = synthetic_recording(ticks=50)
         topic, time, raw = recording.messages[-1]

@@ -1,7 +1,5 @@
 import json
-import resource
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -44,16 +42,6 @@ def one_line(error: pytest.ExceptionInfo[BagError]) -> str:
     text = str(error.value)
     assert "\n" not in text
     return text
-
-
-@contextmanager
-def files_limited_to(size: int) -> Iterator[None]:
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 class TestFormat:
@@ -131,10 +119,6 @@ class TestRefusals:
 
 
 class TestFullDisk:
-    def test_no_room_for_the_head_is_reported_at_once(self, tmp_path: Path) -> None:
-        with files_limited_to(10), pytest.raises(BagError, match="cannot be written"):
-            BagWriter(tmp_path / "bag", metadata=METADATA)
-
     def test_free_space_is_checked_where_the_path_will_be(self, tmp_path: Path) -> None:
         path = tmp_path / "not" / "yet" / "there"
         require_free_space(path, 1, 1)

@@ -392,16 +392,6 @@ def filled(others: int, perturbations: int) -> StreamSynchronizer:
     return synchronizer
 
 
-def test_samples_wait_as_a_whole_for_perturbations_that_are_late() -> None:
-    synchronizer = filled(200, perturbations=30)
-    taken = synchronizer.take()
-    assert all(list(map(int, taken[topic])) == list(range(30)) for topic in DATA_STREAMS)
-    for number in range(30, 200):
-        synchronizer.receive(str(number).encode())
-    rest = synchronizer.take()
-    assert all(list(map(int, rest[topic])) == list(range(30, 200)) for topic in DATA_STREAMS)
-
-
 def test_nothing_waits_for_perturbations_that_stay_away() -> None:
     assert len(filled(10_000, perturbations=0).take()[JOINT_STATES]) == 8000
 

@@ -16,7 +16,6 @@ from armimp_common.realtime import TimingLimits
 from armimp_common.status import TimingFigures
 from armimp_common.topics import CONTROLLER_NODE, JOINT_STATES, PERIOD_NS
 from armimp_estimation.alignment.assemble import Trial
-from armimp_estimation.bags import read_bag
 from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.metadata import RECORD_KEY, Metadata, Timing, latest_metadata
@@ -47,7 +46,6 @@ from support.synthetic_trials import (
 
 RECORDING = recorded_arm()
 NAMES = RECORDING.records[0].joint_names
-SAMPLES = RECORDING.records[0].samples
 ESTIMATORS = ("welch_siso", "lpm_full")
 METADATA = {
     "config": json.dumps({"friction": 0}),
@@ -112,38 +110,6 @@ def complete() -> Result:
 
 
 # --- from trials ------------------------------------------------------------------------------
-
-
-def test_complete_trials_give_a_valid_result_near_the_truth() -> None:
-    summary = complete().summary
-    assert (summary.valid, summary.problems) == (True, [])
-    assert (summary.joints, summary.seed, summary.config) == (2, 5, {"friction": 0})
-    assert [(one.k, one.ticks, one.lost) for one in summary.trials] == [
-        (1, SAMPLES, 0),
-        (2, SAMPLES, 0),
-    ]
-    assert tuple(summary.estimators) == tuple(complete().curves) == ESTIMATORS
-    for one in summary.estimators.values():
-        # Short trials: the averaged spectra leak.
-        np.testing.assert_allclose(one.M, TWO_JOINT_ARM.M, rtol=0.05)
-        assert one.vaf is not None
-        assert np.min(one.vaf) > 98.0
-
-
-def test_live_trials_and_those_read_from_bags_give_equal_results_to_the_bit(
-    tmp_path: Path,
-) -> None:
-    live = recorded(GAP, tmp_path)
-    contents = [read_bag(tmp_path / str(trial.bag)) for trial in live]
-    read = [
-        replace(content.trials[0], bag=trial.bag, rtf=trial.rtf)
-        for content, trial in zip(contents, live, strict=True)
-    ]
-    one = result_of(live, allow_gaps=True)
-    # The order of the trials does not matter.
-    other = result_of(read[::-1], dict(contents[0].metadata), allow_gaps=True)
-    assert one.summary == other.summary
-    assert bits(one) == bits(other) != []
 
 
 @pytest.mark.parametrize("trials", [LIVE[:1], LIVE[1:], [], [LIVE[0], LIVE[0]]])

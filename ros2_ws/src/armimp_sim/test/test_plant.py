@@ -12,7 +12,6 @@ from scipy.integrate import solve_ivp
 from armimp_common.errors import ArmimpError, ConfigurationError
 from armimp_common.topics import PERIOD
 from armimp_sim import dynamics, presets
-from armimp_sim.model.arm import HumanArm
 from armimp_sim.model.friction import LuGre
 from armimp_sim.model.robot import PlanarChain
 from armimp_sim.model.sensors import ReadingParameters, Sampling, SensorParameters
@@ -46,19 +45,6 @@ def _exact(config: SimulatorParameters, start: Array, torque: Array, duration: f
     assert solution.success
     final: Array = solution.y[:, -1].reshape(3, -1)
     return final
-
-
-def test_error_falls_with_the_fourth_power_of_the_step() -> None:
-    period = 0.04
-    exact = _exact(study_plant(), START, TORQUE, period)[:2]
-    errors = []
-    for substeps in (1, 2, 4, 8):
-        plant = Plant([study_plant(substeps=substeps)], period)
-        plant.set_state(START[None])
-        plant.tick(TORQUE[None], np.zeros((1, 2)))
-        errors.append(np.max(np.abs(plant.state()[0, :2] - exact)))
-    orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
-    assert orders == pytest.approx([4.0, 4.0, 4.0], abs=0.25)
 
 
 @pytest.mark.parametrize("friction", [0, 3])
@@ -250,15 +236,6 @@ def test_lanes_that_disagree_in_time_or_shape_are_refused() -> None:
 
 
 # --- Configurations that make no sense are refused in one line with the offending value ---------
-
-
-def test_arm_matrices_are_kept_as_given_and_never_made_symmetric() -> None:
-    arm = HumanArm(
-        posture=(0.0,) * 2, inertia=(1, 2, 3, 4), damping=(5, 6, 7, 8), stiffness=(8, 3, -1, 7)
-    )
-    assert arm.M.tolist() == [[1.0, 2.0], [3.0, 4.0]]
-    assert arm.B.tolist() == [[5.0, 6.0], [7.0, 8.0]]
-    assert arm.K.tolist() == [[8.0, 3.0], [-1.0, 7.0]]
 
 
 def test_robot_with_a_link_lighter_than_a_point_mass_is_refused() -> None:
