@@ -122,17 +122,6 @@ def test_intervals_of_local_polynomials_hold_the_truth_as_often_as_they_say(
     assert replace(covered, stated=0.67 * covered.stated).pooled.verdict == "below"
 
 
-def test_shares_are_those_of_their_elements() -> None:
-    errors = np.zeros((4, 3, 2, 2))
-    errors[:3, 1, 0, 1] = -1.01 * QUANTILE
-    told = {"levels": (3, 3, 3), "voluntary": 0.3, "estimator": "made"}
-    cell = CoverageCell(errors=errors, stated=np.ones(errors.shape), **told)  # type: ignore[arg-type]
-    assert cell.by_element["B12"].value == pytest.approx(0.25)
-    assert cell.by_element["B21"].value == 1.0
-    assert [share.value for share in cell.by_letter] == [1.0, pytest.approx(13 / 16), 1.0]
-    assert cell.pooled.value == pytest.approx(45 / 48)
-
-
 def test_pooled_intervals_hold_the_share_in_95_of_100_experiments() -> None:
     """With errors that are correlated within a run; 400 repetitions, 4 standard deviations."""
     random = np.random.default_rng(5)
