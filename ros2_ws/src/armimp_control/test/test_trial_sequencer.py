@@ -22,7 +22,7 @@ from armimp_control.trial_sequencer import SamplePairs, TrialSequencer, Watchdog
 from support.controller import POSTURE, controller_parameters, wobble
 from support.streams import changed
 
-SETTLE, PERTURB, REST = 50, 200, 60
+SETTLE, PERTURB, REST = 50, 200, 59
 TRIAL = SETTLE + PERTURB + REST
 START = 7_000_000_000
 STILL = (0.0, 0.0)

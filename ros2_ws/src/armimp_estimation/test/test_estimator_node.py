@@ -229,6 +229,21 @@ class TestFaults:
         assert first.lost == 0
         assert second.lost > 0
 
+    def test_when_the_bag_exists_expect_the_end_with_the_reason_and_nothing_overwritten(
+        self, desk: Desk
+    ) -> None:
+        bag = desk.directory / "out" / "bags" / "trial_1_joint_1"
+        bag.mkdir(parents=True)
+        desk.bring_up()
+
+        desk.play(MADE_UP[:ONE_TRIAL])
+        desk.conclude()
+
+        problem = desk.summary.problems[0]
+        assert problem.code is ProblemCode.RECORDING_FAILED
+        assert str(bag) in problem.sentence
+        assert list(bag.iterdir()) == []
+
 
 class TestParameters:
     def test_while_active_changes_are_refused_with_a_reason(self, desk: Desk) -> None:
