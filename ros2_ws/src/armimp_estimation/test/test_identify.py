@@ -216,6 +216,20 @@ def test_scores_that_are_not_numbers_fail_the_verdict() -> None:
     assert len(judge_coherence(names, nan[0], nan, 0.25)) == 4
 
 
+def test_a_single_bad_score_is_told_of_the_right_element() -> None:
+    names = ("a", "b")
+    lock, bound, torque = (np.full((2, 2), value) for value in (0.0, 0.0, 1.0))
+    lock[1, 0] = bound[1, 0] = 0.5
+    torque[1, 1] = 0.1
+    locking = judge_locking(names, lock, bound)
+    assert [(one.code, one.values["name"], one.values["perturbed"]) for one in locking] == [
+        (ProblemCode.LOCK_RATIO, "b", "a"),
+        (ProblemCode.LOCK_BIAS, "b", "a"),
+    ]
+    (problem,) = judge_coherence(names, np.ones(2), torque, 0.25)
+    assert (problem.values["stream"], problem.values["name"]) == ("torque", "b")
+
+
 # --- Problems as data: each code has a sentence, and a verdict that it concerns -----------------
 
 
