@@ -12,7 +12,6 @@ from armimp_common.errors import MalformedMessageError
 from armimp_common.status import (
     Cause,
     Phase,
-    Record,
     StoppingDecision,
     TimingFigures,
     TrialStatus,
@@ -56,23 +55,9 @@ def trial_statuses(draw: st.DrawFn) -> TrialStatus:
     )
 
 
-decisions = st.builds(
-    lambda samples, later, **others: StoppingDecision(
-        samples=samples, due=None if later is None else samples + later, **others
-    ),
-    samples=st.integers(0, 10**7),
-    later=st.none() | st.integers(1, 10**6),
-    trial=st.integers(1, 9),
-    enough=st.booleans(),
-    bound=st.floats(0.0, 1.0),
-    largest=st.floats(0.0),
-    element=st.just("B12"),
-)
-
-
-@given(record=trial_statuses() | decisions)
-def test_any_record_survives_its_way_through_a_message(record: Record) -> None:
-    assert type(record).from_values({**record.to_values(), "added_later": "x"}) == record
+@given(record=trial_statuses())
+def test_any_status_survives_its_way_through_a_message(record: TrialStatus) -> None:
+    assert TrialStatus.from_values({**record.to_values(), "added_later": "x"}) == record
 
 
 @pytest.mark.parametrize("record", RECORDS)

@@ -33,6 +33,7 @@ from armimp_estimation.summary import (
 )
 from armimp_estimation.trial import TrialData, segments_for
 from armimp_estimation.verdict import Verdict
+from support.results import METADATA as SHOWN
 from support.streams import changed, record
 from support.synthetic_bags import Message, recorded_arm
 from support.synthetic_trials import (
@@ -47,14 +48,7 @@ from support.synthetic_trials import (
 RECORDING = recorded_arm()
 NAMES = RECORDING.records[0].joint_names
 ESTIMATORS = ("welch_siso", "lpm_full")
-METADATA = {
-    "config": json.dumps({"friction": 0}),
-    "seed": "5",
-    "gain_uncertainty": "0",
-    "cross_talk_uncertainty": "0",
-    "joint_names": json.dumps(NAMES),
-    "truth": json.dumps({name: getattr(TWO_JOINT_ARM, name).tolist() for name in ("M", "B", "K")}),
-}
+METADATA = {**SHOWN, "joint_names": json.dumps(NAMES)}
 NOISE = problem(ProblemCode.STALLED, seconds=30.0)
 
 
