@@ -32,7 +32,6 @@ from armimp_estimation.summary import (
     write_summary,
 )
 from armimp_estimation.trial import TrialData, segments_for
-from armimp_estimation.verdict import Verdict
 from support.results import METADATA as SHOWN
 from support.streams import changed, record
 from support.synthetic_bags import Message, recorded_arm
@@ -140,19 +139,6 @@ def test_trials_of_another_rate_are_refused_where_the_controller_that_made_them_
     assert ProblemCode.RATE_UNPLANNED not in codes(result_of(faster, {}))
     assert ProblemCode.RATE_UNPLANNED not in codes(result_of(LIVE, known))
     assert codes(result_of(faster, known)).count(ProblemCode.RATE_UNPLANNED) == 2
-
-
-def test_notes_and_problems_of_an_estimator_that_decides_nothing_leave_the_result_valid() -> None:
-    note = Problem(code=ProblemCode.DELAY_CORRECTED, severity=Severity.NOTE)
-    biased = Problem(code=ProblemCode.LOCK_RATIO, estimator="welch_siso")
-    summary = complete().summary.with_problems([note, biased])
-    assert summary.valid
-    assert summary.faults == []
-    assert Verdict.of(summary.problems, "lpm_full").impedance
-    assert not Verdict.of(summary.problems, "welch_siso").impedance
-    again = summary.with_problems([note, NOISE])
-    assert again.problems == [NOISE, note, biased]
-    assert not again.verdict.impedance
 
 
 HALF = '{"a": "\\ud800"}'
