@@ -126,6 +126,23 @@ def test_when_joints_or_lengths_are_wrong_expect_malformed_message(
         JointStateDecoder(NAMES, "position").decode(data)
 
 
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (b"", "0 bytes"),
+        (b"\0\1\0", "3 bytes"),
+        (b"\0\0\0\0" + bytes(40), "not plain little-endian CDR: header 00000000"),
+        (b"\0\7\0\0" + bytes(40), "not plain little-endian CDR"),
+        (b"\0\1\0\0" + bytes(8) + b"\xff\xff\xff\xff" + bytes(40), "4294967295 items"),
+        (b"\0\1\0\0" + bytes(8) + b"\2\0\0\0ab" + bytes(40), "unterminated string"),
+        (b"\0\1\0\0" + bytes(12) + b"\xff\xff\xff\x7f" + bytes(40), "2147483647 items"),
+    ],
+)
+def test_when_bytes_are_foreign_expect_malformed_message(data: bytes, reason: str) -> None:
+    with pytest.raises(MalformedMessageError, match=reason):
+        JointStateDecoder(NAMES, "position").decode(data)
+
+
 def test_when_more_than_rounding_follows_expect_malformed_message() -> None:
     data = JointStateEncoder(NAMES, "position").encode(0, [1.0, 2.0])
     decoder = JointStateDecoder(NAMES, "position")

@@ -2,8 +2,6 @@
 
 import os
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from functools import partial
@@ -121,39 +119,6 @@ def test_when_arguments_are_wrong_expect_status_2_and_one_line(
     assert len(own) == 1
     assert reason in own[0]
     assert "/project/src" not in own[0]
-
-
-@pytest.mark.usefixtures("domain_id")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_when_a_node_process_gets_a_signal_expect_a_clean_end(number: signal.Signals) -> None:
-    script = """
-import sys
-from rclpy.node import Node
-from armimp_common.executor import run_node
-
-def factory(*, context):
-    node = Node("waiting", context=context)
-    timer = node.create_timer(0.01, lambda: (print("ready", flush=True), timer.cancel()))
-    return node
-
-sys.exit(run_node(factory, ["program"]))
-"""
-    process = subprocess.Popen(
-        [sys.executable, "-c", script],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "ready\n"
-        process.send_signal(number)
-        _, error = process.communicate(timeout=PATIENCE)
-    finally:
-        process.kill()
-        process.wait()
-
-    assert (process.returncode, error) == (0, "")
 
 
 WATCHED = """

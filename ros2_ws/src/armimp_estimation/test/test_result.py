@@ -141,6 +141,17 @@ def test_trials_of_another_rate_are_refused_where_the_controller_that_made_them_
     assert codes(result_of(faster, known)).count(ProblemCode.RATE_UNPLANNED) == 2
 
 
+def test_notes_and_problems_of_an_estimator_that_decides_nothing_leave_the_result_valid() -> None:
+    note = Problem(code=ProblemCode.DELAY_CORRECTED, severity=Severity.NOTE)
+    biased = Problem(code=ProblemCode.LOCK_RATIO, estimator="welch_siso")
+    summary = complete().summary.with_problems([note, biased])
+    assert summary.valid
+    assert summary.faults == []
+    again = summary.with_problems([note, NOISE])
+    assert again.problems == [NOISE, note, biased]
+    assert not again.verdict.impedance
+
+
 HALF = '{"a": "\\ud800"}'
 """Half a surrogate pair."""
 ONE = "[[1, 0], [0, 1]]"
