@@ -9,12 +9,8 @@ from hypothesis import strategies as st
 
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import build, flatten
-from armimp_driver_template.conversion import BITS, Drives, Encoders, Sensors, Wiring
-from armimp_driver_template.parameters import (
-    DriveParameters,
-    DriverParameters,
-    SensorParameters,
-)
+from armimp_driver_template.conversion import BITS, Encoders, Sensors, Wiring
+from armimp_driver_template.parameters import DriverParameters, SensorParameters
 
 
 @given(
@@ -39,14 +35,6 @@ def test_angles_follow_any_path_whatever_the_calibration(
         count += step
         assert encoder.angles([count % (1 << BITS)]) == encoder.values([count])
         assert encoder.counts(encoder.values([count])) == (count,)
-
-
-@given(sign=st.sampled_from((1, -1)), gear=st.floats(0.1, 200.0), torque=st.floats(-50.0, 50.0))
-def test_torques_come_back_from_drives_whatever_their_signs_and_gears(
-    sign: int, gear: float, torque: float
-) -> None:
-    drives = Drives(DriveParameters(sign=(sign,), gear=(gear,)), 1)
-    assert drives.of_joints(drives.of_drives((torque,))) == pytest.approx((torque,))
 
 
 @given(data=st.data(), names=st.lists(st.text(min_size=1), min_size=1, max_size=7, unique=True))

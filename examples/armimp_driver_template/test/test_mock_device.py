@@ -1,17 +1,21 @@
 """The mock of the device: raw counts of the simulated rig, and the faults of a bus."""
 
+import math
 from typing import Any
 
 import numpy as np
+import pytest
 
 from armimp_common.realtime import Pacer
 from armimp_common.topics import PERIOD_NS
-from armimp_driver_template.conversion import Encoders, Sensors
+from armimp_driver_template.conversion import Drives, Encoders, Sensors, Wiring
 from armimp_driver_template.device import Frame
 from armimp_driver_template.mock import MockDevice
 from armimp_driver_template.parameters import (
+    DriveParameters,
     DriverParameters,
     MockParameters,
+    SensorParameters,
 )
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.simulator import SimulatedRig
@@ -67,3 +71,33 @@ def test_lost_frames_leave_a_gap_in_the_counter() -> None:
     counters = [frame.counter for frame in frames if frame is not None]
     assert 1500 < len(counters) < 1700
     assert [i for i, frame in enumerate(frames) if frame is not None] == counters
+
+
+def test_readings_and_commands_survive_any_wiring_signs_and_gears() -> None:
+    """The device has its joints the other way round, turns backwards, and has gears."""
+    plain = DriverParameters(mode="lockstep")
+    twisted = DriverParameters(
+        mode="lockstep",
+        device_names=("m2", "m1"),
+        encoder=SensorParameters(
+            resolution=(2.0 * math.pi / 51200,), zero=(7, 60000), sign=(-1, 1), gear=(1.0, 1.0)
+        ),
+        transducer=SensorParameters(resolution=(0.01,), zero=(5,), sign=(1, -1), gear=(0.5,)),
+        drive=DriveParameters(sign=(-1, 1), gear=(50.0, 0.25)),
+        mock=MockParameters(names=("m2", "m1")),
+    )
+    seen = []
+    for parameters in (plain, twisted):
+        device, drives = mock(parameters), Drives(parameters.drive, 2)
+        wiring = Wiring(device.names, parameters.names_at_device())
+        encoders = Encoders("encoder", parameters.encoder, 2)
+        transducers = Sensors("transducer", parameters.transducer, 2)
+        found = []
+        for torque in [(0.0, 0.0), *commands(200)]:
+            frame = device.receive(0.1)
+            assert frame is not None
+            angles = encoders.angles(wiring.to_joints(frame.encoder))
+            found.append((*angles, *transducers.values(wiring.to_joints(frame.transducer))))
+            device.send(wiring.to_device(drives.of_drives(torque)))
+        seen.append(np.array(found))
+    assert seen[1] == pytest.approx(seen[0], abs=1e-9)
