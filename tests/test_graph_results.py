@@ -127,6 +127,9 @@ def test_progress_grows_in_every_trial_and_tells_the_coherence_of_two_segments_a
     assert order == sorted(order)
     assert {progress.trial for progress in account.progress} == {1, 2}
     assert len(set(order)) > 10
+    assert {(one.trials, one.planned) for one in account.progress} == {(2, 2_000)}
+    assert all(one.joint == one.trial for one in account.progress)
+    assert account.progress[-1].rate > 0.0
     welch = WelchConfig.for_samples(2_000)
     assert max(progress.samples for progress in account.progress) >= welch.segment + welch.step
     for progress in account.progress:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +57,25 @@ def test_wall_times_and_origin_become_part_of_the_summary_and_change_nothing_els
     assert after.origin is not None
     assert after.model_copy(update={"wall": None, "origin": None}) == before
     assert "until the first sample" in capsys.readouterr().out
+
+
+def test_trials_last_from_the_first_sample_to_the_last_one_that_is_perturbed() -> None:
+    stopwatch = Stopwatch()
+    stopwatch.note(Phase.SETTLE)
+    wall = stopwatch.stop()
+    assert math.isnan(wall.before)
+    assert math.isnan(wall.trials)
+    stopwatch.note(Phase.PERTURB)
+    first = stopwatch.stop()
+    assert math.isnan(first.trials)
+    for phase in (Phase.REST, Phase.SETTLE, Phase.PERTURB):
+        stopwatch.note(phase)
+    inside = stopwatch.stop()
+    assert inside.before == first.before
+    stopwatch.note(Phase.ABORTED)
+    whole = stopwatch.stop()
+    assert whole.before == first.before
+    assert whole.trials > inside.trials >= 0.0
 
 
 def test_problems_are_told_by_what_they_do_and_one_cause_takes_one_line(directory: Path) -> None:

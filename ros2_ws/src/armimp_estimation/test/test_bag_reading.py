@@ -106,6 +106,9 @@ def resent(record: TrialRecord, order: Callable[[int], Sequence[str]]) -> list[M
 
 
 class TestStorages:
+    def test_metadata_yaml_itself_stands_for_its_bag(self, tmp_path: Path) -> None:
+        assert_reads(write_ours(tmp_path / "bag") / "metadata.yaml")
+
     @pytest.mark.parametrize("version", [8, 9])
     @pytest.mark.parametrize(
         ("storage", "mode"),
