@@ -318,6 +318,16 @@ def _cable(stiffness: float) -> Callable[[Recording], Recording]:
     return load
 
 
+def _efficiency(loss: float) -> Callable[[Recording], Recording]:
+    """Torques behind a transmission that takes a share of them while it drives the arm."""
+
+    def lose(recording: Recording) -> Recording:
+        drives = recording.torque * np.gradient(recording.position, axis=1) > 0.0
+        return replace(recording, torque=recording.torque * (1.0 - loss * drives))
+
+    return lose
+
+
 def _without_commands(recording: Recording) -> Recording:
     return replace(recording, command=None)
 
@@ -711,6 +721,9 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     for share, name in product((-0.1, 0.1, 0.3), ("torque", "position")):
         mixed = {"readings": changed(**{name: _mixed(share)})} | undeclared
         add(MUST, f"{name} of the next joint", (f"{100 * share:g} %", mixed))
+    for loss, slow in product((0.02, 0.05, 0.1), (0.0, 0.3)):
+        lossy = {"readings": _efficiency(loss), "voluntary": slow} | undeclared
+        add(MUST, f"losses, voluntary {slow:g} N·m", (f"{100 * loss:g} %", lossy))
     for stiffness in (-2.0, -0.5, 0.1, 0.5, 2.0):
         add(MUST, "cable", (f"{stiffness:g} N·m/rad", {"readings": _cable(stiffness)} | undeclared))
     return found
@@ -765,12 +778,13 @@ def verdict_on(
 ) -> Result:
     """What the estimator says of trials without trial status, and with exact transducers or not.
 
-    The standard error of the encoders' `scale` is declared.
+    The standard error of the encoders' `scale` is declared where transducers are, or it isn't 0.
     """
     trials = assemble_trials(streams_of(recordings), ())
     metadata = dict.fromkeys(CALIBRATION_KEYS, "0") if calibrated else {}
     metadata.pop("linearity_uncertainty", None)  # which no laboratory knows to be nothing
-    metadata["angle_uncertainty"] = str(scale)
+    if calibrated or scale:
+        metadata["angle_uncertainty"] = str(scale)
     names = NAMES[: len(recordings)]
     return conclude(trials, metadata=metadata, joint_names=names, estimators=("lpm_full",))
 

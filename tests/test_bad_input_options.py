@@ -28,16 +28,12 @@ OF_RUN = [
     ("--friction", "7", "'friction' = 7"),
     ("--friction", "3\n4", "--friction"),
     ("--duration", "nan", "'duration' = nan"),
-    ("--duration", "1e300", "'duration' = 1e+300"),
     ("--duration", "ten", "--duration"),
-    ("--seed", "9" * 30, "'seed' = 9999"),
     ("--joints", "9", "'joints' = 9: input should be 1, 2, 3, 4, 5, 6 or 7"),
     ("--duration", "1", "'duration' = 1.0"),
-    ("--processes", "many", "many"),
     ("--config", "nowhere.yaml", "nowhere.yaml"),
     ("--estimator", "foo", "'foo'"),
     ("--estimator", "a\nb", r"'a\nb'"),
-    ("--mode", "warp", '"warp"'),
     ("--config", ".", ".: Is a directory"),
     ("--config", "/proc/self/mem", "/proc/self/mem: Input/output error"),
     ("--config", LONG * 20, "File name too long"),
@@ -59,17 +55,13 @@ OF_OTHERS: list[tuple[tuple[str, ...], int, str]] = [
     (("run", "--frition", "2"), 2, "--friction"),
     (("estimat", "nowhere"), 2, "Did you mean 'estimate'"),
     (("estimate",), 2, "bags"),
-    (("frobnicate",), 2, "frobnicate"),
     (("bench", "guess"), 2, "there is no benchmark 'guess', only speed, jitter"),
     *(
         (("check-driver", *options), 2, words)
         for options, words in (
             (("--joint", "elbow", "--joint", "elbow"), "names are not distinct"),
-            (("--torque", "-1"), "parameter 'torque' = -1.0"),
             (("--torque", "21"), "'torque' = 21.0: input should be less than or equal to 20"),
-            (("--most-motion", "nan"), "parameter 'most_motion' = nan"),
             (("--move",), "--move: there is nobody to ask; --yes says that it is safe"),
-            (("--duration", "0"), "parameter 'duration' = 0.0"),
         )
     ),
     *(
@@ -138,7 +130,6 @@ WRONG = {
     "arm_sim: {arm: {inertai: [1.0]}}": "'arm.inertai' does not exist; the nearest valid name",
     "arm_sim: {'arm.inertia': {x: 3}}": "'arm.inertia.x' does not exist",
     # Types
-    "friction: high": "'friction' = \"high\"",
     'mode: "a\\nb"': r"'mode' = " + '"a\\nb"',
     "estimators: lpm_full": "'estimators' = \"lpm_full\"",
     "estimators: []": "'estimators' needs distinct names",
@@ -152,7 +143,6 @@ WRONG = {
     "arm_sim: {arm: {inertia: [1.0]}}": "inertia has 1 values, needs 4",
     "arm_sim: {joints: []}": "'joints' = []",
     # Numbers
-    "duration: .nan": "'duration' = nan",
     "arm_sim: {seed: 99999999999999999999}": "'seed' = 99999999999999999999: is too large",
     # Physics
     "arm_sim: {arm: {inertia: [-1.0, 0.0, 0.0, 1.0]}}": "inertia of every joint must be positive",

@@ -8,26 +8,31 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import ClassVar, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import pytest
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
 
 from armimp_bringup.cli import main
 from armimp_bringup.config import CheckOptions
 from armimp_bringup.driver_check import Finding, Outcome, with_outcome
 from armimp_bringup.driver_check.command import ask
+from armimp_common import qos, topics
 from armimp_common.errors import ConfigurationError
+from armimp_common.pubsub import CommandPublisher, JointStatePublisher
+from armimp_common.realtime import Pacer
+from armimp_common.topics import PERIOD_NS
 from armimp_sim.node import ArmSimNode
-from support import defective_driver
 from support.command import interrupted, program
-from support.defective_driver import DeafStop, Strong, Stubborn
 from support.graph import PATIENCE
 from support.processes import wait_until
 
 JOINTS = ("shoulder", "elbow")
 SIMULATOR = ["-m", "armimp_sim.node"]
 TEMPLATE = ["-m", "armimp_driver_template.node"]
-DEFECTIVE = str(defective_driver.__file__)
 Start: TypeAlias = Callable[..., None]
 Check: TypeAlias = Callable[..., dict[str, Finding]]
 
@@ -55,10 +60,78 @@ def test_a_driver_in_a_namespace_is_found_there(host: Start, check: Check) -> No
     assert names(check(namespace="/exo")) == []
 
 
+# --- Drivers with one defect each ---------------------------------------------------------------
+
+
+class Strong(ArmSimNode):
+    """Takes newton metres for something far larger."""
+
+    def _on_command(self, command: tuple[float, ...]) -> None:
+        super()._on_command(tuple(150.0 * value for value in command))
+
+
+class Stubborn(ArmSimNode):
+    """Grants no reset."""
+
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success, response.message = False, "not today"
+        return response
+
+
+class DeafStop(ArmSimNode):
+    """Says that it stops, and goes on."""
+
+    def _on_stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success = True
+        return response
+
+
+class Slow(Node):
+    """No lifecycle node, no services, half the rate, and torques by best effort."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(topics.SIM_NODE, **options)
+        hasty = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self._angles = JointStatePublisher(self, topics.JOINT_STATES, JOINTS, "position")
+        self._torques = JointStatePublisher(
+            self, topics.TORQUE_SENSORS, JOINTS, "effort", profile=hasty
+        )
+        self._listener = self.create_subscription(
+            Float64MultiArray, topics.COMMANDS, lambda _: None, qos.SAMPLE
+        )
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def destroy_node(self) -> None:
+        self._ended.set()
+        self._thread.join()
+        super().destroy_node()
+
+    def _run(self) -> None:
+        pacer = Pacer(2 * PERIOD_NS)
+        pacer.start()
+        tick = 0
+        while not self._ended.is_set():
+            stamp_ns = 2 * PERIOD_NS * tick
+            self._angles.publish(stamp_ns, (1.0, 1.0))
+            self._torques.publish(stamp_ns, (0.0, 0.0))
+            tick += 1
+            pacer.wait(tick)
+
+
+class InUse(ArmSimNode):
+    """Somebody commands it already."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self._commander = CommandPublisher(self, topics.COMMANDS, len(JOINTS))
+
+
 @pytest.mark.slow
 @pytest.mark.alone
-def test_a_plain_node_with_another_rate_is_judged_as_well(start: Start, check: Check) -> None:
-    start([DEFECTIVE, "Slow"])
+def test_a_plain_node_with_another_rate_is_judged_as_well(host: Start, check: Check) -> None:
+    host(Slow)
 
     findings = check()
 
@@ -100,17 +173,17 @@ def test_when_a_rig_moves_too_far_expect_its_emergency_stop_to_be_called_and_not
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("defect", "words"),
-    [("InUse", "the driver is in use: /arm_sim commands it"), (None, "no driver: neither")],
+    [(InUse, "the driver is in use: /arm_sim commands it"), (None, "no driver: neither")],
 )
 def test_when_there_is_nothing_to_check_expect_one_line_and_status_one(
-    start: Start,
+    host: Start,
     driver_domain: int,
-    defect: str | None,
+    defect: type[ArmSimNode] | None,
     words: str,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     if defect is not None:
-        start([DEFECTIVE, defect])
+        host(defect)
     assert main(["check-driver", "--domain-id", str(driver_domain)]) == 1
     said = capfd.readouterr().err
     assert words in said

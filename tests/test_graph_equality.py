@@ -8,6 +8,7 @@ import pytest
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import run_offline
 from armimp_bringup.parameters import node_parameters
+from armimp_estimation.bags import read_bag
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.summary import read_frf
 from support.runs import FinishedRun, Run
@@ -47,6 +48,23 @@ def test_an_optimal_multisine_goes_the_same_way(run: Run) -> None:
     finished.assert_same_as_offline(records)
     assert [one.periods.count for one in records if one.periods is not None] == [4, 4]
     assert finished.summary.problems == []
+
+
+@pytest.mark.slow
+def test_a_realistic_rig_with_a_tare_goes_the_same_way(run: Run) -> None:
+    transducer = {"offset": [0.8, -0.5], "drift": [0.4, 0.2]}
+    options: dict[str, Any] = {
+        "rig": "realistic",
+        "arm_sim": {"sensors.torque": transducer, "voluntary.rms": 0.02},  # or there is no tare
+        "imbic_controller": {"tare": {"duration": 0.6, "wait": 0.4}},
+    }
+    finished = run(**options)
+
+    finished.assert_same_as_offline(offline(**options))
+    first, second = (read_bag(bag).trials[0].window.tare for bag in finished.bags)
+    # The readings were taken 0.7 s into the trial on average; one lasts 4 s.
+    assert first == pytest.approx((0.8 + 0.28, -0.5 + 0.14), abs=0.03)
+    assert second[0] - first[0] == pytest.approx(0.4 * 4.0, abs=0.03)
 
 
 @pytest.mark.slow

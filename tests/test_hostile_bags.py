@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -40,26 +39,17 @@ def faults_of(outcome: Outcome, directory: Path) -> list[str]:
     return [reason for reason, wrong in found.items() if wrong]
 
 
-def withstood(names: Sequence[str], directory: Path, figures: Figures) -> None:
-    for name in names:
-        outcome = tried(name, directory / name.replace(" ", "_"))
-        figures.add(
-            "hostile file",
-            processor_time=(outcome.seconds, "s"),
-            memory=(outcome.memory / 1e6, "MB"),
-        )
-        assert faults_of(outcome, directory) == [], (name, outcome.told.err[-500:])
-
-
+@pytest.mark.parametrize(
+    "name",
+    [*QUICK, *(pytest.param(one, marks=pytest.mark.slow) for one in sorted({*ATTACKS} - {*QUICK}))],
+)
 def test_a_hostile_file_gets_one_line_in_bounded_memory_and_touches_nothing(
-    tmp_path: Path, figures: Figures
+    name: str, tmp_path: Path, figures: Figures
 ) -> None:
-    withstood(QUICK, tmp_path, figures)
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(3600)
-def test_every_hostile_file_gets_one_line_in_bounded_memory_and_touches_nothing(
-    tmp_path: Path, figures: Figures
-) -> None:
-    withstood(sorted(set(ATTACKS) - set(QUICK)), tmp_path, figures)
+    outcome = tried(name, tmp_path)
+    figures.add(
+        "hostile file",
+        processor_time=(outcome.seconds, "s"),
+        memory=(outcome.memory / 1e6, "MB"),
+    )
+    assert faults_of(outcome, tmp_path) == [], outcome.told.err[-500:]

@@ -5,7 +5,6 @@ Rig and controller without ROS, on a clock that is moved by hand, so the machine
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
 
 import numpy as np
@@ -14,12 +13,13 @@ from numpy.typing import NDArray
 from pydantic import JsonValue
 
 from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.offline import simulate
 from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_common.realtime import Pacer, TimingLimits
 from armimp_common.status import Phase, TrialStatus
-from armimp_common.topics import PERIOD_NS
+from armimp_common.topics import PERIOD, PERIOD_NS
 from armimp_control.trial_sequencer import TrialSequencer
-from armimp_estimation.identify import identify
+from armimp_estimation.identify import Identification, identify
 from armimp_estimation.mbk import MBK
 from armimp_estimation.trial import TrialData
 from armimp_sim.simulator import RealtimeSimulator, SimulatedRig
@@ -41,6 +41,26 @@ ACCURACY = {"VAF": 99.7, "M": 0.02, "B": 0.02, "K": 0.02}
 """What `lpm_full` has to reach in each element: VAF (%), relative errors."""
 
 
+def assert_accurate(found: Identification, truth: MBK) -> None:
+    """Check that `lpm_full` meets :data:`ACCURACY`, and that the result is valid."""
+    result = found.estimators["lpm_full"]
+    assert found.valid, found.problems
+    assert result.vaf is not None
+    assert result.vaf.min() >= ACCURACY["VAF"]
+    for name, error in worst_errors(result.fit.mbk, truth).items():
+        assert error <= ACCURACY[name], name
+
+
+@pytest.mark.parametrize("delay", BORNE)
+def test_with_the_settings_of_the_documents_late_commands_cost_no_accuracy(delay: int) -> None:
+    changes: dict[str, JsonValue] = {"known.command_delay": delay, **BORNE[delay]}
+    late: dict[str, JsonValue] = {"actuators.delay": delay * PERIOD}
+    (experiment,) = simulate([ExperimentConfig(arm_sim=late, imbic_controller=changes)])
+    limit = experiment.parameters.controller.safety.torque_limit
+    assert max(np.max(np.abs(np.array(one.command))) for one in experiment.records) < limit
+    assert_accurate(experiment.identify(("lpm_full",)), experiment.truth)
+
+
 class ClosedLoop:
     """Controller and rig, without anything between them but what a test puts there."""
 
@@ -59,7 +79,6 @@ class ClosedLoop:
         return None if control.finished else tuple(control.command.tolist())
 
     def assert_accurate(self) -> None:
-        """Check that `lpm_full` meets :data:`ACCURACY`, and that the result is valid."""
         assert self.controller.fault == ""
         perturbation, position, torque, command = np.moveaxis(np.array(self._ticks), 0, 2)
         trials = []
@@ -72,30 +91,7 @@ class ClosedLoop:
                 trials.append(TrialData.of(made_record(*arrays, command=command[span], **told)))
         arm = self._parameters.simulator.arm
         truth = MBK(M=arm.M, B=arm.B, K=arm.K)
-        found = identify(trials, ("lpm_full",), truth)
-        result = found.estimators["lpm_full"]
-        assert found.valid, found.problems
-        assert result.vaf is not None
-        assert result.vaf.min() >= ACCURACY["VAF"]
-        for name, error in worst_errors(result.fit.mbk, truth).items():
-            assert error <= ACCURACY[name], name
-
-
-def told(delay: int, settings: Mapping[str, JsonValue]) -> NodeParameters:
-    """Parameters of a controller that knows of the delay (periods)."""
-    changes: dict[str, JsonValue] = {"known.command_delay": delay, **settings}
-    return node_parameters(ExperimentConfig(imbic_controller=changes), None)
-
-
-@pytest.mark.parametrize("delay", BORNE)
-def test_with_the_settings_of_the_documents_late_commands_cost_no_accuracy(delay: int) -> None:
-    loop = ClosedLoop(told(delay, BORNE[delay]))
-    under_way = deque([(0.0,) * loop.rig.position.size] * delay)
-    while (command := loop.answer()) is not None:
-        under_way.append(command)
-        loop.rig.step(under_way.popleft())
-    assert sum(loop.controller.clipped.values()) == 0
-    loop.assert_accurate()
+        assert_accurate(identify(trials, ("lpm_full",), truth), truth)
 
 
 def test_with_as_many_missed_commands_as_are_allowed_the_accuracy_is_still_there() -> None:

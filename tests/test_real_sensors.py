@@ -8,55 +8,9 @@ import numpy as np
 import pytest
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.offline import run_offline
 from armimp_bringup.parameters import node_parameters
-from armimp_common.status import Phase, TrialStatus
-from armimp_common.topics import PERIOD_NS
-from armimp_control.trial_sequencer import TrialSequencer
 from armimp_estimation.metadata import Metadata
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
-from armimp_sim.simulator import SimulatedRig
-
-
-@pytest.mark.slow
-def test_node_and_study_take_the_same_tare_and_give_the_same_bits() -> None:
-    config = ExperimentConfig.model_validate(
-        {
-            "rig": "realistic",
-            "internal_model": "observer",
-            "arm_sim": {
-                "sensors.torque": {"offset": [0.8, -0.5], "drift": [0.4, 0.2], "noise": 0.005},
-                "actuators.bandwidth": 0.0,
-                "voluntary.rms": 0.02,  # or there is no tare
-            },
-            "imbic_controller": {
-                "tare": {"duration": 0.6, "wait": 0.4},
-                "sequence": {"duration": 0.2, "settle": 0.05, "rest": 0.5},
-            },
-        }
-    )
-    case = node_parameters(config, None)
-    (trials,) = run_offline([case])
-
-    statuses: list[TrialStatus] = []
-    experiment, rig = TrialSequencer(case.controller, statuses.append), SimulatedRig(case.simulator)
-    torques, commands = [], []
-    while not experiment.finished:
-        torques.append(rig.torque.copy())
-        experiment.answer(rig.stamp_ns, tuple(rig.position.tolist()), tuple(rig.torque.tolist()))
-        commands.append(experiment.command.copy())
-        rig.step(tuple(experiment.command.tolist()))
-
-    for trial in trials:
-        first = trial.start_ns // PERIOD_NS
-        ticks = slice(first, first + 200)
-        assert np.array_equal(trial.torque, np.array(torques[ticks]).T)
-        assert trial.command is not None
-        assert np.array_equal(trial.command, np.array(commands[ticks]).T)
-    tares = [one.tare for one in statuses if one.phase is Phase.PERTURB]
-    # The readings were taken 0.7 s into the trial on average.
-    assert tares[0] == pytest.approx((0.8 + 0.28, -0.5 + 0.14), abs=0.03)
-    assert tares[1][0] - tares[0][0] == pytest.approx(0.4 * 1.75, abs=0.03)
 
 
 def test_the_estimator_knows_what_is_simulated_unless_it_is_told_otherwise() -> None:

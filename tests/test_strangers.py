@@ -2,25 +2,205 @@
 
 from __future__ import annotations
 
+import random
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import cycle
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.duration import Duration
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
+from rclpy.serialization import serialize_message
+from rclpy.task import Future
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, String, UInt64
 
 from armimp_bringup import orchestrator
 from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.graph import DomainClaim
 from armimp_bringup.orchestrator import PARAMETERS_FILE, run_experiment
-from armimp_common import topics
+from armimp_common import qos, topics
+from armimp_common.cdr import CommandEncoder, JointStateEncoder, command_number
+from armimp_common.executor import Spinner
 from armimp_common.lifecycle import LifecycleManager
+from armimp_common.pubsub import subscribe_raw
+from armimp_common.status import (
+    Level,
+    Phase,
+    StoppingDecision,
+    make_array,
+    make_status,
+    status_message,
+)
+from armimp_estimation.node import RESULT_NAME
 from armimp_estimation.problems import ProblemCode
-from support.graph import PATIENCE
-from support.strangers import ACTS, BASE, MOMENTS, disturbed
+from armimp_estimation.summary import Summary
+from support.graph import PATIENCE, joined
+from support.processes import wait_until
+from support.streams import trial_status
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("environment")]
+
+
+BASE: dict[str, Any] = {"duration": 2.0}
+MOMENTS = {
+    "before": Phase.SETTLE,
+    "during": Phase.PERTURB,
+    "between": Phase.REST,
+    "after": Phase.DONE,
+}
+"""When: as the controller first announces a phase."""
+
+
+class Stranger(Node):
+    """Somebody in the domain of an experiment, who hears the commands."""
+
+    def __init__(self, domain_id: int) -> None:
+        super().__init__("stranger", context=joined(domain_id), use_global_arguments=False)
+        self._last = 0
+        subscribe_raw(self, topics.COMMANDS, Float64MultiArray, self._on_command)
+
+    def _on_command(self, data: bytes) -> None:
+        self._last = command_number(data)
+
+    def last_number(self) -> int:
+        """Listen for a moment; return the number of the newest command."""
+        with Spinner([self], context=self.context) as spinner:
+            spinner.spin_until(Future(), 0.1)
+        return self._last
+
+
+@dataclass(frozen=True, kw_only=True)
+class Act:
+    """Messages, or bytes that should be some, which a stranger publishes."""
+
+    topic: str
+    kind: Any
+    contents: Sequence[Any] = ()
+    profile: Any = None
+    listeners: int = 1
+    """For so many it waits; discovery needs nobody who spins."""
+    leave: bool = False
+
+    def __call__(self, node: Stranger) -> object:
+        """Publish them; return what must be kept for as long as the stranger is to stay."""
+        profile = self.profile or qos.PROFILES[self.topic]
+        publisher = node.create_publisher(self.kind, self.topic, profile)
+        wait_until(
+            lambda: bool(publisher.get_subscription_count() >= self.listeners),
+            f"somebody hears {self.topic}",
+        )
+        for content in self.contents:
+            publisher.publish(content(node) if callable(content) else content)
+        if self.leave:
+            publisher.wait_for_all_acked(Duration(seconds=2))
+            node.destroy_publisher(publisher)
+        return publisher
+
+
+def command(torque: float, number: int | None, times: int = 1, *, leave: bool = False) -> Act:
+    """Command torque on both joints with a number, or with that which comes next."""
+
+    def encoded(node: Stranger) -> bytes:
+        return encode((torque, torque), node.last_number() + 1 if number is None else number)
+
+    encode = CommandEncoder(2).encode
+    contents = [encoded] * times
+    kind, topic = Float64MultiArray, topics.COMMANDS
+    return Act(topic=topic, kind=kind, contents=contents, listeners=3, leave=leave)
+
+
+def messages(topic: str, *contents: Any) -> Act:
+    """Messages of one type."""
+    return Act(topic=topic, kind=type(contents[0]), contents=contents)
+
+
+def sample(topic: str) -> Act:
+    """One sample that no rig measured, amid the others."""
+    encoder = JointStateEncoder(("shoulder", "elbow"), topics.VALUE_FIELD[topic])
+    raw = encoder.encode(700 * topics.PERIOD_NS, (0.1, 0.1))
+    return Act(topic=topic, kind=JointState, contents=[raw])
+
+
+def garbage(topic: str, kind: type, profile: Any = None) -> Act:
+    """Bytes that are no message of that type: none, a head alone, cut, absurd lengths."""
+    head, good = b"\0\1\0\0", bytes(serialize_message(kind()))
+    contents = [
+        head,
+        head + b"\xff" * 60,
+        good[: len(good) // 2 + 3],
+        random.Random(1).randbytes(200),
+        head + b"\0" * 12 + b"\xff\xff\xff\x7f" + b"\0" * 64,
+    ]
+    if kind in (Clock, UInt64):  # of fixed size: the middleware refuses to send more
+        contents = [one[: len(good)] for one in contents]
+    return Act(topic=topic, kind=kind, contents=contents, profile=profile)
+
+
+_TYPES = {
+    one.__name__: one
+    for one in (JointState, Float64MultiArray, DiagnosticStatus, DiagnosticArray, UInt64, Clock)
+}
+_DECISIONS = [
+    status_message(StoppingDecision(trial=trial, samples=1000, enough=True, due=None, bound=0.5))
+    for trial in (1, 2)
+]
+ACTS: dict[str, Act] = {
+    "zero command": command(0.0, 0),
+    "zero command, leaves": command(0.0, 0, leave=True),
+    "next number": command(0.0, None, leave=True),
+    "wrong numbers": command(0.3, 4_000_000_000, 20),
+    "decision": messages(topics.STOPPING, *_DECISIONS),
+    "shorter trial": messages(topics.TRIAL, status_message(trial_status(ticks=1500))),
+    "all is over": messages(topics.TRIAL, status_message(trial_status(phase=Phase.DONE, trial=2))),
+    "result": messages(
+        topics.RESULT, make_status(RESULT_NAME, Level.OK, "valid", {"valid": "true"})
+    ),
+    "error": messages(
+        topics.DIAGNOSTICS, make_array(0, [make_status("arm_sim: rig", Level.ERROR, "made up", {})])
+    ),
+    **{
+        f"received {count}": messages(topics.RECEIVED, UInt64(data=count))
+        for count in (0, 10**6, topics.RECORDER_GONE)
+    },
+    **{f"sample of {topic}": sample(topic) for topic in topics.VALUE_FIELD},
+    **{
+        f"bytes on {topic}": garbage(topic, _TYPES[kind.rpartition("/")[2]])
+        for topic, kind in topics.MESSAGE_TYPES.items()
+    },
+    **{
+        f"bytes on {topic}": garbage(topic, String, qos.ALIVE)
+        for topic in map(topics.alive, (topics.SIM_NODE, topics.CONTROLLER_NODE))
+    },
+}
+
+
+def disturbed(kind: str, directory: Path, moment: str = "during", **options: Any) -> Summary:
+    """Run an experiment in which a stranger does this; a composed graph stands still meanwhile."""
+    with DomainClaim() as claim:
+        domain_id = claim.domain_id
+    node, phases, kept = Stranger(domain_id), Counter[Phase](), list[object]()
+
+    def on_phase(phase: Phase) -> None:
+        phases[phase] += 1
+        if phase is MOMENTS[moment] and phases[phase] == 1:
+            kept.append(ACTS[kind](node))
+
+    config = ExperimentConfig.model_validate({**BASE, **options})
+    try:
+        summary = run_experiment(config, directory, domain_id=domain_id, on_phase=on_phase).summary
+    finally:
+        node.context.try_shutdown()
+    assert kept
+    return summary
 
 
 @pytest.mark.parametrize(

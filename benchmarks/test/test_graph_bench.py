@@ -27,18 +27,6 @@ def figures(processes: Processes, tick: float, lost: int = 0) -> dict[str, Measu
     return {one.key.removeprefix(f"{processes}_"): one for one in measured}
 
 
-# Recording is no part of a tick of separate processes.
-@pytest.mark.parametrize(
-    ("processes", "recording"), [("composed", ["recording"]), ("separate", [])]
-)
-def test_parts_and_rest_of_a_tick_add_up(processes: Processes, recording: list[str]) -> None:
-    found = figures(processes, 85e-6)
-
-    parts = ("bare", "plant", "law", "codecs", *recording, "rest")
-    assert sum(found[part].value for part in parts) == pytest.approx(found["graph"].value)
-    assert found["bare"].value == pytest.approx(40.0)
-
-
 @pytest.mark.parametrize(("tick", "met"), [(80e-6, True), (82e-6, False)])
 def test_the_target_of_the_ratio_leaves_out_the_plant_and_both_are_told(
     tick: float, met: bool

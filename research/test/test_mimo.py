@@ -1,7 +1,5 @@
 """All joints perturbed at once: the estimate, and the check that inputs are independent."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -44,19 +42,6 @@ def loop_record(
 
 def estimate(*records: TrialRecord) -> MimoEstimate:
     return estimate_mimo(records, WELCH)
-
-
-def test_responses_of_a_static_system_are_its_gains_however_inputs_are_coupled() -> None:
-    rng = np.random.default_rng(2)
-    x = np.array([[1.0, 0.0], [0.8, 0.6]]) @ rng.standard_normal((2, SAMPLES))
-    R = np.array([[0.5, 0.1], [0.2, 0.4]])
-    T = np.array([[3.0, -2.0], [1.0, 5.0]])
-    record = dataclasses.replace(loop_record(1), perturbation=x, position=R @ x, torque=T @ x)
-    found = estimate(record)
-    for i, j in np.ndindex(2, 2):
-        np.testing.assert_allclose(found.impedance.R[i, j], R[i, j], atol=1e-12)
-        np.testing.assert_allclose(found.impedance.T[i, j], T[i, j], atol=1e-11)
-        np.testing.assert_allclose(found.impedance.Z[i, j], (T @ np.linalg.inv(R))[i, j])
 
 
 def test_when_the_subject_pushes_expect_no_bias_and_variance_that_is_right() -> None:

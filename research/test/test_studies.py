@@ -20,7 +20,6 @@ from research.coverage_statistics import QUANTILE, Share
 from research.coverage_statistics import Cell as CoverageCell
 from research.decomposition_outcomes import Cell as DecompositionCell
 from research.decomposition_statistics import Mean
-from research.growth_outcomes import Cell as GrowthCell
 from research.limits_statistics import Cell as LimitsCell
 from research.options import InvestigationOptions
 
@@ -122,17 +121,6 @@ def test_intervals_of_local_polynomials_hold_the_truth_as_often_as_they_say(
     assert replace(covered, stated=0.67 * covered.stated).pooled.verdict == "below"
 
 
-def test_shares_are_those_of_their_elements() -> None:
-    errors = np.zeros((4, 3, 2, 2))
-    errors[:3, 1, 0, 1] = -1.01 * QUANTILE
-    told = {"levels": (3, 3, 3), "voluntary": 0.3, "estimator": "made"}
-    cell = CoverageCell(errors=errors, stated=np.ones(errors.shape), **told)  # type: ignore[arg-type]
-    assert cell.by_element["B12"].value == pytest.approx(0.25)
-    assert cell.by_element["B21"].value == 1.0
-    assert [share.value for share in cell.by_letter] == [1.0, pytest.approx(13 / 16), 1.0]
-    assert cell.pooled.value == pytest.approx(45 / 48)
-
-
 def test_pooled_intervals_hold_the_share_in_95_of_100_experiments() -> None:
     """With errors that are correlated within a run; 400 repetitions, 4 standard deviations."""
     random = np.random.default_rng(5)
@@ -222,26 +210,6 @@ def test_chance_alone_is_significant_as_often_as_stated() -> None:
     many = [Mean.of(random.standard_normal((12, 8))).significant for _ in range(2000)]
     # 5 % by Bonferroni; four standard errors are 2 %.
     assert 0.03 < np.mean(many) < 0.07
-
-
-# --- Growth: from two to more joints ------------------------------------------------------------
-
-
-def test_local_polynomials_have_the_least_bias_and_responses_grow_as_joints_or_their_square() -> (
-    None
-):
-    plan = growth.GrowthPlan(base=SHORT, joints=(2, 3), seeds="0:4", voluntary=(0.0, 0.05))
-    cells: dict[tuple[int, float, str], GrowthCell] = {
-        (cell.joints, cell.voluntary, cell.estimator): cell
-        for cell in growth.run_growth(plan, workers=2)
-    }
-    assert [cells[n, 0.0, "lpm_full"].responses for n in (2, 3)] == [4, 6]
-    assert [cells[n, 0.0, "mimo"].responses for n in (2, 3)] == [8, 18]
-    for joints in (2, 3):
-        best = cells[joints, 0.0, "lpm_full"]
-        assert best.worst_vaf > 99.9
-        for name in ("welch_siso", "mimo"):
-            assert (best.bias < cells[joints, 0.0, name].bias).all()
 
 
 # --- Efficiency: the time of a person -----------------------------------------------------------

@@ -35,6 +35,7 @@ METADATA: Mapping[str, str] = {
     "seed": "5",
     "gain_uncertainty": "0",
     "cross_talk_uncertainty": "0",
+    "angle_uncertainty": "0",
     "truth": json.dumps({name: getattr(TWO_JOINT_ARM, name).tolist() for name in ("M", "B", "K")}),
 }
 

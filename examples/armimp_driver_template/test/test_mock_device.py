@@ -101,16 +101,3 @@ def test_readings_and_commands_survive_any_wiring_signs_and_gears() -> None:
             device.send(wiring.to_device(drives.of_drives(torque)))
         seen.append(np.array(found))
     assert seen[1] == pytest.approx(seen[0], abs=1e-9)
-
-
-def test_the_mock_has_the_imperfections_that_it_is_told() -> None:
-    offset = (0.8, -0.5)
-    plain, imperfect = answers(make(), commands(50)), answers(make(offset=offset), commands(50))
-    for one, other in zip(plain, imperfect, strict=True):
-        assert one is not None
-        assert other is not None
-        assert one.encoder == other.encoder
-        assert np.subtract(other.transducer, one.transducer).tolist() == [40, -25]
-    late = answers(make(delay=0.003), commands(50))
-    readings = [[frame and frame.transducer for frame in frames] for frames in (plain, late)]
-    assert readings[1][4:] == readings[0][1:-3]

@@ -138,7 +138,7 @@ class Declared(BaseModel):
     with the bags, else 0.01."""
     angle_uncertainty: float | None = Field(default=None, ge=0.0, le=1.0)
     """Standard error of the scale of each encoder at the posture, relative; by default as recorded
-    with the bags, else 0."""
+    with the bags, else 0.015."""
     linearity_uncertainty: float | None = Field(default=None, ge=0.0)
     """Standard error of each torque by hysteresis and nonlinearity of its transducer, N·m; by
     default as recorded with the bags, else what the records leave open."""

@@ -1,63 +1,143 @@
 """Judgement of drivers: what is sound passes, and each planted defect is named."""
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
 import pytest
 
+from armimp_bringup.config import CheckOptions
 from armimp_bringup.driver_check import (
+    SENSOR_TOPICS,
     Call,
     Ending,
     Endpoint,
     Message,
     Moves,
     Outcome,
-    Push,
     Record,
-    measure,
     with_outcome,
 )
+from armimp_bringup.driver_check.checker import Checker
+from armimp_bringup.driver_check.conversation import Answering, Error, MotionGuard, Torque
 from armimp_bringup.driver_check.rules import judge
 from armimp_common import topics
-from armimp_common.topics import COMMANDS, JOINT_STATES, PERIOD_NS, TORQUE_SENSORS
+from armimp_common.cdr import JointStateEncoder
+from armimp_common.topics import (
+    COMMANDS,
+    JOINT_STATES,
+    NS_PER_S,
+    PERIOD_NS,
+    SIM_STOP_SERVICE,
+    TORQUE_SENSORS,
+    VALUE_FIELD,
+)
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.simulator import SimulatedRig
 
 JOINTS = ("shoulder", "elbow")
 ZERO = (0.0, 0.0)
-SAMPLES, REST, HOLD = 1000, 200, 400
-TOPICS = (JOINT_STATES, TORQUE_SENSORS)
-Torque = tuple[float, float]
+SAMPLES = 1000
+PATIENCE, RAMP = 5, 10
 Edit = Callable[[Message], Message]
 
 
-class Bench:
-    """The simulated rig, with commands and readings as a bad driver would pass them on."""
+class Driver(Answering):
+    """A driver in real time and the checker in front of it, on one clock.
 
-    def __init__(self, drive: Callable[[Torque], Torque] = lambda torque: torque) -> None:
+    `watchdog` tells whether it stops without commands, `lets_go` whether torque then goes, and
+    `latches` whether it waits for a reset. While the checker is `held_up`, nothing that the driver
+    sends reaches it. `drive` is what it makes of a torque, `sign` that of its transducers.
+    """
+
+    def __init__(
+        self,
+        *,
+        watchdog: bool = True,
+        lets_go: bool = True,
+        latches: bool = True,
+        held_up: Callable[[int], bool] = lambda _: False,
+        moody: bool = False,
+        drive: Callable[[Torque], Torque] = lambda torque: torque,
+        sign: float = 1.0,
+    ) -> None:
+        self.time_ns, self.tick = NS_PER_S, 0
+        super().__init__(JOINTS, self.obey, now_ns=lambda: self.time_ns, sleep=lambda _: None)
         self.rig = SimulatedRig(SimulatorParameters.preset())
-        self.drive = drive
+        self.watchdog, self.lets_go, self.latches = watchdog, lets_go, latches
+        self.held_up, self.moody = held_up, moody
+        self.drive, self.sign = drive, sign
+        self.encoders = {
+            topic: JointStateEncoder(JOINTS, field)
+            for topic, field in VALUE_FIELD.items()
+            if topic in SENSOR_TOPICS
+        }
+        self.errors: list[Error] = []
+        self.commanded: Torque = ZERO
+        self.applied: Torque = ZERO
+        self.fault, self.silent, self.fading = "", -1, 0
+        self.waiting: list[tuple[str, bytes]] = []
 
-    def play(self, script: list[Torque]) -> list[list[np.ndarray]]:
-        """Readings before each command."""
-        rows = []
-        for torque in script:
-            rows.append([self.rig.position.copy(), self.rig.torque.copy()])
-            self.rig.step(self.drive(torque))
-        return rows
+    def obey(self, torque: Torque) -> None:
+        self.silent, self.commanded = 0, torque
+        if not self.latches:
+            self.fault = ""
 
-    def push(self, joint: int, sign: float = 1.0, share: float = 1.0) -> Push:
-        """Let the arm settle, and push a joint; `share` of the torque acts."""
-        torque = (share, 0.0) if joint == 0 else (0.0, share)
-        self.play([ZERO] * 1500)
-        rows = self.play([ZERO] * REST + [torque] * HOLD + [ZERO] * 100)
-        position, effort = (np.array([row[kind] for row in rows]).T for kind in (0, 1))
-        return measure(joint, 1.0, position, sign * effort, REST, REST + HOLD)
+    def latch(self, fault: str) -> None:
+        if not self.fault:
+            self.fault, self.fading = fault, RAMP
+            self.errors.append(Error(self.now(), "arm_sim: rig", fault))
 
-    def pushes(self, sign: float = 1.0) -> list[Push]:
-        return [self.push(joint, sign) for joint in range(2)]
+    def step(self) -> None:
+        self.time_ns += PERIOD_NS
+        self.tick += 1
+        if self.silent >= 0:
+            self.silent += 1
+        if self.watchdog and self.silent > PATIENCE:
+            self.latch("no command")
+        if self.moody and self.tick > 3000:
+            self.latch("the mood")
+        if self.fault and self.lets_go:
+            self.fading = max(self.fading - 1, 0)
+            share = self.fading / RAMP
+            self.applied = (share * self.applied[0], share * self.applied[1])
+        elif not self.fault:
+            self.applied = self.commanded
+        self.rig.step(self.drive(self.applied))
+        for topic, values in (
+            (JOINT_STATES, self.rig.position),
+            (TORQUE_SENSORS, self.sign * self.rig.torque),
+        ):
+            self.waiting.append((topic, self.encoders[topic].encode(self.time_ns, values)))
+        if not self.held_up(self.tick):
+            arrived, self.waiting = self.waiting, []
+            for topic, data in arrived:
+                self.hear(topic, data)
+
+    def wait(self, condition: Callable[[], bool], patience: float) -> bool:
+        end = self.now() + patience
+        while not condition() and self.now() < end:
+            self.step()
+        return condition()
+
+    def call(self, service: str, patience: float, since: float | None = None) -> Call:
+        self.step()
+        if service == SIM_STOP_SERVICE:
+            self.latch("emergency stop")
+            return Call(success=True)
+        if self.commanded != ZERO:
+            return Call(success=False, message="there is torque")
+        self.fault = ""
+        return Call(success=True)
+
+    @contextmanager
+    def intruder(self, patience: float) -> Iterator[None]:
+        self.step()
+        self.latch("second publisher")
+        yield
 
 
 def messages(topic: str, edit: Edit = lambda message: message) -> list[Message]:
@@ -83,45 +163,37 @@ def messages(topic: str, edit: Edit = lambda message: message) -> list[Message]:
     return found
 
 
-GRANTED = Call(success=True, seconds=0.01)
-
-
 def endpoint(topic: str, role: Literal["publisher", "subscriber"]) -> Endpoint:
     return Endpoint(topic, role, "/arm_sim", topics.MESSAGE_TYPES[topic])
 
 
-@pytest.fixture(scope="module")
-def sound() -> Record:
-    bench = Bench()
-    pushes = bench.pushes()
-    again = bench.push(0, share=0.0)
+def moved(driver: Driver) -> Record:
+    """Let the checker move a driver that is sound at rest."""
+    checker: Any = driver
+    moves = Checker(checker, CheckOptions(joints=JOINTS, move=True)).move()
     return Record(
         joints=JOINTS,
         paced=True,
         endpoints=[
-            *(endpoint(topic, "publisher") for topic in TOPICS),
+            *(endpoint(topic, "publisher") for topic in SENSOR_TOPICS),
             endpoint(COMMANDS, "subscriber"),
         ],
-        streams={topic: messages(topic) for topic in TOPICS},
+        streams={topic: messages(topic) for topic in SENSOR_TOPICS},
+        moving={topic: [one for one in kept if one] for topic, kept in driver.kept.items()},
         services=frozenset({topics.SIM_STOP_SERVICE, topics.SIM_RESET_SERVICE}),
         lifecycle="unconfigured",
         most=0.3,
-        moves=Moves(
-            pushes=pushes,
-            moved=0.002,
-            stale=Ending(told=0.02, reset=GRANTED, ended=pushes[0], again=again),
-            stop=Ending(told=0.02, reset=GRANTED, again=again, stop=GRANTED),
-            second=Ending(told=0.02, reset=GRANTED),
-        ),
+        moves=moves,
     )
+
+
+@pytest.fixture(scope="module")
+def sound() -> Record:
+    return moved(Driver())
 
 
 def edited(record: Record, topic: str, edit: Edit) -> Record:
     return replace(record, streams={**record.streams, topic: messages(topic, edit)})
-
-
-def moved(record: Record, **changes: Any) -> Record:
-    return replace(record, moves=replace(record.moves, **changes))
 
 
 def failed(record: Record) -> list[str]:
@@ -185,7 +257,7 @@ def test_each_defect_of_a_stream_is_named(
 def test_when_samples_come_at_half_the_rate_expect_rate_and_stamps_named(sound: Record) -> None:
     slow = {topic: kept[::2] for topic, kept in sound.streams.items()}
     names = failed(replace(sound, streams=slow))
-    for topic in TOPICS:
+    for topic in SENSOR_TOPICS:
         assert {f"{topic}: rate", f"{topic}: stamps 1 ms apart", f"{topic}: clock"} <= set(names)
 
 
@@ -243,93 +315,17 @@ def test_what_is_missing_or_of_another_kind_is_named(sound: Record) -> None:
     ]
 
 
-@pytest.mark.parametrize(
-    ("drive", "sign", "named", "words"),
-    [
-        (lambda t: (-t[0], t[1]), 1.0, ["torque: joint and sign"], "shoulder turns against"),
-        (lambda t: (t[1], t[0]), 1.0, ["torque: joint and sign"], "shoulder and elbow mixed up"),
-        (lambda t: (-t[0], -t[1]), 1.0, ["torque: joint and sign"], "shoulder turns against"),
-        (
-            lambda t: (-t[0], -t[1]),
-            -1.0,
-            ["torque: joint and sign", "torque_sensors: sign"],
-            "elbow turns against",
-        ),
-        (lambda t: t, -1.0, ["torque_sensors: sign"], "shoulder +"),
-    ],
-)
-def test_wrong_signs_and_orders_are_told_apart(
-    sound: Record,
-    drive: Callable[[Torque], Torque],
-    sign: float,
-    named: list[str],
-    words: str,
-) -> None:
-    pushes, stale = Bench(drive).pushes(sign), sound.moves.stale
-    assert stale is not None
-    record = moved(sound, pushes=pushes, stale=stale._replace(ended=pushes[0]))
-    assert failed(record) == named
-    figures = {one.check: one.figure for one in judge(record)}
-    assert words in figures["torque: joint and sign"]
-
-
 def test_services_that_are_missing_or_silent_and_a_second_publisher_are_named(
     sound: Record,
 ) -> None:
-    silent = Ending(stop=Call(success=None))
-    borne = Ending(reset=GRANTED)
-    assert failed(replace(moved(sound, stop=silent, second=borne), services=frozenset())) == [
+    silent, borne = Ending(stop=Call(success=None)), Ending(reset=Call(success=True))
+    moves = replace(sound.moves, stop=silent, second=borne)
+    assert failed(replace(sound, moves=moves, services=frozenset())) == [
         f"service {topics.SIM_STOP_SERVICE}",
         f"service {topics.SIM_RESET_SERVICE}",
         "emergency stop: answer",
         "second publisher: told",
     ]
-
-
-def test_a_driver_on_whose_way_six_commands_always_are_is_late(sound: Record) -> None:
-    waiting = [ZERO] * 6
-
-    def late(torque: Torque) -> Torque:
-        waiting.append(torque)
-        return waiting.pop(0)
-
-    assert failed(moved(sound, pushes=Bench(late).pushes())) == ["torque: delay"]
-
-
-def test_nothing_is_judged_by_motion_where_nothing_moved(sound: Record) -> None:
-    still = [
-        push._replace(moved=0 * push.moved, delay=None, change=0.0) for push in sound.moves.pushes
-    ]
-    assert {"torque: joint and sign", "torque_sensors: sign", "torque: delay"} <= unsure(
-        moved(sound, pushes=still)
-    )
-
-
-def test_when_torque_acts_again_before_the_reset_expect_that_named_alone(sound: Record) -> None:
-    again = Bench().push(0)
-    assert sound.moves.stale is not None
-    assert sound.moves.stop is not None
-    stale, stop = sound.moves.stale._replace(again=again), sound.moves.stop._replace(again=again)
-    assert failed(moved(sound, stale=stale)) == ["stale commands: latched"]
-    assert failed(moved(sound, stop=stop)) == ["emergency stop: latched"]
-
-
-@pytest.mark.parametrize(
-    ("told", "named"),
-    [
-        ({"missing": "elbow went 0.31 rad", "astray": True}, ["torque: motion"]),
-        ({"missing": "the driver stopped", "fault": "arm_sim: no"}, ["torque: no stop"]),
-        # The machine held commands up: no judgement of the driver.
-        ({"missing": "the driver stopped", "fault": "arm_sim: no", "gap": 0.012}, []),
-    ],
-)
-def test_why_moves_were_given_up_is_named_and_the_rest_is_inconclusive(
-    sound: Record, told: Any, named: list[str]
-) -> None:
-    record = replace(sound, moves=Moves(moved=0.002, **told))
-    assert failed(record) == named
-    left = {"torque: joint and sign", "torque: delay", "stale commands: told"}
-    assert left <= unsure(record)
 
 
 def test_a_fault_at_rest_is_named_and_what_was_asked_for_in_vain_is_inconclusive(
@@ -342,3 +338,118 @@ def test_a_fault_at_rest_is_named_and_what_was_asked_for_in_vain_is_inconclusive
     assert "torque: delay" in unsure(record)
     # Without --move nothing was asked for.
     assert unsure(replace(record, moves=Moves(asked=False, missing="not asked"))) == set()
+
+
+def late(by: int) -> Callable[[Torque], Torque]:
+    """Drives on whose way so many commands always are."""
+    waiting: list[Torque] = [ZERO] * by
+
+    def drive(torque: Torque) -> Torque:
+        waiting.append(torque)
+        return waiting.pop(0)
+
+    return drive
+
+
+MIXED, SIGN = "torque: joint and sign", "torque_sensors: sign"
+
+
+@pytest.mark.parametrize(
+    ("defects", "expected", "words"),
+    [
+        (
+            {"watchdog": False},
+            ["stale commands: told", "stale commands: torque", "stale commands: latched"],
+            "",
+        ),
+        ({"lets_go": False}, ["stale commands: torque"], ""),
+        ({"latches": False}, ["stale commands: latched", "emergency stop: latched"], ""),
+        ({"drive": late(6)}, ["torque: delay"], ""),
+        ({"drive": lambda t: (-t[0], t[1])}, [MIXED], "shoulder turns against"),
+        ({"drive": lambda t: (t[1], t[0])}, [MIXED], "shoulder and elbow mixed up"),
+        ({"drive": lambda t: (-t[0], -t[1])}, [MIXED], "shoulder turns against"),
+        ({"drive": lambda t: (-t[0], -t[1]), "sign": -1.0}, [MIXED, SIGN], "elbow turns against"),
+        ({"sign": -1.0}, [SIGN], "shoulder +"),
+    ],
+)
+def test_each_defect_of_a_driver_under_torque_is_named_and_nothing_else(
+    defects: Any, expected: list[str], words: str
+) -> None:
+    record = moved(Driver(**defects))
+    assert record.moves.missing == ""
+    assert failed(record) == expected
+    assert MIXED in expected or not unsure(record)
+    assert words in {one.check: one.figure for one in judge(record)}[MIXED]
+
+
+def test_nothing_is_judged_by_motion_where_nothing_moved(sound: Record) -> None:
+    still = [
+        push._replace(moved=0 * push.moved, delay=None, change=0.0) for push in sound.moves.pushes
+    ]
+    record = replace(sound, moves=replace(sound.moves, pushes=still))
+    assert {MIXED, SIGN, "torque: delay"} <= unsure(record)
+
+
+LEFT = {"emergency stop: told", "second publisher: told"}
+
+
+def test_when_commands_are_held_up_and_the_driver_stops_expect_no_judgement() -> None:
+    record = moved(Driver(held_up=lambda tick: tick in range(1500, 1510)))
+    assert record.moves.missing.startswith("the driver stopped: arm_sim: rig: no command")
+    assert 0.009 < record.moves.gap < 0.012
+    assert failed(record) == []
+    assert unsure(record) >= {*LEFT, "stale commands: told", "torque: no stop"}
+
+
+@pytest.mark.parametrize(
+    ("defects", "named"),
+    [
+        ({"moody": True}, "torque: no stop"),
+        ({"drive": lambda t: (20.0 * t[0], 20.0 * t[1])}, "torque: motion"),
+    ],
+)
+def test_a_driver_that_stops_by_itself_or_goes_astray_is_named_and_the_rest_is_inconclusive(
+    defects: Any, named: str
+) -> None:
+    record = moved(Driver(**defects))
+    assert failed(record) == [named]
+    assert unsure(record) >= LEFT
+
+
+# --- The checker's limit of motion --------------------------------------------------------------
+
+
+def angles(*values: float, names: tuple[str, ...] = JOINTS) -> Message:
+    return Message(0, 0, names, values, ())
+
+
+@pytest.fixture
+def guard() -> MotionGuard:
+    guard = MotionGuard(("shoulder", "elbow"), 0.3)
+    assert guard.allows(angles(1.0, -2.0))
+    return guard
+
+
+def test_motion_within_the_limit_is_allowed_and_the_largest_kept(guard: MotionGuard) -> None:
+    assert guard.allows(angles(1.1, -2.25))
+    assert guard.allows(angles(1.0, -2.0))
+    assert guard.largest == pytest.approx(0.25)
+    assert not guard.objection
+
+
+@pytest.mark.parametrize("values", [(1.31, -2.0), (1.0, -2.4), (math.nan, -2.0), (1.0, math.inf)])
+def test_beyond_the_limit_and_where_it_is_not_known_there_is_no_torque_any_more(
+    guard: MotionGuard, values: tuple[float, float]
+) -> None:
+    assert not guard.allows(angles(*values))
+    assert "torque taken away" in guard.objection
+    # Coming back is no excuse.
+    assert not guard.allows(angles(1.0, -2.0))
+
+
+@pytest.mark.parametrize("message", [None, angles(1.0, -2.0, names=("shoulder", "wrist"))])
+def test_angles_that_cannot_be_read_take_the_torque_away(
+    guard: MotionGuard, message: Message | None
+) -> None:
+    assert not guard.allows(message)
+    assert guard.objection.startswith("the angles cannot be read")

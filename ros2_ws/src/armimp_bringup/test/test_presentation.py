@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 from rich.console import Console
-from rich.text import Text
 
 from armimp_bringup import presentation
 from armimp_bringup.presentation import Stopwatch, complaints, present
@@ -160,22 +159,6 @@ def test_without_the_columns_of_other_joints_no_standard_error_is_stated() -> No
 
 def test_first_line_has_place_speed_and_time_left() -> None:
     assert describe_trial(SNAPSHOT) == "10.0/50.0 s  5.0x  18 s left"
-
-
-@pytest.mark.parametrize("joints", [2, 7])
-def test_80_columns_hold_bar_joint_and_time_left(joints: int) -> None:
-    output = io.StringIO()
-    with Display(Console(file=output, force_terminal=True, width=80, height=24)) as display:
-        late = changed(SNAPSHOT, samples=9_000_000, planned=9_000_000, rate=99.0, trials=joints)
-        display.show(changed(late, trial=joints - 1, joint=joints))
-        display.phase("drawing")
-    (line,) = {
-        one.strip() for one in Text.from_ansi(output.getvalue()).plain.splitlines() if "left" in one
-    }
-    assert line.startswith(f"trial {joints - 1}/{joints}  joint {joints}")
-    assert "━" * 16 in line
-    assert line.endswith("left")
-    assert "…" not in line
 
 
 def test_a_terminal_shows_coherence_and_column_and_follows_an_earlier_end() -> None:

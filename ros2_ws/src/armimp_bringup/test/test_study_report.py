@@ -141,46 +141,30 @@ def test_every_figure_is_written_alike_each_time_as_png_and_pdf_of_two_columns(
         assert (one / name).read_bytes() == (other / name).read_bytes()
 
 
-def _labels(figure: Any) -> set[str]:
-    (legend,) = figure.legends
-    return {text.get_text() for text in legend.get_texts()}
-
-
-def test_figure_2_shows_magnitude_phase_and_error_of_every_element(
+def test_figure_2_shows_each_element_beside_the_truth_with_a_phase_that_does_not_jump(
     truth: MBK, curves: Sequence[dict[str, ImpedanceCurve]]
 ) -> None:
     shown = {
         condition: found["welch_siso"]
         for condition, found in zip(CONDITIONS[:2], curves[:2], strict=True)
     }
-    figure = impedance_figure(shown, truth)
-    axes = figure.axes
-    assert [one.get_ylabel() for one in axes[:3]] == [
-        "magnitude (N·m/rad)", "phase (°)", "error (%)",
-    ]  # fmt: skip
-    assert [one.get_title() for one in axes[::3]] == [
-        "$Z_{11}$", "$Z_{12}$", "$Z_{21}$", "$Z_{22}$",
-    ]  # fmt: skip
+    axes = impedance_figure(shown, truth).axes
     assert [len(one.lines) for one in axes[:3]] == [3, 3, 2]  # two conditions, and the truth
     curve = curves[1]["welch_siso"]
     np.testing.assert_array_equal(axes[6].lines[1].get_ydata(), np.abs(curve.Z[1, 0]))
     true = truth.impedance(curve.f)[1, 0]
     np.testing.assert_array_equal(axes[6].lines[-1].get_ydata(), np.abs(true))
-    assert _labels(figure) == {"friction 0", "friction 3", "resolution 3", "truth"}
-    # Noise does not make the phase jump by whole turns.
     for phase in axes[1::3]:
         for line in phase.lines:
             assert -90.0 < np.min(line.get_ydata()) <= np.max(line.get_ydata()) < 270.0
 
 
 def test_figures_3_and_4_group_by_every_factor_and_reach_from_worst_to_best(table: Table) -> None:
-    for scores, entries in ((FIT_SCORES, 4), (COHERENCE_SCORES, 6)):
+    for scores in (FIT_SCORES, COHERENCE_SCORES):
         figure = levels_figure(table[:, 0], scores)
         assert len(figure.axes) == len(scores)
         ticks = [one.get_text() for one in figure.axes[-1].get_xticklabels()]
         assert ticks == ["F0", "F3", "R3", "P1"]
-        assert len(_labels(figure)) == entries + 1
-        assert "target" in _labels(figure)
     # By resolution, of which there is one.
     container: Any = levels_figure(table[:, 0], FIT_SCORES).axes[0].containers[1]
     values = table["vaf_percent"][:, 0, 0, 1]

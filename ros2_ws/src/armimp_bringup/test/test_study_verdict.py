@@ -164,19 +164,6 @@ def test_worst_error_counts_in_both_directions_and_relative_to_the_element(
         assert worst.met is met
 
 
-def test_missed_target_is_named_with_value_limit_and_place() -> None:
-    bad = _with(_entry(resolution=3), "lpm_full", B=[[0.6, 0.2], [0.3, 0.412]])
-    assert judge([_entry(), bad]).failures() == [
-        "lpm_full: B error 3.00 % > 0.50 % in B22 at friction 0, resolution 3, perturbation 1, "
-        "seed 0"
-    ]
-    bad = _with(_entry(), "welch_siso", vaf=[[99.9, 98.2], [99.9, 99.9]])
-    assert judge([bad]).failures() == [
-        "welch_siso: VAF 98.200 % < 99.500 % in Z12 at friction 0, resolution 0, perturbation 1, "
-        "seed 0"
-    ]
-
-
 def test_estimator_without_targets_is_shown_but_not_judged() -> None:
     poor = _with(_entry(estimators=("direct",)), "direct", vaf=_square(3.0, 2))
     verdict = judge([poor])
@@ -233,15 +220,10 @@ def test_table_of_results_has_a_row_for_each_condition_element_and_estimator() -
     ]
     rows = list(csv.DictReader(io.StringIO(results_csv(results_table(entries)))))
     assert len(rows) == 2 * 2 * 4
-    keys = [(r["friction"], r["estimator"], r["row"], r["column"]) for r in rows]
-    assert keys == [
-        (f, name, i, k)
-        for f in ("0", "3")
-        for name in ("welch_siso", "lpm_full")
-        for i in "12"
-        for k in "12"
-    ]
     last = rows[-1]
+    assert [last[key] for key in ("friction", "estimator", "row", "column")] == [
+        *("3", "lpm_full", "2", "2")
+    ]
     assert float(last["vaf_percent"]) == 0.1 + 0.2
     assert float(last["M"]) == TRUTH.M[1][1]
     assert float(last["M_error_percent"]) == 0.0

@@ -106,6 +106,8 @@ def _collect(function: Callable[..., Any], files: set[Path], constants: set[str]
     for name, value in _used(names, plain.__globals__):
         if hasattr(value, "py_func"):
             _collect(value, files, constants)
+        elif str(getattr(value, "__module__", "")).startswith("armimp_"):  # such as an intrinsic
+            files.add(Path(str(sys.modules[value.__module__].__file__)))
         elif isinstance(value, int | float | str | tuple):
             constants.add(f"{name} = {value!r}")
 

@@ -244,17 +244,6 @@ def test_when_bytes_are_changed_expect_cached_and_fresh_decoder_to_agree(
         assert outcome(warm, original) == outcome(JointStateDecoder(names, field), original)
 
 
-@pytest.mark.parametrize("names", [["elbow"], ["shoulder", "elbow"], ["wrist", "shoulder"]])
-def test_joints_are_picked_from_among_others_where_that_is_wished(names: list[str]) -> None:
-    everything = {"shoulder": 1.0, "elbow": 2.0, "wrist": 3.0}
-    data = serialize_message(joint_state(list(everything), position=list(everything.values())))
-    decoder = JointStateDecoder(names, "position", others=True)
-    expected = tuple(everything[name] for name in names)
-    # The second time by the layout of the first.
-    assert [decoder.decode(data)[1] for _ in range(2)] == [expected, expected]
-    assert decoder.decode_many([data, data])[1].T.tolist() == [list(expected)] * 2
-
-
 # --- Float64MultiArray bytes: agreement with rclpy, and refusal of everything else --------------
 
 

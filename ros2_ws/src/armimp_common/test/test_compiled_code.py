@@ -15,10 +15,14 @@ from support.processes import run_python
 
 CALLEE = """
 from armimp_common.compiled import compiled
+from numba.extending import intrinsic
 FACTOR = {factor}
 @compiled
 def scaled(x):
     return {expression}
+@intrinsic
+def scaled_by_code(context, x):
+    return x(x), lambda c, b, s, a: c.compile_internal(b, lambda x: {expression}, s, a)
 """
 CALLERS = {
     "of_function": """
@@ -27,6 +31,13 @@ from armimp_callee import FACTOR, scaled
 @compiled_entry
 def entry(x):
     return FACTOR * scaled(x)
+""",
+    "of_intrinsic": """
+from armimp_common.compiled import compiled_entry
+from armimp_callee import FACTOR, scaled_by_code
+@compiled_entry
+def entry(x):
+    return FACTOR * scaled_by_code(x)
 """,
     "of_module": """
 from armimp_common.compiled import compiled_entry

@@ -39,21 +39,6 @@ def test_a_command_that_cannot_be_obeyed_takes_all_torque_away(
     assert "cannot be obeyed" in protection.fault
 
 
-def test_without_commands_torque_falls_to_zero_within_the_ramp_and_stays_there(
-    protection: Protection,
-) -> None:
-    protection.command((10.0, 0.0))
-    torques = []
-    for _ in range(1 + WATCHDOG_PERIODS + RAMP_PERIODS):
-        protection.period()
-        torques.append(protection.applied[0])
-    assert torques[:WATCHDOG_PERIODS] == [10.0] * WATCHDOG_PERIODS
-    assert torques[WATCHDOG_PERIODS:] == sorted(torques[WATCHDOG_PERIODS:], reverse=True)
-    assert torques[-1] == 0.0
-    protection.command((10.0, 0.0))
-    assert protection.applied == (0.0, 0.0)
-
-
 def test_commands_that_answer_ever_older_samples_are_as_good_as_none(
     protection: Protection,
 ) -> None:

@@ -2,8 +2,6 @@
 
 import os
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from functools import partial
@@ -12,7 +10,6 @@ from pathlib import Path
 import pytest
 from rclpy.context import Context
 from rclpy.node import Node
-from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Empty
 
@@ -62,23 +59,6 @@ def test_when_a_callback_raises_expect_it_at_the_caller(
     end = time.monotonic() + PATIENCE
     with pytest.raises(CallbackError, match="in a callback"), Spinner([node]) as spinner:
         spinner.spin(lambda: time.monotonic() > end, period=0.01)
-
-
-def test_spin_until_returns_as_soon_as_the_future_is_done(node: Node) -> None:
-    done: Future = Future()
-    never: Future = Future()
-    node.create_timer(0.02, lambda: None if done.done() else done.set_result(1))
-
-    with Spinner([node]) as spinner:
-        start = time.monotonic()
-        assert not spinner.spin_until(never, 0.1)
-        assert time.monotonic() - start > 0.09
-        assert spinner.spin_until(done, PATIENCE)
-        start = time.monotonic()
-        fresh: Future = Future()
-        node.create_timer(0.02, lambda: None if fresh.done() else fresh.set_result(1))
-        assert spinner.spin_until(fresh, PATIENCE)
-        assert time.monotonic() - start < PATIENCE
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -139,39 +119,6 @@ def test_when_arguments_are_wrong_expect_status_2_and_one_line(
     assert len(own) == 1
     assert reason in own[0]
     assert "/project/src" not in own[0]
-
-
-@pytest.mark.usefixtures("domain_id")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_when_a_node_process_gets_a_signal_expect_a_clean_end(number: signal.Signals) -> None:
-    script = """
-import sys
-from rclpy.node import Node
-from armimp_common.executor import run_node
-
-def factory(*, context):
-    node = Node("waiting", context=context)
-    timer = node.create_timer(0.01, lambda: (print("ready", flush=True), timer.cancel()))
-    return node
-
-sys.exit(run_node(factory, ["program"]))
-"""
-    process = subprocess.Popen(
-        [sys.executable, "-c", script],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "ready\n"
-        process.send_signal(number)
-        _, error = process.communicate(timeout=PATIENCE)
-    finally:
-        process.kill()
-        process.wait()
-
-    assert (process.returncode, error) == (0, "")
 
 
 WATCHED = """

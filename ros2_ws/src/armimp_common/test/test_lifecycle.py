@@ -11,7 +11,7 @@ from rclpy.node import Node
 
 from armimp_common.errors import ConfigurationError, GraphError
 from armimp_common.executor import Spinner
-from armimp_common.lifecycle import LifecycleManager, ManagedNode, TransitionName, reported
+from armimp_common.lifecycle import LifecycleManager, ManagedNode, reported
 from support.graph import PATIENCE
 
 
@@ -43,21 +43,6 @@ def spinner(node: Node, managed: Managed) -> Iterator[Spinner]:
 @pytest.fixture
 def manager(node: Node, spinner: Spinner) -> LifecycleManager:
     return LifecycleManager(node, ["managed"], spin_until=spinner.spin_until, timeout=PATIENCE)
-
-
-def test_node_of_the_same_process_goes_through_all_states(manager: LifecycleManager) -> None:
-    manager.wait_for_nodes()
-    assert manager.state("managed") == "unconfigured"
-    steps: tuple[tuple[TransitionName, str], ...] = (
-        ("configure", "inactive"),
-        ("activate", "active"),
-        ("deactivate", "inactive"),
-        ("cleanup", "unconfigured"),
-        ("shutdown", "finalized"),
-    )
-    for transition, state in steps:
-        manager.change("managed", transition)
-        assert manager.state("managed") == state
 
 
 @pytest.mark.parametrize("number", [0, 3, 4, 99, 255])

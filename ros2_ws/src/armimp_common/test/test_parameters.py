@@ -1,12 +1,15 @@
-"""Parameters of real nodes: files, command line, runtime changes, locks."""
+"""Parameters: their schema without ROS, and those of real nodes: files, changes, refusals."""
 
+import math
 from collections.abc import Callable, Iterator
+from enum import Enum
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Any, Literal
 
 import pytest
 import rclpy
-from pydantic import Field, model_validator
+import yaml
+from pydantic import BaseModel, Field, field_validator, model_validator
 from rcl_interfaces.msg import ParameterType, SetParametersResult
 from rclpy.context import Context
 from rclpy.node import Node
@@ -15,30 +18,167 @@ from rclpy.signals import SignalHandlerOptions
 
 from armimp_common.errors import ConfigurationError
 from armimp_common.parameters import ParameterSet
-from armimp_common.schema import Schema
+from armimp_common.schema import Schema, build, defaults, flatten, leaves, to_params_yaml
+
+
+class Sampling(str, Enum):
+    BEFORE = "before_update"
+    MEAN = "interval_mean"
 
 
 class Law(Schema):
     gamma: float = Field(default=100.0, gt=0.0, description="velocity feedback gain (rad/s)")
     mass: tuple[float, ...] = (0.2, 0.1)
+    delay: Annotated[int, Field(ge=1, lt=10)] = 1
+
+
+class Inner(Schema):
+    law: Law = Law(gamma=50.0)
+    quiet: bool = False
 
 
 class Params(Schema):
     joints: tuple[str, ...] = ("shoulder", "elbow")
-    masks: tuple[bool, ...] = ()
-    steps: tuple[int, ...] = ()
-    scales: tuple[float, ...] = ()
+    offset: float = -1e-05
     count: int = Field(default=3, ge=1, le=9)
     least: int = Field(default=0, ge=0)
-    quiet: bool = False
+    flags: tuple[bool, ...] = ()
+    steps: tuple[int, ...] = ()
+    scales: tuple[float, ...] = ()
     mode: Literal["lockstep", "realtime"] = "lockstep"
-    law: Law = Law()
+    sampling: Sampling = Sampling.BEFORE
+    inner: Inner = Inner()
+    law: Law = Field(default_factory=Law)
+
+    @field_validator("joints")
+    @classmethod
+    def _distinct(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        if len(set(value)) != len(value):
+            raise ValueError("joint names are not distinct")
+        return value
 
     @model_validator(mode="after")
     def _fits(self) -> "Params":
         if len(self.law.mass) != len(self.joints):
             raise ValueError(f"{len(self.law.mass)} masses for {len(self.joints)} joints")
         return self
+
+
+FLAT = {
+    "joints": ["shoulder", "elbow"],
+    "offset": -1e-05,
+    "count": 3,
+    "least": 0,
+    "flags": [],
+    "steps": [],
+    "scales": [],
+    "mode": "lockstep",
+    "sampling": "before_update",
+    "inner.law.gamma": 50.0,
+    "inner.law.mass": [0.2, 0.1],
+    "inner.law.delay": 1,
+    "inner.quiet": False,
+    "law.gamma": 100.0,
+    "law.mass": [0.2, 0.1],
+    "law.delay": 1,
+}
+
+
+def test_nested_fields_become_dotted_names_in_order() -> None:
+    assert flatten(Params()) == FLAT
+    assert list(flatten(Params())) == list(FLAT)
+    assert defaults(Params) == FLAT
+    assert build(Params, FLAT) == Params()
+    assert build(Params, {}) == Params()
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (
+            {"law.gamma": -1.0},
+            "parameter 'law.gamma' = -1.0: input should be greater than 0",
+        ),
+        (
+            {"law.gamma": math.nan},
+            "parameter 'law.gamma' = nan: input should be a finite number",
+        ),
+        ({"law.gamma": "fast"}, "parameter 'law.gamma' = \"fast\": input should be a valid number"),
+        ({"joints": "ab"}, "parameter 'joints' = \"ab\": input should be a valid array"),
+        (
+            {"law.mass": [1.0, "x"]},
+            "parameter 'law.mass[1]' = \"x\": input should be a valid number",
+        ),
+        ({"count": 1.5}, "parameter 'count' = 1.5: input should be a valid integer"),
+        (
+            {"mode": "fast"},
+            "parameter 'mode' = \"fast\": input should be 'lockstep' or 'realtime'",
+        ),
+        (
+            {"joints": ["a", "a"]},
+            "parameter 'joints' = ['a', 'a']: joint names are not distinct",
+        ),
+        (
+            {"law.mass": [1.0]},
+            "parameters do not fit together: 1 masses for 2 joints",
+        ),
+        (
+            {"law.gama": 1.0},
+            "parameter 'law.gama' does not exist; the nearest valid name is 'law.gamma'",
+        ),
+    ],
+)
+def test_when_a_value_is_refused_expect_one_line_with_name_value_and_reason(
+    values: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        build(Params, values)
+
+    assert str(caught.value) == message
+
+
+def test_when_a_field_without_default_is_not_given_expect_it_named() -> None:
+    class Required(Schema):
+        name: str
+        law: Law
+
+    assert defaults(Required) == {"law.gamma": 100.0, "law.mass": [0.2, 0.1], "law.delay": 1}
+    assert build(Required, {"name": "a", "law.delay": 2}).law.delay == 2
+    with pytest.raises(ConfigurationError, match="parameter 'name' is missing"):
+        build(Required, {"law.delay": 2})
+
+
+@pytest.mark.parametrize("annotation", [float | None, tuple[float | str, ...], dict[str, float]])
+def test_when_ros_has_no_such_type_expect_type_error(annotation: Any) -> None:
+    model = type("Odd", (BaseModel,), {"__annotations__": {"field": annotation}})
+
+    with pytest.raises(TypeError, match=r"Odd\.field"):
+        leaves(model)
+
+
+def test_parameter_file_reads_back() -> None:
+    names = ("a: b", '"quoted"', "true", "1", "é\n")
+    law = Law(mass=(1.0,) * len(names))
+    odd = Params(joints=names, offset=1e300, flags=(True, False), count=4, law=law)
+    text = to_params_yaml({"arm_sim": Params(), "/left/imbic": odd, "empty": Schema()})
+
+    content = yaml.safe_load(text)
+
+    assert list(content) == ["arm_sim", "/left/imbic", "empty"]
+    for node, model in (("arm_sim", Params()), ("/left/imbic", odd)):
+        nested = content[node]["ros__parameters"]
+        flat: dict[str, Any] = {}
+        for name in FLAT:
+            value = nested
+            for key in name.split("."):
+                value = value[key]
+            flat[name] = value
+        assert flat == flatten(model)
+        assert isinstance(nested["offset"], float), "YAML 1.1 must not take it for a string"
+    assert content["empty"] == {"ros__parameters": {}}
+
+
+# --- Parameters of real nodes: files, command line, changes at run time ------------------------
 
 
 MakeNode = Callable[..., Node]
@@ -81,14 +221,19 @@ def set_parameter(node: Node, name: str, value: object) -> SetParametersResult:
 
 def test_when_file_and_command_line_give_values_expect_them(make_node: MakeNode) -> None:
     node = make_node(
-        file("law: {gamma: 7, mass: [1, 2]}", "count: 4", "quiet: true", "use_sim_time: false"),
+        file(
+            "law: {gamma: 7, mass: [1, 2]}",
+            "count: 4",
+            "inner: {quiet: true}",
+            "use_sim_time: false",
+        ),
         "-p",
         "count:=5",
     )
 
     loaded = ParameterSet(node, Params).load()
 
-    assert loaded == Params(law=Law(gamma=7.0, mass=(1.0, 2.0)), count=5, quiet=True)
+    assert loaded == Params(law=Law(gamma=7.0, mass=(1.0, 2.0)), count=5, inner=Inner(quiet=True))
     assert node.get_parameter("law.gamma").type_ is Parameter.Type.DOUBLE
     assert node.get_parameter("law.mass").type_ is Parameter.Type.DOUBLE_ARRAY
 
@@ -101,7 +246,7 @@ def test_when_arrays_are_empty_expect_them_typed(make_node: MakeNode) -> None:
     assert parameters.load() == Params(joints=(), law=Law(mass=()))
     for name, kind in (
         ("joints", Parameter.Type.STRING_ARRAY),
-        ("masks", Parameter.Type.BOOL_ARRAY),
+        ("flags", Parameter.Type.BOOL_ARRAY),
         ("steps", Parameter.Type.INTEGER_ARRAY),
         ("scales", Parameter.Type.DOUBLE_ARRAY),
     ):

@@ -1,6 +1,5 @@
 """Statuses: what goes onto the wire comes back, and nonsense is refused."""
 
-import math
 from typing import Any
 
 import pytest
@@ -12,9 +11,7 @@ from armimp_common import status as statuses
 from armimp_common.errors import MalformedMessageError
 from armimp_common.status import (
     Cause,
-    Level,
     Phase,
-    Record,
     StoppingDecision,
     TimingFigures,
     TrialStatus,
@@ -58,23 +55,9 @@ def trial_statuses(draw: st.DrawFn) -> TrialStatus:
     )
 
 
-decisions = st.builds(
-    lambda samples, later, **others: StoppingDecision(
-        samples=samples, due=None if later is None else samples + later, **others
-    ),
-    samples=st.integers(0, 10**7),
-    later=st.none() | st.integers(1, 10**6),
-    trial=st.integers(1, 9),
-    enough=st.booleans(),
-    bound=st.floats(0.0, 1.0),
-    largest=st.floats(0.0),
-    element=st.just("B12"),
-)
-
-
-@given(record=trial_statuses() | decisions)
-def test_any_record_survives_its_way_through_a_message(record: Record) -> None:
-    assert type(record).from_values({**record.to_values(), "added_later": "x"}) == record
+@given(record=trial_statuses())
+def test_any_status_survives_its_way_through_a_message(record: TrialStatus) -> None:
+    assert TrialStatus.from_values({**record.to_values(), "added_later": "x"}) == record
 
 
 @pytest.mark.parametrize("record", RECORDS)
@@ -145,32 +128,3 @@ def test_when_a_value_is_nonsense_expect_malformed_message(
 def test_when_numbers_contradict_expect_no_record() -> None:
     with pytest.raises(ValueError, match="start_ns is missing"):
         TrialStatus(**{**dict(STATUS), "start_ns": None})
-
-
-def test_sentences_are_for_people() -> None:
-    spoiled = STATUS.model_copy(
-        update={"phase": Phase.ABORTED, "valid": False, "reason": "no sensor sample"}
-    )
-    assert STATUS.sentence == "trial 2 of 3: perturbing joint 2 (elbow)"
-    assert (
-        spoiled.sentence == "trial 2 of 3: aborted at joint 2 (elbow); not valid: no sensor sample"
-    )
-    first = changed(DECISION, samples=0, due=5)
-    assert first.sentence == "trial 2: ends once standard errors are below 2 %"
-    assert DECISION.sentence == "trial 2: largest standard error 3.1 % (K21) is not below 2 %"
-    assert "not known is not below" in changed(DECISION, largest=math.nan).sentence
-
-
-def test_an_array_has_stamp_levels_and_values_in_order() -> None:
-    made = statuses.make_status("arm_sim: rates", Level.WARN, "late", {"rate": 999.5, "late": 3})
-    array = statuses.make_array(1_000_000_002, [made])
-    assert (made.level, made.name, made.message) == (
-        DiagnosticStatus.WARN,
-        "arm_sim: rates",
-        "late",
-    )
-    assert list(statuses.values_of(made).items()) == [("rate", "999.5"), ("late", "3")]
-    assert array.status == [made]
-    assert statuses.to_ns(array.header.stamp) == 1_000_000_002
-    for level in Level:
-        assert bytes([level]) == getattr(DiagnosticStatus, level.name)

@@ -7,14 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 
-from armimp_common.errors import ConfigurationError
-from armimp_common.executor import Spinner, refuse_simulated_time
+from armimp_common.executor import Spinner
 from armimp_common.parameters import ParameterSet
 from armimp_common.schema import Schema
 from support.graph import CLOCK_STEPS, PATIENCE, eventually, set_clock
@@ -74,26 +72,6 @@ def test_when_the_clock_is_set_expect_stop_conditions_of_a_busy_node_to_be_looke
         spinner.spin(lambda: time.monotonic() > begun + 0.1)
 
     assert time.monotonic() - begun < PATIENCE
-
-
-@pytest.fixture
-def simulated(context: Context) -> Iterator[Node]:
-    """A node that was started with ``use_sim_time:=true``."""
-    node = Node(
-        "simulated", context=context, parameter_overrides=[Parameter("use_sim_time", value=True)]
-    )
-    yield node
-    node.destroy_node()
-
-
-def test_when_started_with_simulated_time_expect_a_refusal(simulated: Node) -> None:
-    for begin in (
-        lambda: ParameterSet(simulated, Settings),
-        lambda: Spinner([simulated]),
-        lambda: refuse_simulated_time(simulated),
-    ):
-        with pytest.raises(ConfigurationError, match="'use_sim_time' cannot be true: watchdogs"):
-            begin()
 
 
 def test_when_simulated_time_is_set_later_expect_a_refusal_and_the_clock_as_it_was(

@@ -1,21 +1,9 @@
 """What a result was made with."""
 
 import subprocess
-import sys
 from pathlib import Path
 
-from armimp_common.versions import git_revision, versions
-
-
-def test_versions_name_everything_that_computes() -> None:
-    found = versions()
-
-    assert list(found) == [
-        "python", "numpy", "scipy", "numba", "rclpy", "rosbags", "mcap", "armimp",
-    ]  # fmt: skip
-    assert found["python"] == ".".join(map(str, sys.version_info[:3]))
-    assert found["rclpy"].startswith("7.1."), "rclpy of ROS 2 Jazzy"
-    assert "unknown" not in (found["numpy"], found["python"])
+from armimp_common.versions import git_revision
 
 
 def git(directory: Path, *arguments: str) -> str:

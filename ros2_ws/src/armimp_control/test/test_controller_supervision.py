@@ -82,22 +82,32 @@ def around(node: Node, spinner: Spinner, launch: Launch, mode: str) -> Surroundi
     return Surroundings(node, spinner, launch, mode)
 
 
+SILENCE = "gave no sign of life for 6 s: it is dead or stopped"
+
+
 @pytest.mark.parametrize(
-    ("alive", "silent", "how"),
-    [(0, 1, "gave no sign of life for 6 s: it is dead or stopped"), (0, 0, "has left")],
-    ids=["silent", "left"],
+    ("name", "borne", "lost", "how"),
+    [
+        (SIM_NODE, 0, 1, SILENCE),
+        (SIM_NODE, 0, 0, "has left"),
+        # Orchestrator and recorder may be silent in lockstep, until they are dead.
+        (SUPERVISOR_NODE, 1, 0, "is dead"),
+        (ESTIMATOR_NODE, 1, 0, "is dead"),
+    ],
 )
-def test_when_the_rig_is_lost_expect_zero_torque(
-    around: Surroundings, alive: int, silent: int, how: str
+def test_when_another_node_is_lost_expect_zero_torque_but_patience_with_those_that_may_be_silent(
+    around: Surroundings, name: str, borne: int, lost: int, how: str
 ) -> None:
     around.activate()
-    around.heard(SIM_NODE, alive=1, silent=0)
+    around.heard(name, alive=1, silent=0)
+    if borne:
+        around.heard(name, alive=0, silent=borne)
     a_moment(around.spinner)
     assert not around.aborted()
 
-    around.heard(SIM_NODE, alive=alive, silent=silent)
+    around.heard(name, alive=0, silent=lost)
 
-    around.assert_aborted(f"{SIM_NODE} {how}")
+    around.assert_aborted(f"{name} {how}")
 
 
 def test_when_this_process_was_held_up_expect_no_torque_for_a_rig_that_has_died_meanwhile(
@@ -121,21 +131,6 @@ def test_when_this_process_was_held_up_expect_no_torque_for_a_rig_that_has_died_
     assert aborted.reason == f"{SIM_NODE} is dead"
 
 
-@pytest.mark.parametrize("name", [SUPERVISOR_NODE, ESTIMATOR_NODE])
-def test_when_orchestrator_or_recorder_falls_silent_in_lockstep_expect_patience_until_it_is_dead(
-    around: Surroundings, name: str
-) -> None:
-    around.activate()
-    around.heard(name, alive=1, silent=0)
-    around.heard(name, alive=0, silent=1)
-    a_moment(around.spinner)
-    assert not around.aborted()
-
-    around.heard(name, alive=0, silent=0)
-
-    around.assert_aborted(f"{name} is dead")
-
-
 @pytest.mark.parametrize("mode", ["realtime"])
 @pytest.mark.parametrize("name", [ESTIMATOR_NODE, SIM_NODE])
 def test_when_rig_or_recorder_falls_silent_in_real_time_expect_zero_torque(
@@ -148,7 +143,7 @@ def test_when_rig_or_recorder_falls_silent_in_real_time_expect_zero_torque(
 
     around.heard(name, alive=0, silent=1)
 
-    around.assert_aborted(f"{name} gave no sign of life for 6 s: it is dead or stopped")
+    around.assert_aborted(f"{name} {SILENCE}")
 
 
 def test_when_the_recorder_takes_leave_expect_zero_torque(around: Surroundings) -> None:

@@ -196,23 +196,22 @@ def campaign(sequences: int, seed: int) -> tuple[dict[str, int], list[int]]:
     return dict(zip(PROMISES, broken.tolist(), strict=True)), counts.tolist()
 
 
-def test_whatever_comes_in_the_torque_is_finite_limited_and_gone_after_a_fault() -> None:
-    violations, counts = campaign(3000, seed=2)
-    assert violations == dict.fromkeys(PROMISES, 0)
-    assert min(counts) > 1000
+MANY = pytest.param(1_000_000, marks=[pytest.mark.slow, pytest.mark.timeout(1200)])
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(1200)
-def test_million_random_sequences_break_no_promise(figures: Figures) -> None:
-    violations, (faults, poisoned, clipped) = campaign(1_000_000, seed=1)
+@pytest.mark.parametrize("sequences", [3000, MANY])
+def test_whatever_comes_in_the_torque_is_finite_limited_and_gone_after_a_fault(
+    sequences: int, figures: Figures
+) -> None:
+    violations, (faults, poisoned, clipped) = campaign(sequences, seed=1)
     assert violations == dict.fromkeys(PROMISES, 0)
     # It was no walk in the park.
-    assert min(faults, poisoned) > 500_000
-    assert clipped > 10_000_000
-    figures.add(
-        "safety limiter fed a random sequence of 80 ticks",
-        1_000_000,
-        faults_latched=(faults, ""),
-        broken_promises=(sum(violations.values()), ""),
-    )
+    assert min(faults, poisoned) > 0.5 * sequences
+    assert clipped > 10 * sequences
+    if sequences > 3000:
+        figures.add(
+            "safety limiter fed a random sequence of 80 ticks",
+            sequences,
+            faults_latched=(faults, ""),
+            broken_promises=(sum(violations.values()), ""),
+        )

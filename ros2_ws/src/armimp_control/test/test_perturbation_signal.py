@@ -87,7 +87,7 @@ def test_a_signal_leaves_the_filter_as_it_leaves_that_of_scipy(order: int, cutof
 # --- The multisine: whole periods, odd lines with some left out, a low crest factor, the rms asked
 
 
-NOISE, MULTISINE = (presets.perturbation(3, 2, kind) for kind in ("noise", "multisine"))
+MULTISINE = presets.perturbation(3, 2, "multisine")
 DURATIONS = [(50_000, 7142), (12_000, 3000), (2000, 1000)]
 """Samples of some trials, and of the period that each gets."""
 PERIOD = DURATIONS[0][1]

@@ -46,7 +46,7 @@ class Calibration:
         Standard error of each torque by hysteresis and all else that isn't linear of transducers,
         N·m; None if nobody knows, so that the records have to tell.
     assumed : bool
-        Whether nobody declared that of torques.
+        Whether nobody declared gain, cross-talk or angle.
 
     Raises
     ------
@@ -73,8 +73,8 @@ class Calibration:
 
     @classmethod
     def undeclared(cls) -> Calibration:
-        """What a transducer of a laboratory is assumed to have: 1 % of either."""
-        return cls(gain=0.01, cross_talk=0.01, assumed=True)
+        """What is assumed of a laboratory: 1 % of gain and of cross-talk, 1.5 % of angles."""
+        return cls(gain=0.01, cross_talk=0.01, angle=0.015, assumed=True)
 
     def effects(self, Z: ComplexArray) -> tuple[ComplexArray, ...]:
         """Standard errors ``g Z_ij``, for each other joint l ``c Z_lj``, by column ``a Z_ij``.

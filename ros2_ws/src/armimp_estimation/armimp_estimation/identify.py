@@ -229,6 +229,7 @@ def identify(
                 severity=Severity.NOTE,
                 gain=100.0 * options.calibration.gain,
                 cross_talk=100.0 * options.calibration.cross_talk,
+                angle=100.0 * options.calibration.angle,
             )
         )
     best = next((r for r in results.values() if r.estimate.unbiased), None)

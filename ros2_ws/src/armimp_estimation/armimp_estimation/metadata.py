@@ -233,7 +233,7 @@ class Metadata(BaseModel):
         """What is declared of the transducers, else what is assumed of any."""
         known = {name: getattr(self, key) for key, name in CALIBRATION_KEYS.items()}
         given = {name: value for name, value in known.items() if value is not None}
-        assumed = not given.keys() >= {"gain", "cross_talk"}
+        assumed = not given.keys() >= {"gain", "cross_talk", "angle"}
         return replace(Calibration.undeclared(), assumed=assumed, **given)
 
 

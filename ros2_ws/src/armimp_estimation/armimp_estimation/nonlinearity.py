@@ -115,6 +115,8 @@ class Kind(Enum):
     """The arm, with a torque beside it: to the largest of M, B and K that it looks like."""
     GAIN = "gain"
     """The transducer, of which the gain changes."""
+    DRAG = "drag"
+    """What is between transducer and arm, which takes torque off: as of a force."""
     LOST = "lost"
     """The transducer, which shows less than there is, never more: to the rms torque."""
 
@@ -230,6 +232,16 @@ TERMS: Mapping[str, Term] = {
         sizes=(0.01, 0.03, 0.1),
         broad=True,
     ),
+    "efficiency": Term(
+        bend=lambda signals: np.abs(signals[3]) * np.tanh(signals[2] / SLOW),
+        code=ProblemCode.FRICTION_LEFT,
+        kind=Kind.DRAG,
+        slope=2.0,
+        likely=0.1,
+        sizes=(0.01, 0.03, 0.1),
+        doubted=0.5,
+        broad=True,
+    ),
     "time": Term(
         bend=lambda signals: signals[0] * np.linspace(-0.5, 0.5, signals.shape[1]),
         code=ProblemCode.CHANGES_OVER_TIME,
@@ -310,7 +322,7 @@ class Deviation:
     @property
     def of_transducer(self) -> bool:
         """Whether it is the transducer that isn't linear, not the joint."""
-        return TERMS[self.name].kind in {Kind.GAIN, Kind.LOST}
+        return TERMS[self.name].kind in {Kind.GAIN, Kind.DRAG, Kind.LOST}
 
     @property
     def significant(self) -> bool:
@@ -526,12 +538,13 @@ def deviations(
     # of what the person does: it is the instrument by which the rest is found. Slow motion of the
     # person would make it a weak one of terms that go by the direction of the motion.
     angle = moving.signal(moving.of(record.position[k]))
-    torque = wide.signal(wide.of(record.torque[k]))
+    quick = np.stack((2j * np.pi * wide.f * wide.of(record.position[k]), wide.of(record.torque[k])))
+    speed, torque = wide.signal(quick)
     kept = band.kept
-    caused = moving.caused(angle), band.caused(motion[:2]), wide.caused(torque)
+    caused = moving.caused(angle), band.caused(motion[0]), *wide.caused(np.stack((speed, torque)))
     load = band.inner(np.full(torque.size, record.torque[k].mean()))
-    actual = np.stack([angle, *motion[:2], band.inner(torque) + load])
-    known = np.stack([caused[0], *caused[1], band.inner(caused[2])])
+    actual = np.stack([angle, motion[0], speed, band.inner(torque) + load])
+    known = np.stack([*caused[:3], band.inner(caused[3])])
     sizes = np.std(actual[:, kept], axis=1)[:, None]
     own = np.array([arm.M[k, k], arm.B[k, k], arm.K[k, k]])
     if not ((sizes > 0.0).all() and own.all()):
@@ -606,16 +619,15 @@ def _deviation(
         Units of angle, the same without what is slow, speed and torque.
     """
     term, (slope, error, freedom) = TERMS[name], told
-    shift, gain, held, slack = np.zeros(3), 0.0, 0.0, 0.0
+    shift, held, slack = slope * alike, 0.0, 0.0
+    share = term.slope * slope / float(sizes[3])
+    gain = term.doubted * share
     if term.kind is Kind.GAIN:
-        share = term.slope * slope / float(sizes[3])
-        gain = term.doubted * share
-    else:
-        shift = slope * alike
-    if term.kind is Kind.LOST:
+        shift = np.zeros(3)
+    elif term.kind is Kind.LOST:
         slack = term.size * slope
         share = slack / float(sizes[3])
-    elif term.kind is Kind.FORCE:
+    elif term.kind in {Kind.FORCE, Kind.DRAG}:
         share = float(np.max(np.abs(shift / own)))
         held = slope if share > term.robots else 0.0
     elif term.kind is Kind.STIFFNESS:

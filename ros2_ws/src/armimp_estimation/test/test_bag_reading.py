@@ -325,19 +325,6 @@ class TestRefusals:
 
 
 class TestSpoiledTrials:
-    def test_other_trials_remain_and_the_error_names_bag_and_trial(self, tmp_path: Path) -> None:
-        messages = [
-            message
-            for number, message in enumerate(RECORDING.messages)
-            if number not in (200, 201, 300)
-        ]
-        path = write_ours(tmp_path / "bag", messages)
-        content = read_bag(path)
-        assert_same(content.trials[1].intact()[0], RECORDING.records[1])
-        assert refusal(path).startswith(f"{path}: trial 1: samples of ")
-        with pytest.raises(DataError, match="trial 1: samples of "):
-            content.trials[0].intact()
-
     def test_damaged_status_is_noted(self, tmp_path: Path) -> None:
         recording = synthetic_recording(ticks=50)
         topic, time, raw = recording.messages[-1]

@@ -1,14 +1,11 @@
 import json
-import resource
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 import yaml
 from mcap.reader import make_reader
-from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 
@@ -46,16 +43,6 @@ def one_line(error: pytest.ExceptionInfo[BagError]) -> str:
     return text
 
 
-@contextmanager
-def files_limited_to(size: int) -> Iterator[None]:
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-
 class TestFormat:
     def test_mcap_file_has_profile_schemas_channels_and_statistics(self, tmp_path: Path) -> None:
         messages = synthetic_recording(ticks=300).messages
@@ -67,7 +54,6 @@ class TestFormat:
             assert summary is not None
             assert summary.statistics is not None
             records = list(reader.iter_metadata())
-            indexed = [(c.topic, m.log_time, m.data) for _, c, m in reader.iter_messages()]
             only = [m.data for _, _, m in reader.iter_messages(topics=["/torque_sensors"])]
         assert summary.statistics.message_count == len(messages)
         assert summary.statistics.message_start_time == messages[0][1]
@@ -86,11 +72,7 @@ class TestFormat:
         assert records[0].metadata == METADATA
         inner = yaml.safe_load(records[1].metadata["serialized_metadata"])
         assert inner["message_count"] == len(messages)
-        assert indexed == [("/" + topic, time, raw) for topic, time, raw in messages]
         assert only == [raw for topic, _, raw in messages if topic == TORQUE_SENSORS]
-        with (path / "bag_0.mcap").open("rb") as file:
-            chunks = list(StreamReader(file, emit_chunks=True).records)
-        assert all(r.uncompressed_crc for r in chunks if isinstance(r, Chunk))
 
 
 class TestRefusals:
@@ -131,10 +113,6 @@ class TestRefusals:
 
 
 class TestFullDisk:
-    def test_no_room_for_the_head_is_reported_at_once(self, tmp_path: Path) -> None:
-        with files_limited_to(10), pytest.raises(BagError, match="cannot be written"):
-            BagWriter(tmp_path / "bag", metadata=METADATA)
-
     def test_free_space_is_checked_where_the_path_will_be(self, tmp_path: Path) -> None:
         path = tmp_path / "not" / "yet" / "there"
         require_free_space(path, 1, 1)

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.direct import Direct
 from armimp_estimation.estimators.estimate import Estimator
-from armimp_estimation.estimators.lpm import LpmConfig, LpmFull, unresolved
+from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
 from armimp_estimation.estimators.welch import WelchFull, WelchSiso
 from armimp_estimation.fit import fit_mbk
 from armimp_estimation.frf import stands_out
 from armimp_estimation.mbk import MBK
-from armimp_estimation.signal_quality import lost_motion, rounding_lead
+from armimp_estimation.signal_quality import rounding_lead
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from support.synthetic_trials import (
@@ -188,32 +188,6 @@ def test_a_delay_of_all_torques_is_corrected() -> None:
     assert off(fit).max() < 3.5
     raw = dataclasses.replace(LPM.estimate(delayed), delay_uncertainty=None)
     assert (fit_mbk(raw).mbk.B > 1.2 * TWO_JOINT_ARM.B).all()
-
-
-def test_motion_that_an_encoder_misses_is_that_of_a_spring_or_a_damper() -> None:
-    step, records = 1e-4, []
-    for k, trial in enumerate(synthetic_trials()):
-        position = step * np.rint(trial.record.position / step)
-        position[1 - k] = 0.0
-        records.append(dataclasses.replace(trial.record, position=position))
-    rng = np.random.default_rng(2)
-    Z, R, T, inverse = rng.standard_normal((4, 2, 2, 5, 2)) @ [1.0, 1j]
-    f = np.linspace(1.0, 5.0, 5)
-    _, leads, lost = unresolved(records, Z, R, T, inverse, f)
-    assert leads == []  # what rests isn't thrown back, and what moves fast hides nothing
-    added = np.sum([np.abs(one) ** 2 for one in lost], axis=0)
-    expected = np.zeros(Z.shape)
-    share, beside = lost_motion(records)
-    for joint, k in ((1, 0), (0, 1)):
-        size = beside[joint, k] / np.std(records[k].perturbation[k])
-        assert size > 0.0
-        responses = [share[joint, k] * R[joint, k]]
-        for power in (0, 1):
-            shape = T[joint, k] / f**power
-            responses.append(size * shape / np.sqrt(np.mean(np.abs(shape) ** 2)))
-        for one in responses:
-            expected += np.abs(one * Z[:, joint, None] * inverse[None, k]) ** 2
-    np.testing.assert_allclose(added, expected, rtol=1e-12)
 
 
 def test_readings_of_a_joint_that_its_law_throws_back_lead_as_steps_and_speed_tell() -> None:

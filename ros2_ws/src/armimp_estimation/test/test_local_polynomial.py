@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy import signal
 
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.local_polynomial import (
@@ -14,7 +13,6 @@ from armimp_estimation.estimators.local_polynomial import (
 )
 from armimp_estimation.fit import covariance_of_sums
 from armimp_estimation.periods import Periods
-from armimp_estimation.spectra import WelchConfig, cross_spectra
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -43,16 +41,6 @@ def polynomials(order: int) -> tuple[FloatArray, FloatArray, ComplexArray]:
     return source, output, np.asarray(response, dtype=np.complex128)
 
 
-def resonance(seed: int) -> tuple[FloatArray, FloatArray, tuple[FloatArray, FloatArray]]:
-    """Piece of an ongoing experiment with a resonance like that of an arm, and its coefficients."""
-    poles = np.exp(2.0 * np.pi * (-0.4 + 0.9j) / RATE)  # 1 Hz, damping ratio 0.4
-    denominator = np.real(np.poly([poles, np.conj(poles)]))
-    numerator = np.array([0.0, np.sum(denominator)])
-    whole = white(seed, SAMPLES + 3000)
-    answer = signal.lfilter(numerator, denominator, whole)
-    return whole[3000:], answer[3000:], (numerator, denominator)
-
-
 def estimate(
     source: FloatArray, *outputs: FloatArray, config: LocalPolynomialConfig = CONFIG
 ) -> LocalResponse:
@@ -74,28 +62,6 @@ def test_bins_are_those_of_the_whole_record_within_the_band() -> None:
     assert found.f[0] >= 0.122 > found.f[0] - RATE / SAMPLES
     assert found.f[-1] <= 15.0 < found.f[-1] + RATE / SAMPLES
     np.testing.assert_array_equal(bins_in_band(8, 8.0, 0.0, 100.0), [1, 2, 3])
-
-
-def test_leakage_that_spoils_averaged_spectra_is_removed() -> None:
-    source, output, system = resonance(3)
-    found = estimate(source, output)
-    true = signal.freqz(*system, worN=found.f, fs=RATE)[1]
-    near = (found.f > 0.5) & (found.f < 2.0)
-    local = np.abs(found.response[0] / true - 1.0)[near]
-
-    bins = np.rint(found.f * SAMPLES / RATE).astype(int)
-    ratio = np.fft.rfft(output)[bins] / np.fft.rfft(source)[bins]
-    plain = np.abs(ratio / true - 1.0)[near]
-
-    welch = WelchConfig(segment=1024, overlap=768)
-    matrix = cross_spectra(np.stack((source, output)), rate=RATE, config=welch).matrix
-    f = welch.frequencies(RATE)
-    true = signal.freqz(*system, worN=f, fs=RATE)[1]
-    averaged = np.abs(matrix[0, 1] / matrix[0, 0] / true - 1.0)[(f > 0.5) & (f < 2.0)]
-
-    assert np.max(local) < 0.02
-    assert np.sqrt(np.mean(averaged**2)) > 4.0 * np.sqrt(np.mean(local**2))
-    assert np.sqrt(np.mean(plain**2)) > 20.0 * np.sqrt(np.mean(local**2))
 
 
 def test_variances_of_responses_and_of_their_sums_over_bins_are_those_of_noise() -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.signal import lfilter
+from scipy.signal import butter, lfilter, sosfilt
 
 from armimp_estimation.distortion import Distortion
 from armimp_estimation.estimators.local_polynomial import LocalPolynomialConfig, local_response
@@ -232,3 +232,23 @@ def test_torque_that_an_arm_does_not_explain_is_sorted_by_its_origin(
     inside[0] = False
     whole = float(np.sqrt(2.0 * np.sum(spectrum[inside]))) / noise.size
     assert sorted_out.noise == pytest.approx(whole, rel=0.1)
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.05])
+def test_a_transmission_that_takes_a_share_of_the_torque_while_it_drives_the_arm_is_found(
+    loss: float,
+) -> None:
+    random = np.random.default_rng(3)
+    low_pass = butter(4, 10.0, fs=1000.0, output="sos")
+    source = sosfilt(low_pass, random.standard_normal(20_000))
+    angle = lagging_behind(source, np.exp(-1e-3 / 0.05))
+    angle *= 0.045 / np.std(angle)
+    arm = MBK(M=np.array([[0.02]]), B=np.array([[0.2]]), K=np.array([[8.0]]))
+    f = np.asarray(np.fft.rfftfreq(angle.size, 1e-3), dtype=np.float64)
+    torque = np.fft.irfft(arm.impedance(f)[0, 0] * np.fft.rfft(angle), angle.size)
+    torque *= 1.0 - loss * (torque * np.gradient(angle) > 0.0)
+    record = elbow(source, angle, torque + 0.01 * random.standard_normal(angle.size))
+    found = {name: one for name, one in deviations(record, arm).items() if one.significant}
+    assert loss or not found
+    if loss:
+        assert found["efficiency"].gain == pytest.approx(-0.5 * loss, rel=0.3)

@@ -11,7 +11,6 @@ import pytest
 
 from armimp_common import topics
 from armimp_common.cdr import decode_trial_status, encode_trial_status
-from armimp_common.errors import DataError
 from armimp_common.status import Phase
 from armimp_estimation.figures import TWO_COLUMNS, impedance_figure, write_figures
 from armimp_estimation.problems import ProblemCode, problem
@@ -355,10 +354,3 @@ def test_without_an_estimate_the_traces_alone_are_drawn_whatever_the_joints_are_
     (tmp_path / "figures").mkdir()
     write_figures(tmp_path / "figures", load_result(directory))
     assert {path.name for path in (tmp_path / "figures").iterdir()} == {"traces.png", "traces.pdf"}
-
-
-def test_when_a_figure_cannot_be_written_expect_its_path_in_the_error(
-    result: Result, tmp_path: Path
-) -> None:
-    with pytest.raises(DataError, match=r"nowhere/impedance.png: cannot be written: No such file"):
-        write_figures(tmp_path / "nowhere", result)

@@ -3,7 +3,6 @@ import pytest
 import scipy.signal
 from numpy.typing import NDArray
 
-from armimp_common.errors import DataError
 from armimp_estimation.spectra import (
     CrossSpectra,
     WelchConfig,
@@ -53,17 +52,6 @@ def assert_equals_scipy(x: FloatArray, config: WelchConfig, rate: float) -> None
 def test_matrix_equals_that_of_scipy_up_to_the_nyquist_bin(segment: int, overlap: int) -> None:
     config = WelchConfig(segment=segment, overlap=overlap, f_low=0.0, f_high=32.0)
     assert_equals_scipy(signals(3, 500), config, RATE)
-
-
-def test_default_band_is_from_the_first_bin_to_15_hz() -> None:
-    f = WelchConfig().frequencies(1000.0)
-    np.testing.assert_allclose(f, 1000.0 / 8192.0 * np.arange(1, 123), rtol=1e-15)
-    assert f[-1] <= 15.0 < f[-1] + 1000.0 / 8192.0
-
-
-def test_when_the_record_is_shorter_than_a_segment_expect_both_lengths_in_the_error() -> None:
-    with pytest.raises(DataError, match="8191 samples is shorter than one segment of 8192"):
-        cross_spectra(np.zeros((1, 8191)), rate=1000.0)
 
 
 def test_averages_scatter_and_correlate_as_white_noise_shows() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import json
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -17,8 +16,6 @@ from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
 from armimp_estimation.fit import fit_mbk
 from armimp_estimation.hold_correction import update_jump
 from armimp_estimation.mbk import MBK
-from armimp_estimation.metadata import Metadata
-from armimp_estimation.parameters import EstimatorParameters, TorqueParameters
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
@@ -136,25 +133,6 @@ def test_spectra_are_corrected_for_delay_and_filter_and_coherences_stay() -> Non
         return np.asarray(power / (matrix[0, 0].real * matrix[3, 3].real))
 
     np.testing.assert_allclose(coherence(corrected), coherence(raw), rtol=1e-10)
-
-
-def test_metadata_tell_all_of_it_and_parameters_prevail() -> None:
-    metadata = {
-        "torque_timing": '"interval_mean"',
-        "torque_delay": "0.002",
-        "torque_cutoff": "150",
-        "torque_order": "2",
-        "actuator_lag": "0.001",
-    }
-    expected = TorqueReading(
-        timing=TorqueTiming.INTERVAL_MEAN, delay=0.002, cutoff=150, order=2, actuator_lag=0.001
-    )
-    assert Metadata.of(metadata).reading == expected
-    given = EstimatorParameters(
-        metadata=json.dumps(metadata), torque=TorqueParameters(delay=0.004)
-    ).bag_metadata()
-    assert Metadata.of(given).reading == expected.model_copy(update={"delay": 0.004})
-    assert Metadata.of(EstimatorParameters().bag_metadata()).reading == TorqueReading()
 
 
 # --- Skew of torques that are read just before the command is updated: what it is, and its cure

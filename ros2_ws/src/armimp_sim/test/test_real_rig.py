@@ -326,16 +326,6 @@ def test_plant_reads_whole_counts_of_its_exact_state(level: int) -> None:
     assert len(seen) > 10
 
 
-def test_torque_before_update_is_that_under_the_command_still_in_force() -> None:
-    config = study_plant()
-    plant = Plant([config])
-    commands = np.random.default_rng(5).uniform(-5.0, 5.0, (20, 2))
-    for command in commands:
-        plant.tick(command[None], np.zeros((1, 2)))
-        state = plant.state()[0]
-        assert plant.torque[0] == pytest.approx(load(config, state, command), abs=1e-11)
-
-
 def test_interval_mean_torque_is_the_mean_over_the_substeps() -> None:
     coarse = study_plant(sensors=presets.sensors(0, Sampling.INTERVAL_MEAN))
     plant, watcher = Plant([coarse]), stepwise(coarse)

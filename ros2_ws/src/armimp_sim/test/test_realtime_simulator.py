@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 
@@ -102,24 +100,6 @@ class TestWatchdog:
         assert RAMP_PERIODS <= 50
         assert set(applied[RAMP_PERIODS - 1 :]) == {(0.0, 0.0)}
 
-    def test_the_reset_forgets_answers_that_are_owed_so_that_new_commands_are_obeyed(
-        self, bench: Bench
-    ) -> None:
-        for _ in range(3):
-            bench.command(1.0, 1.0)
-            bench.next()
-        bench.next(250)
-        bench.command(0.0, 0.0)
-        bench.next()
-        bench.paced.reset()
-        missed = bench.missed
-        for _ in range(20):
-            bench.command(7.0, 7.0)
-            bench.next()
-        assert not bench.rig.fault
-        assert bench.missed - missed <= 1
-        assert bench.rig.applied == (7.0, 7.0)
-
     @pytest.mark.parametrize(
         ("again", "unheard"),
         [(False, HEARD_TICKS), (False, 1000), (True, WATCHDOG_PERIODS), (True, 200)],
@@ -149,22 +129,3 @@ class TestWatchdog:
             bench.command(7.0, 7.0)
         bench.next()
         assert bench.rig.fault == f"commands are more than {WATCHDOG_PERIODS} periods behind"
-
-
-class TestThread:
-    def test_samples_come_by_themselves_in_their_order_until_it_is_stopped(self) -> None:
-        rig = SimulatedRig(PARAMETERS)
-        stamps: list[int] = []
-        paced = RealtimeSimulator(rig, lambda: stamps.append(rig.stamp_ns), Pacer(PERIOD_NS))
-        began = time.monotonic()
-        paced.start()
-        while len(stamps) < 50:
-            time.sleep(0.001)
-        took = time.monotonic() - began
-        paced.stop()
-        paced.stop()
-        count = len(stamps)
-        time.sleep(0.02)
-        assert stamps == [k * PERIOD_NS for k in range(count)]
-        assert took >= 0.049
-        assert paced.error is None

@@ -6,8 +6,6 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from armimp_common.compiled import compiled_entry
@@ -34,20 +32,6 @@ def _chosen(a: Array, b: Array, width: Tag, out: Array) -> None:
     x, y = load(a, 0, width), load(b, 0, width)
     store(out, 0, where_less(x, y, x, y))
     store(out, len(width), where_less(x, 0.5, 1.0, y))
-
-
-@compiled_entry
-def _elementary(a: Array, width: Tag, out: Array) -> None:
-    x = load(a, 0, width)
-    sine, cosine = sine_cosine(x)
-    store(out, 0, exp_minus(abs(x)))
-    store(out, len(width), sine)
-    store(out, 2 * len(width), cosine)
-
-
-@compiled_entry
-def _moved(a: Array, source: int, target: int, width: Tag, out: Array) -> None:
-    store(out, target, load(a, source, width))
 
 
 def _both_ways(
@@ -92,21 +76,6 @@ def test_choice_is_made_lane_by_lane_and_nan_is_never_less(seed: int) -> None:
     together, alone = _both_ways(_chosen, 2, a, b)
     assert _same_bits(together, alone)
     assert _same_bits(together, np.array([np.where(a < b, a, b), np.where(a < 0.5, 1.0, b)]))
-
-
-@settings(deadline=None)
-@given(st.lists(st.floats(-1e5, 1e5), min_size=16, max_size=16))
-def test_elementary_functions_round_alike_in_every_lane(numbers: list[float]) -> None:
-    together, alone = _both_ways(_elementary, 3, np.array(numbers))
-    assert _same_bits(together, alone)
-
-
-@pytest.mark.parametrize(("source", "target"), [(0, 0), (1, 3), (7, 2)])
-def test_values_go_to_the_places_that_are_named_and_to_no_others(source: int, target: int) -> None:
-    numbers, out = np.arange(40.0), np.full(40, -1.0)
-    _moved(numbers, source, target, MANY, out)
-    assert np.array_equal(out[target : target + 16], numbers[source : source + 16])
-    assert np.all(np.delete(out, np.s_[target : target + 16]) == -1.0)
 
 
 def test_single_trial_has_a_block_of_its_own_and_several_fill_wide_ones() -> None:
