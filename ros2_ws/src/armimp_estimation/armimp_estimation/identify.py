@@ -209,6 +209,7 @@ def identify(
     for trial in ordered:
         problems += [*trial.problems, *judge_angles(trial.record), *judge_signals(trial.record)]
     problems += verdict.judge_order(names, locks)
+    problems += verdict.judge_trials([trial.record for trial in ordered])
     problems += verdict.judge_coherence(
         names, first.coherence_motion, first.coherence_torque, level
     )

@@ -80,6 +80,7 @@ class ProblemCode(str, Enum):
     STREAM_RATES_DIFFER = "stream_rates_differ"
     COMMANDS_PERMUTED = "commands_permuted"
     SENSORS_PERMUTED = "sensors_permuted"
+    TRIALS_MIXED = "trials_mixed"
     DELAY_CORRECTED = "delay_corrected"
     TIMING_REFUTED = "timing_refuted"
     LACK_OF_FIT = "lack_of_fit"

@@ -186,6 +186,26 @@ def test_angles_and_torques_in_another_order_than_perturbations_are_refused() ->
     assert not result.verdict.impedance
 
 
+def test_when_axes_of_trials_and_joints_are_exchanged_expect_channels_of_other_trials() -> None:
+    trials = synthetic_trials()
+    exchanged = [
+        with_readings(
+            trial,
+            **{
+                name: np.stack([getattr(other.record, name)[k] for other in trials])
+                for name in ("position", "torque")
+            },
+        )
+        for k, trial in enumerate(trials)
+    ]
+    result = identify(exchanged, ("lpm_full",), config=CONFIG)
+    found = [one for one in result.problems if one.code is ProblemCode.TRIALS_MIXED]
+    assert [(one.trial, one.values["name"]) for one in found] == [(1, "joint_2"), (2, "joint_1")]
+    assert not result.verdict.impedance
+    sound = identify(trials, ("lpm_full",), config=CONFIG)
+    assert ProblemCode.TRIALS_MIXED not in {one.code for one in sound.problems}
+
+
 def test_when_locking_fails_expect_it_in_the_verdict_though_derived_coherence_is_high() -> None:
     result = identify(
         synthetic_trials(dataclasses.replace(LOOP, lock_stiffness=100.0)), ESTIMATORS, None, CONFIG
