@@ -15,7 +15,7 @@ from armimp_common.errors import DataError, GraphError
 from armimp_estimation.summary import SUMMARY_FILE, Summary, read_summary
 from benchmarks.peak_memory import PeakMemory
 
-COMMAND = "armimp_bringup.cli"
+COMMAND = "armimp_bringup"
 """Module behind the command ``armimp``."""
 
 

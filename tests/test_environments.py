@@ -13,7 +13,7 @@ from support.runs import FinishedRun
 PATIENCE = 120.0
 RUN = ["run", "--duration", "2"]
 ESTIMATE = ["estimate"]
-COMMAND = [sys.executable, "-c", "from armimp_bringup.cli import program; program()"]
+COMMAND = [sys.executable, "-c", "from armimp_bringup.__main__ import program; program()"]
 
 
 def armimp(

@@ -19,7 +19,7 @@ from support.runs import FinishedRun
 
 pytestmark = pytest.mark.slow
 
-COMMAND = [sys.executable, "-m", "armimp_bringup.cli", "run", "--duration", "10", "--json"]
+COMMAND = [sys.executable, "-m", "armimp_bringup", "run", "--duration", "10", "--json"]
 CHOICES = (
     "ROS_DOMAIN_ID",
     "ROS_AUTOMATIC_DISCOVERY_RANGE",

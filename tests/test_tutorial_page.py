@@ -31,7 +31,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (clone / "examples").symlink_to(ROOT / "examples")
     commands = clone / ".venv" / "bin"
     commands.mkdir(parents=True)
-    for name, module in (("armimp", " -m armimp_bringup.cli"), ("python", "")):
+    for name, module in (("armimp", " -m armimp_bringup"), ("python", "")):
         (commands / name).write_text(f'#!/bin/sh\nexec "{sys.executable}"{module} "$@"\n')
         (commands / name).chmod(0o755)
     return clone

@@ -44,7 +44,7 @@ def refused(*arguments: str) -> Told:
 @contextlib.contextmanager
 def program(*arguments: str) -> Iterator[subprocess.Popen[str]]:
     """Run a command in a process of its own, which is over at the end."""
-    command = [sys.executable, "-m", "armimp_bringup.cli", *arguments]
+    command = [sys.executable, "-m", "armimp_bringup", *arguments]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         try:
             yield process

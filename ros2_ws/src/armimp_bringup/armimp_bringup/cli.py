@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Annotated, Any, NoReturn, TypeVar
 
 import typer
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 from typer.exceptions import TyperException
 
 from armimp_bringup.config import (
@@ -79,7 +79,7 @@ _Config = Annotated[
 _DomainId = Annotated[
     int | None,
     typer.Option(
-        help="ROS domain, 0 to 232; by default one that is free, or ROS_DOMAIN_ID where nodes are "
+        help="ROS domain, 0 to 100; by default one that is free, or ROS_DOMAIN_ID where nodes are "
         "those of others."
     ),
 ]
@@ -373,7 +373,7 @@ def main(
         _require_open_files()
         status = program(args=arguments, prog_name=name, standalone_mode=False)
     except TyperException as error:
-        message = error.format_message()
+        message = _complaint(error)
         if message.startswith("Usage: "):
             # Asking for nothing shows the help, which has many lines.
             print(message, file=sys.stderr)
@@ -406,6 +406,13 @@ def main(
     if status == _INTERRUPTED:
         say("armimp: interrupted")
     return status if isinstance(status, int) else 0
+
+
+def _complaint(error: TyperException) -> str:
+    message = error.format_message()
+    if isinstance(error.__cause__, ValidationError):
+        message += f", got {error.__cause__.errors()[0]['input']!r:.60}"
+    return message
 
 
 def tell_of_compiling() -> None:
@@ -448,7 +455,3 @@ def program() -> NoReturn:
         with suppress(OSError):
             say(f"armimp: the output cannot be written: {error.strerror}")
     os._exit(status)
-
-
-if __name__ == "__main__":
-    program()
