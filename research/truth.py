@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
-from scipy.signal import bilinear, butter, lfilter, sosfilt
+from scipy.signal import bilinear, butter, lfilter, sosfilt, sosfiltfilt
 
 from armimp_bringup.study import parse_seeds
 from armimp_bringup.terminal import display
@@ -26,6 +26,7 @@ from armimp_estimation.result import Result, conclude
 from research.independent_rig import (
     NAMES,
     POSTURE,
+    ROBOT,
     Mismatch,
     Recording,
     arm_of,
@@ -342,6 +343,24 @@ def _first_lost(recording: Recording) -> Recording:
     return replace(recording, command_shift=1)
 
 
+def _computed(share: float) -> Callable[[Recording], Recording]:
+    """Torque that is not measured: commands less a model of the robot with a share of its inertia.
+
+    Its accelerations are smoothed.
+    """
+    low_pass = butter(2, 40.0, fs=1000.0, output="sos")
+
+    def compute(recording: Recording) -> Recording:
+        n, command = len(recording.position), recording.command
+        speed = np.gradient(sosfiltfilt(low_pass, recording.position), MILLI, axis=1)
+        model = share * ROBOT[:n, :n] @ np.gradient(speed, MILLI, axis=1) + 0.1 * speed
+        return replace(
+            recording, torque=np.round(np.roll(np.asarray(command), 1, axis=1) - model, 2)
+        )
+
+    return compute
+
+
 def _shifted(by: int) -> Callable[[Recording], Recording]:
     return changed(command=lambda command: np.roll(command, by, axis=1))
 
@@ -428,6 +447,9 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
             wrong = changed(torque=_row(row, factor))
             of_one = (f"{factor:g}", {"readings": wrong} | undeclared)
             add(MUST, f"torque gain of joint {row + 1}", of_one)
+    for share in (0.7, 0.9, 1.1):
+        model = {"friction": 0.0, "readings": _computed(share)}
+        add(MUST, "torque computed from the command", (f"{share:g}", model))
     for label, gone in (("", False), (", no commands", True)):
         for name in ("torque", "position"):
             swap = changed(**{name: lambda values: values[::-1].copy()})

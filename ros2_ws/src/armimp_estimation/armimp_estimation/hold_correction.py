@@ -17,7 +17,7 @@ an error of 10 % leaves 10 % of the skew.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -43,6 +43,10 @@ _LEFT, _LEFT_BESIDE, _OFF = 1.0, 2.2, 0.15
 where chatter tells those of another one; and relative standard error of D per that."""
 _SHOWN = 0.5
 """Power of changes of torques, relative to that of the jumps they should show, at least."""
+_PARTS = 8
+"""Of each record, whose scatter tells the error of answers to rounding."""
+_TOLD = 1e-4
+"""Share of the power of a step that angles have to tell apart from other steps."""
 _QUICK = (2.0, 3.0, 15.0, 20.0)
 """Where the band begins and ends, and from where to where all of it is looked at, Hz."""
 
@@ -204,6 +208,48 @@ def update_jump(
     return jump if told and _is_share_of_inertia(jump.torque) else None
 
 
+def answers_to_rounding(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]:
+    """Share of a step of its command that each torque shows at once.
+
+    A law may feed torques back, with their noise: what commands have in common with that is no
+    answer to them. But nothing except the law knows how angles were rounded. So the changes of
+    torques are regressed on what rounded angles explain of the steps (instrumental variables).
+
+    Parameters
+    ----------
+    records : sequence of TrialRecord
+        Trials of one arm, with commands, and with angles of which rounding is most of what their
+        second differences are.
+
+    Returns
+    -------
+    answers, errors : ndarray, shape (n, 2)
+        In readings just after and just before the updates. Errors are from parts of the records;
+        infinite where angles hardly explain the steps.
+    """
+    n, reading = records[0].joints, TorqueReading()
+    steps, changes = _chatter(records, reading, beside=1, differences=1)
+    rounded = [replace(record, command=record.position) for record in records]
+    angles, _ = _chatter(rounded, reading, beside=1, differences=1)
+    by, _ = regress(angles, steps)
+    told = [by @ one for one in angles]
+
+    def cut(rows: Sequence[FloatArray], part: int) -> list[FloatArray]:
+        return [np.array_split(one, _PARTS, axis=1)[part] for one in rows]
+
+    found = [regress(cut(told, part), cut(changes, part))[0] for part in range(_PARTS)]
+    own = np.arange(n)
+    answers = np.reshape(found, (_PARTS, n, -1, n))[:, own, :2, own]
+    # Power of what is told of each step that no other step explains.
+    squares = sum(_products(x, x) for x in told)
+    power = np.where(np.diag(squares) > 0.0, np.diag(squares), 1.0)
+    alone = 1.0 / np.diag(np.linalg.inv(squares + np.diag(1e-9 * power)))
+    whole = sum(np.sum(x**2, axis=1) for x in steps)
+    known = (alone > _TOLD * whole).reshape(-1, n)[:2].T
+    errors = np.std(answers, axis=1, ddof=1) / np.sqrt(_PARTS)
+    return np.mean(answers, axis=1), np.where(known, errors, np.inf)
+
+
 def _is_share_of_inertia(transmission: FloatArray) -> bool:
     eigenvalues = np.linalg.eigvals(transmission)
     return bool((eigenvalues.real > 0.0).all() and (np.abs(eigenvalues) < 1.0).all())
@@ -254,9 +300,12 @@ def _shows(
 
 
 def _chatter(
-    records: Sequence[TrialRecord], reading: TorqueReading, beside: int = 0
+    records: Sequence[TrialRecord],
+    reading: TorqueReading,
+    beside: int = 0,
+    differences: int = _DIFFERENCES,
 ) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Fourth differences of steps, newest first, and of the changes of torques that follow them.
+    """Differences of steps, newest first, and of the changes of torques that follow them.
 
     Of each trial; with as many steps `beside` those that may matter on either side.
     """
@@ -277,8 +326,8 @@ def _chatter(
         start = max(lags - 1, -before)
         last = min(changes.shape[1] - before, steps.shape[1])
         lagged = [steps[:, start - lag : last - lag] for lag in range(lags)]
-        inputs.append(np.diff(np.concatenate(lagged), n=_DIFFERENCES, axis=1))
-        outputs.append(np.diff(changes[:, before + start : before + last], n=_DIFFERENCES, axis=1))
+        inputs.append(np.diff(np.concatenate(lagged), n=differences, axis=1))
+        outputs.append(np.diff(changes[:, before + start : before + last], n=differences, axis=1))
     return inputs, outputs
 
 

@@ -28,6 +28,7 @@ from armimp_estimation.robot_balance import (
     RobotBalance,
     RobotResponses,
     in_order,
+    judge_answers,
     judge_balance,
 )
 from armimp_estimation.signal_quality import RESOLVED_SHARE, judge_signals, lost_motion
@@ -261,7 +262,7 @@ def identify(
     if responses is not None:
         balance = responses.balance(order, hold, reading, fit.delay)
     unbalanced, gains = judge_balance(names, balance, fit, options.calibration)
-    problems += unbalanced
+    problems += [*unbalanced, *judge_answers(names, records, balance, fit)]
     results = {name: one.with_gains_in_doubt(gains) for name, one in results.items()}
     return Identification(
         joint_names=names,

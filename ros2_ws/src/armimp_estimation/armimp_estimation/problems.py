@@ -104,6 +104,7 @@ class ProblemCode(str, Enum):
     DEAD_ZONE = "dead_zone"
     TORQUE_REPEATS = "torque_repeats"
     TORQUE_IS_COMMAND = "torque_is_command"
+    TORQUE_FROM_COMMAND = "torque_from_command"
     UNRESOLVED = "unresolved"
     DEPENDS_ON_AMPLITUDE = "depends_on_amplitude"
     DEPENDS_ON_DIRECTION = "depends_on_direction"

@@ -43,11 +43,15 @@ from armimp_estimation.fit import (
     covariance_of_sums,
     fit_weights,
 )
-from armimp_estimation.hold_correction import HoldCorrection, without_skew
+from armimp_estimation.hold_correction import (
+    HoldCorrection,
+    answers_to_rounding,
+    without_skew,
+)
 from armimp_estimation.plausibility import least_eigenvalue, uneven
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.signal_quality import lost_motion, speed_of
+from armimp_estimation.signal_quality import lost_motion, resolution_of, speed_of
 from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.trial import TrialData
 
@@ -93,6 +97,11 @@ _LOADED = 0.3
 well be of a cable that loads the transducer, relative to itself."""
 _REFUTED = 3.0
 """Standard errors by which a gain has to differ from 1 to refute a declared calibration."""
+_AT_ONCE = 0.1
+"""Share of a step of its command by which a torque may jump beyond what inertias allow."""
+_ROUNDED = 1.0
+"""Power of second differences of an angle, relative to its resolution squared, up to which most of
+them is rounding, half of that square."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -606,6 +615,48 @@ def judge_balance(
         elif calibration.assumed and doubt > calibration.gain:
             problems.append(_unconfirmed(name, float(doubt)))
     return problems, doubts
+
+
+def judge_answers(
+    names: Sequence[str],
+    records: Sequence[TrialRecord],
+    balance: RobotBalance | None,
+    arm: MBKFit,
+) -> list[Problem]:
+    """Find torques that were computed from the commands and a model of the robot.
+
+    Such torques balance, as the robot then is its model. But accelerations have to be smoothed, so
+    that all of a step of the command is in the torque at first, while of that on an arm no more
+    than ``D = M_h (M_r + M_h)⁻¹`` is. Parameters are those of :func:`judge_balance`, and the trials
+    in order.
+    """
+    if balance is None or not all(_rounds(record) for record in records):
+        return []
+    answers, errors = answers_to_rounding(records)
+    inverse = np.linalg.pinv(arm.mbk.M + balance.M)
+    shares = arm.mbk.M @ inverse
+    of_arm, of_robot = (np.eye(len(names)) - shares) ** 2 @ arm.M_se**2, shares**2 @ balance.M_se**2
+    most_error = np.sqrt(np.diag((of_arm + of_robot) @ inverse**2))
+    most = np.diag(shares)
+    least = answers - _ERRORS * np.hypot(errors, most_error[:, None])
+    beyond = least - most[:, None] - _AT_ONCE
+    return [
+        problem(
+            ProblemCode.TORQUE_FROM_COMMAND,
+            name=names[i],
+            percent=100.0 * float(answers[i, when]),
+            error=100.0 * float(errors[i, when]),
+            most=100.0 * float(most[i]),
+        )
+        for i, when in enumerate(np.argmax(beyond, axis=1))
+        if beyond[i, when] > 0.0
+    ]
+
+
+def _rounds(record: TrialRecord) -> bool:
+    """Whether angles change from sample to sample by their rounding rather than by motion."""
+    power = np.mean(np.diff(record.position, n=2) ** 2, axis=1)
+    return bool((power <= _ROUNDED * np.array([*map(resolution_of, record.position)]) ** 2).all())
 
 
 def _nothing_confirmed(

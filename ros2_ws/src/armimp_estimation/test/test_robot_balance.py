@@ -3,10 +3,12 @@ import dataclasses
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy import signal
 
 from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.estimators.welch import multiply
 from armimp_estimation.fit import Calibration
+from armimp_estimation.hold_correction import answers_to_rounding
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import Problem, ProblemCode
@@ -52,6 +54,10 @@ def identified(records: list[TrialRecord], calibration: Calibration) -> Identifi
     welch = WelchConfig.for_samples(records[0].samples)
     trials = [TrialData.of(one, welch=welch) for one in records]
     return identify(trials, ("lpm_full",), config=config)
+
+
+def computed(result: Identification) -> list[Problem]:
+    return [one for one in result.problems if one.code is ProblemCode.TORQUE_FROM_COMMAND]
 
 
 def unbalanced(result: Identification) -> list[Problem]:
@@ -123,6 +129,64 @@ def test_a_gain_above_one_of_a_single_joint_leaves_the_robot_a_negative_viscosit
     (found,) = unbalanced(result)
     assert float(found.values["share"]) == pytest.approx(1.5, abs=0.1)
     assert 0.0 < float(found.values["error"]) < 0.1
+
+
+def rounded(fed_back: float, model: float | None = None) -> TrialRecord:
+    """Trial of one joint whose law knows rounded angles, and noisy torques, which it feeds back.
+
+    Given a share of the robot's inertia, the torques that are recorded come of the commands less
+    what a model with that would take.
+    """
+    rate, substeps, count, arm, inertia = 1000.0, 4, 6e-5, 0.06, 0.12
+    rng, samples, step = np.random.default_rng(5), 20_000, 1.0 / (rate * substeps)
+    force = signal.sosfilt(signal.butter(4, 15.0, fs=rate, output="sos"), rng.normal(size=samples))
+    noise = 0.05 * rng.standard_normal(samples)
+    angle = speed = reading = command = slow = 0.0
+    values = np.zeros((3, samples))
+    for k in range(samples):
+        passive = 0.4 * speed + 8.0 * angle
+        torque = passive + arm * (command - 0.1 * speed - passive) / (arm + inertia) + noise[k]
+        last, reading = reading, count * np.round(angle / count)
+        slow += 0.3 * ((reading - last) * rate - slow)
+        values[:, k] = reading, torque, command
+        command = 10.0 * force[k] - 4.0 * reading - 1.0 * slow + fed_back * torque
+        for _ in range(substeps):
+            passive = 0.5 * speed + 8.0 * angle
+            speed += step * (command - passive) / (arm + inertia)
+            angle += step * speed
+    position, torques, before = values[:, None]
+    if model is not None:
+        smooth = signal.sosfiltfilt(signal.butter(2, 40.0, fs=rate, output="sos"), position)
+        moved = np.gradient(smooth, 1.0 / rate, axis=1)
+        taken = model * inertia * np.gradient(moved, 1.0 / rate, axis=1) + 0.1 * moved
+        torques = before - taken + 0.01 * rng.standard_normal(before.shape)
+    after = np.append(before[:, 1:], [[command]], axis=1)
+    return made_record(position, torques, force[None], rate=rate, command=after)
+
+
+@pytest.mark.parametrize("model", [0.8, 0.9])
+def test_a_torque_that_is_computed_from_the_command_is_refused(model: float) -> None:
+    result = identified([rounded(0.0, model)], UNDECLARED)
+    (found,) = computed(result)
+    assert not result.verdict.impedance
+    assert float(found.values["percent"]) == pytest.approx(100.0, abs=20.0)
+    assert float(found.values["most"]) < 60.0
+
+
+@pytest.mark.parametrize("fed_back", [0.0, 0.9])
+def test_a_law_that_feeds_noisy_torques_back_computes_none(fed_back: float) -> None:
+    record = rounded(fed_back)
+    result = identified([record], UNDECLARED)
+    assert not computed(result)
+    answers, errors = answers_to_rounding([record])
+    np.testing.assert_array_less(np.abs(answers - [0.0, 1.0 / 3.0]), 4.0 * errors)
+    assert errors.max() < 0.1
+
+
+def test_where_angles_tell_nothing_of_commands_no_torque_is_said_to_be_computed() -> None:
+    record = rounded(0.0, 0.8)
+    fine = record.position + 1e-6 * np.random.default_rng(1).standard_normal(record.position.shape)
+    assert not computed(identified([dataclasses.replace(record, position=fine)], UNDECLARED))
 
 
 @pytest.mark.parametrize("unit", [0.102, 9.81, 100.0])
