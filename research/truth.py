@@ -391,7 +391,7 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         add(RIGHT, "command late", (f"{late:g} ms", {"command_delay": late * MILLI, "lock": 50.0}))
     add(NOISE, "no commands", ("", {"readings": _without_commands}))
     for late in (50.0, 300.0):
-        paced = _sampled(lambda k, late=late: k * (1.0 - 1e-6 * late))
+        paced = _sampled(_times(1.0 - 1e-6 * late))
         streams = dict.fromkeys(("position", "torque", "perturbation", "command"), paced)
         for joints, voluntary in ((2, 0.3), (3, 0.1)):
             logged = {"readings": changed(**streams), "joints": joints, "voluntary": voluntary}

@@ -227,13 +227,12 @@ def clipping(signal: FloatArray) -> list[tuple[float, int]]:
     ----------
     signal : ndarray, shape (N,)
     """
-    step = resolution_of(signal)
-    levels = np.rint(signal / (step or 1.0))
+    levels = _levels(signal)
     values, counts = np.unique(levels, return_counts=True)
     if values.size <= _NEIGHBOURS:
         return []
     steps = np.abs(np.diff(signal))
-    reach = _REACH * float(np.median(steps[steps > 0.0])) / step
+    reach = _REACH * float(np.median(steps[steps > 0.0])) / resolution_of(signal)
     above = max(_NEIGHBOURS, int(np.sum(values <= values[0] + reach)) - 1)
     below = max(_NEIGHBOURS, int(np.sum(values >= values[-1] - reach)) - 1)
     found, visits = [], 0
@@ -278,6 +277,11 @@ def resolution_of(signal: FloatArray) -> float:
         if gaps.size and (least := float(np.min(gaps))) > chance * float(np.sum(gaps)):
             return least
     return 0.0
+
+
+def _levels(signal: FloatArray) -> FloatArray:
+    """Signal in units of its resolution, without what was interpolated between these."""
+    return np.asarray(np.rint(signal / (resolution_of(signal) or 1.0)))
 
 
 def lost_motion(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]:
@@ -515,8 +519,7 @@ def zeros_beyond_chance(signal: FloatArray) -> int:
     passed = int(np.sum(np.minimum(edges[1::2] - edges[::2], _PASSED)))
     if edges.size < 2 * _CLIPPED or passed < _FELT * signal.size:
         return 0
-    levels = np.rint(signal / resolution_of(signal))
-    values, counts = np.unique(levels, return_counts=True)
+    values, counts = np.unique(_levels(signal), return_counts=True)
     place = int(np.searchsorted(values, 0.0))
     around = counts[max(place - _NEIGHBOURS, 0) : place + _NEIGHBOURS + 1]
     few = around.size <= 2 * _NEIGHBOURS or np.sum(around) > _BROAD * signal.size
@@ -539,7 +542,7 @@ def repeating(signal: FloatArray) -> float:
     signal : ndarray, shape (N,)
     """
     signal = signal[: 2 * _TELLING_SAMPLES]
-    counts = np.unique(signal, return_inverse=True)[1]
+    counts = np.unique(_levels(signal), return_inverse=True)[1]
     unit = max(_EXACT * float(np.ptp(signal)), _TINY)
     changes, bends = np.diff(counts), np.rint(np.diff(signal, n=2) / unit)
     for steps in (changes, bends[changes[1:] != 0]):

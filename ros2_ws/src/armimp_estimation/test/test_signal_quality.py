@@ -77,8 +77,11 @@ def test_coarse_readings_between_which_a_logger_interpolated_are_sound(
     flicker = np.repeat(np.random.default_rng(seed).random(10_000) < 0.002, 5)
     resting = logged(flicker[None], logger)
     assert mended(made_record(resting, resting))[1] == []
-    torque = np.round(np.random.default_rng(seed).normal(scale=6.0, size=50_000))
-    assert zeros_beyond_chance(logged(torque, logger)) == 0
+    for size in (0.6, 6.0):
+        noise = np.random.default_rng(seed).normal(scale=size, size=50_000)
+        torque = logged(np.round(motion(seed, 0.01, 10.0) + noise), logger)
+        assert zeros_beyond_chance(torque) == 0
+        assert repeating(torque) == 0.0
 
 
 @pytest.mark.parametrize("step", [1e-9, 1e-4, 1e-2, 0.1])
