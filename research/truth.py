@@ -419,6 +419,12 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     for late in (0.1, 0.3, 0.5, 0.8, 1.0, 1.5, 2.0):
         add(RIGHT, "command late", (f"{late:g} ms", {"command_delay": late * MILLI, "lock": 50.0}))
     add(NOISE, "no commands", ("", {"readings": _without_commands}))
+    for late in (50.0, 300.0):
+        paced = _sampled(_times(1.0 - 1e-6 * late))
+        streams = dict.fromkeys(("position", "torque", "perturbation", "command"), paced)
+        for joints, voluntary in ((2, 0.3), (3, 0.1)):
+            logged = {"readings": changed(**streams), "joints": joints, "voluntary": voluntary}
+            add(NOISE, f"logged by a slower clock, {joints} joints", (f"{late:g} ppm", logged))
     no_commands = {"after": True, "readings": _without_commands}
     add(RIGHT, "no commands, after", ("", no_commands))
     add(RIGHT, "first command lost", ("", {"readings": _first_lost}))

@@ -64,6 +64,10 @@ _REPEATED = 0.15
 _BESIDE = 9.0
 _BROAD = 0.5
 _EXACT = 1e-9
+_CHANCE = 10.0
+"""How much farther apart than by chance values that last are: e⁻¹⁰ is how often chance does it."""
+_ONCE = 0.4
+"""How often a value is shown that is none by accident, as a share of how often others are."""
 _LOST = 0.16
 _LEADING, _GATHERED, _UNGATHERED, _LEAD_ERROR = 0.12, 2.0, 0.2, 0.5
 """Assumptions for :func:`rounding_lead`: its factor, ln ρ at most, and as standard errors that of
@@ -210,10 +214,10 @@ def clipping(signal: FloatArray) -> list[tuple[float, int]]:
     """Values at which a signal is clipped, and in how many samples.
 
     A signal that turns where it likes has fewer samples at its extreme value than at the next
-    ones. One that is clipped heaps them up there: it is taken as clipped if the extreme value has
-    at least 8 samples and 4 times as many as each of the 8 distinct values next to it, and of those
-    within 3 usual steps: a signal that was interpolated has many values from one count of its
-    resolution to the next. A joint that
+    ones. One that is clipped heaps them up there: it is taken as clipped if the extreme value, to
+    its resolution, has at least 8 samples and 4 times as many as each of the 8 distinct values next
+    to it, and of those within 3 usual steps: a fast signal that was interpolated has many values
+    from one count to the next. A joint that
     friction holds may rest there as long. But it does not come back to the same value, and it slows
     down before: so a signal is clipped only if it comes there 3 times, at both ends together, and
     arrives with more than 0.4 of the speed that it had 5 samples before. (A motion that comes to
@@ -223,11 +227,12 @@ def clipping(signal: FloatArray) -> list[tuple[float, int]]:
     ----------
     signal : ndarray, shape (N,)
     """
-    values, counts = np.unique(signal, return_counts=True)
+    levels = _levels(signal)
+    values, counts = np.unique(levels, return_counts=True)
     if values.size <= _NEIGHBOURS:
         return []
     steps = np.abs(np.diff(signal))
-    reach = _REACH * float(np.median(steps[steps > 0.0]))
+    reach = _REACH * float(np.median(steps[steps > 0.0])) / resolution_of(signal)
     above = max(_NEIGHBOURS, int(np.sum(values <= values[0] + reach)) - 1)
     below = max(_NEIGHBOURS, int(np.sum(values >= values[-1] - reach)) - 1)
     found, visits = [], 0
@@ -237,7 +242,7 @@ def clipping(signal: FloatArray) -> list[tuple[float, int]]:
         (values.size - 1, counts[-1], counts[-1 - below : -1]),
     ):
         if heap >= _CLIPPED and heap > _HEAPED * float(np.max(inner)):
-            rank = np.abs(np.searchsorted(values, signal) - end)
+            rank = np.abs(np.searchsorted(values, levels) - end)
             arrivals = _arrivals(rank)
             found.append((float(signal[rank == 0][0]), int(heap)))
             visits += arrivals.size
@@ -255,11 +260,28 @@ def _arrivals(rank: NDArray[np.int_]) -> NDArray[np.int_]:
 
 
 def resolution_of(signal: FloatArray) -> float:
-    """Least difference between two values of a signal; 0 if it rests."""
-    gaps = np.diff(np.unique(signal))
-    if gaps.size == 0:
-        return 0.0
-    return float(np.min(gaps[gaps > 1e-9 * float(np.max(gaps))]))
+    """Least difference between two values of a signal; 0 if it rests.
+
+    Linear interpolation onto other instants adds values between readings, but none where these stay
+    the same. So only values that last for two samples count, if there are so many that chance isn't
+    what sets them apart: of n values anywhere in a range r, two are as a rule as near as ``r/n²``.
+    Those that do so seldom are two between readings that are equal by accident.
+    """
+    nothing = _EXACT * float(np.ptp(signal))
+    starts = np.flatnonzero(np.concatenate(([True], np.abs(np.diff(signal)) > nothing)))
+    lasting = signal[starts[np.diff(starts, append=signal.size) > 1]]
+    for shown, chance in ((lasting, _CHANCE / max(lasting.size, 1) ** 2), (signal, 0.0)):
+        values, times = np.unique(shown, return_counts=True)
+        gaps = np.diff(values[times > _ONCE * np.median(np.append(times, 1))])
+        gaps = gaps[gaps > nothing]
+        if gaps.size and (least := float(np.min(gaps))) > chance * float(np.sum(gaps)):
+            return least
+    return 0.0
+
+
+def _levels(signal: FloatArray) -> FloatArray:
+    """Signal in units of its resolution, without what was interpolated between these."""
+    return np.asarray(np.rint(signal / (resolution_of(signal) or 1.0)))
 
 
 def lost_motion(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]:
@@ -286,15 +308,15 @@ def lost_motion(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]
     """
     shares, beside = np.zeros((2, len(records), len(records)))
     for joint, k in np.ndindex(shares.shape):
-        step = _step_of(records[joint], joint)
+        step = resolution_of(records[joint].position[joint])
         size = round(_WINDOW * records[k].rate)
         if k == joint or step == 0.0 or records[k].samples < size:
             continue
         signal = records[k].position[joint]
-        counts = np.rint((signal - signal[0]) / step)
+        counts = (signal - signal[0]) / step
         counts = counts[: counts.size // size * size].reshape(-1, size)
-        changes = np.count_nonzero(np.diff(counts, axis=1), axis=1)
-        rests = (np.ptp(counts, axis=1) < _VALUES - 1) | (changes < _CHANGES)
+        changes = np.sum(np.abs(np.diff(counts, axis=1)), axis=1)
+        rests = (np.ptp(counts, axis=1) < _VALUES - 1.5) | (changes < _CHANGES - 0.5)
         spread = np.maximum(np.var(counts, axis=1) - 1.0 / 12.0, 0.0)
         lacks = np.minimum(2.0 * np.exp(-2.0 * np.pi**2 * spread), 1.0)
         shares[joint, k] = np.mean(np.where(rests, 1.0, lacks))
@@ -332,10 +354,10 @@ def rounding_lead(
     for k, record in enumerate(records):
         speeds = np.mean(np.abs(_speeds(record, inertia, band_end)), axis=1)
         for joint, (angle, speed) in enumerate(zip(record.position, speeds, strict=True)):
-            step = _step_of(records[joint], joint)
-            steps = np.abs(np.rint(np.diff(angle) / step)) if step > 0.0 else np.zeros(1)
-            stepping = float(np.mean(steps > 0.0))
-            if np.count_nonzero(steps) < _CHANGES or not speed > 0.0:
+            step = resolution_of(records[joint].position[joint])
+            steps = np.abs(np.diff(angle)) / step if step > 0.0 else np.zeros(1)
+            stepping = float(np.mean(np.minimum(steps, 1.0)))
+            if np.sum(steps) < _CHANGES - 0.5 or not speed > 0.0:
                 continue
             density = float(np.mean(steps)) * record.rate * step / speed
             least = _LEADING * max(1.0 - 2.0 * stepping, 0.0) * step / speed
@@ -388,11 +410,6 @@ def speed_of(angle: FloatArray, rate: float, band_end: float) -> FloatArray:
     spectrum = 1j * turning * np.fft.rfft(angle - np.mean(angle))
     spectrum[turning > 2.0 * np.pi * band_end] = 0.0
     return np.asarray(np.fft.irfft(spectrum, angle.size))
-
-
-def _step_of(record: TrialRecord, joint: int) -> float:
-    """Resolution of an encoder, from a trial in which its joint moves."""
-    return resolution_of(record.position[joint, :_TELLING_SAMPLES])
 
 
 def counts_of(signal: FloatArray) -> float:
@@ -489,9 +506,9 @@ def zeros_beyond_chance(signal: FloatArray) -> int:
     """In how many samples a signal is 0 where it passes that; 0 if chance explains it.
 
     Torques that are small are shown as none by a dead zone, and lost ones by a bus. A sound signal
-    of which most is larger than that is 0 about as often as it has any of the 8 values on either
-    side: 4 times as much is more. Where it rests, it does so at any value, and is counted for 20
-    samples.
+    of which most is larger than that is 0 about as often as it has, to its resolution, any of the 8
+    values on either side: 4 times as much is more. Where it rests, it does so at any value, and is
+    counted for 20 samples.
 
     Parameters
     ----------
@@ -502,7 +519,7 @@ def zeros_beyond_chance(signal: FloatArray) -> int:
     passed = int(np.sum(np.minimum(edges[1::2] - edges[::2], _PASSED)))
     if edges.size < 2 * _CLIPPED or passed < _FELT * signal.size:
         return 0
-    values, counts = np.unique(signal, return_counts=True)
+    values, counts = np.unique(_levels(signal), return_counts=True)
     place = int(np.searchsorted(values, 0.0))
     around = counts[max(place - _NEIGHBOURS, 0) : place + _NEIGHBOURS + 1]
     few = around.size <= 2 * _NEIGHBOURS or np.sum(around) > _BROAD * signal.size
@@ -525,7 +542,7 @@ def repeating(signal: FloatArray) -> float:
     signal : ndarray, shape (N,)
     """
     signal = signal[: 2 * _TELLING_SAMPLES]
-    counts = np.unique(signal, return_inverse=True)[1]
+    counts = np.unique(_levels(signal), return_inverse=True)[1]
     unit = max(_EXACT * float(np.ptp(signal)), _TINY)
     changes, bends = np.diff(counts), np.rint(np.diff(signal, n=2) / unit)
     for steps in (changes, bends[changes[1:] != 0]):

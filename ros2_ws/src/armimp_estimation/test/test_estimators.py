@@ -223,6 +223,12 @@ def test_readings_of_a_joint_that_its_law_throws_back_lead_as_steps_and_speed_te
     true = np.sum((np.conj(moved) * rounded).real) / np.sum(np.abs(moved) ** 2)
     assert true > 1e-3
     assert abs(lead[1, 0] - true) < 2.0 * error[1, 0] < 1.2 * true
+    # Nor does it change anything that a logger interpolated between readings.
+    ticks = np.arange(load.size)
+    logged = np.stack([resting, np.interp(ticks + 0.37, ticks, readings)])
+    records = [dataclasses.replace(one, position=logged) for one in records]
+    told = rounding_lead(records, np.eye(2), band_end)
+    np.testing.assert_allclose(told, (lead, error), rtol=0.1)
 
 
 def test_column_of_one_trial_is_that_of_the_whole_estimate_where_joints_are_locked() -> None:

@@ -12,6 +12,7 @@ from armimp_estimation.problems import ProblemCode, Severity
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.signal_quality import (
     clipping,
+    counts_of,
     dropouts,
     judge_signals,
     lost_motion,
@@ -32,6 +33,55 @@ def motion(seed: int, step: float, size: float = 1.0) -> np.ndarray:
     smooth = sosfilt(butter(2, 4.0, fs=RATE, output="sos"), raw)
     steps: np.ndarray = np.round(size * smooth / smooth.std() / step) * step
     return steps
+
+
+LOGGERS = ["late", "slow", "fast", "jittering"]
+
+
+def logged(signals: np.ndarray, logger: str) -> np.ndarray:
+    """Readings (..., N) that were interpolated between instants onto those of a logger."""
+    k = np.arange(signals.shape[-1])
+    jitter = 0.2 * np.sin(np.arange(k.size) ** 2) + 0.2
+    paced = {"late": k + 0.37, "slow": 0.9997 * k, "fast": 1.0008 * k}
+    at = paced.get(logger, k + jitter)
+    return np.apply_along_axis(lambda signal: np.interp(at, k, signal), -1, signals)
+
+
+@pytest.mark.parametrize("logger", LOGGERS)
+@pytest.mark.parametrize("size", [1.0, 4.0, 30.0, 300.0])
+def test_readings_between_which_a_logger_interpolated_are_as_coarse_as_they_were(
+    size: float, logger: str
+) -> None:
+    signal = motion(1, 1e-3, 1e-3 * size)
+    assert counts_of(logged(signal, logger)) == pytest.approx(counts_of(signal), abs=2.0)
+
+
+@pytest.mark.parametrize("step", [1e-12, 1e-5])
+def test_values_that_last_by_chance_or_by_a_fault_say_nothing_of_the_resolution(
+    step: float,
+) -> None:
+    signal = motion(1, step)
+    counts = counts_of(signal)
+    signal[9000:9500], signal[20000:20500] = signal[9000], signal[20000]
+    signal[::1000] = signal[1::1000]
+    assert counts_of(signal) == pytest.approx(counts, rel=0.1)
+
+
+@pytest.mark.parametrize("logger", LOGGERS)
+@pytest.mark.parametrize("seed", range(3))
+def test_coarse_readings_between_which_a_logger_interpolated_are_sound(
+    seed: int, logger: str
+) -> None:
+    locked = logged(motion(seed, 1.0, 5.0), logger)
+    assert clipping(locked) == []
+    flicker = np.repeat(np.random.default_rng(seed).random(10_000) < 0.002, 5)
+    resting = logged(flicker[None], logger)
+    assert mended(made_record(resting, resting))[1] == []
+    for size in (0.6, 6.0):
+        noise = np.random.default_rng(seed).normal(scale=size, size=50_000)
+        torque = logged(np.round(motion(seed, 0.01, 10.0) + noise), logger)
+        assert zeros_beyond_chance(torque) == 0
+        assert repeating(torque) == 0.0
 
 
 @pytest.mark.parametrize("step", [1e-9, 1e-4, 1e-2, 0.1])
@@ -242,3 +292,13 @@ def test_a_channel_behind_a_high_pass_shows_nothing_slow_and_others_do() -> None
         signals[2] = 1.1 + sosfilt(high_pass, signals[2])
         records.append(made_record(signals[2:], signals[:2], trial=k + 1, perturbed_joint=k))
     assert without_slow(records).tolist() == [[True, False], [True, False]]
+
+
+@pytest.mark.parametrize("logger", LOGGERS)
+def test_a_logger_that_interpolates_hides_no_motion_that_rounding_loses(logger: str) -> None:
+    records = trials_of(motion(2, 1.0, 0.3))
+    share, beside = lost_motion(records)
+    assert share[1, 0] > 0.3
+    records = [replace(one, position=logged(one.position, logger)) for one in records]
+    shares = lost_motion(records)
+    np.testing.assert_allclose(shares, (share, beside), atol=0.02)
