@@ -43,8 +43,9 @@ _LEFT, _LEFT_BESIDE, _OFF = 1.0, 2.2, 0.15
 where chatter tells those of another one; and relative standard error of D per that."""
 _SHOWN = 0.5
 """Power of changes of torques, relative to that of the jumps they should show, at least."""
-_PARTS = 8
-"""Of each record, whose scatter tells the error of answers to rounding."""
+_PARTS, _ENOUGH = 8, 16_384
+"""Of each record, whose scatter tells the error of answers to rounding; and samples that suffice:
+the time goes with the square of the number of joints."""
 _TOLD = 1e-4
 """Share of the power of a step that angles have to tell apart from other steps."""
 _QUICK = (2.0, 3.0, 15.0, 20.0)
@@ -228,6 +229,7 @@ def answers_to_rounding(records: Sequence[TrialRecord]) -> tuple[FloatArray, Flo
         infinite where angles hardly explain the steps.
     """
     n, reading = records[0].joints, TorqueReading()
+    records = [one.part(0, min(one.samples, _ENOUGH)) for one in records]
     steps, changes = _chatter(records, reading, beside=1, differences=1)
     rounded = [replace(record, command=record.position) for record in records]
     angles, _ = _chatter(rounded, reading, beside=1, differences=1)

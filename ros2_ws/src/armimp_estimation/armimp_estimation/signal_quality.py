@@ -69,9 +69,9 @@ _CHANCE = 10.0
 _ONCE = 0.4
 """How often a value is shown that is none by accident, as a share of how often others are."""
 _LOST = 0.16
-_LEADING, _GATHERED, _UNGATHERED, _LEAD_ERROR = 0.12, 2.0, 0.2, 0.5
-"""Assumptions for :func:`rounding_lead`: its factor, ln ρ at most, and as standard errors that of
-ln ρ and the relative one of the lead."""
+_LEADING, _MOST_LED, _UNGATHERED, _LEAD_ERROR = 0.12, 0.1, 0.2, 0.5
+"""Assumptions for :func:`rounding_lead`: its factor, a lead times the speed in the band at most, in
+steps, and as standard errors that of ln ρ and the relative one of the lead."""
 _DISTINCT = 0.1
 """Least eigenvalue of an inertia, in units of those of the joints, twice, that can be inverted."""
 _SLOW, _USUAL_SLOW, _LITTLE = (0.0, 0.1), (0.5, 1.0), 0.25
@@ -334,7 +334,8 @@ def rounding_lead(
     speed. How often a reading steps tells: ``ρ |v|/q`` times a second at a mean speed of ``|v|``,
     where ρ is the density of the angle at thresholds of steps q, over that elsewhere. Of joints
     that laws of 30 to 250 rad/s hold at 250 to 4000 Hz readings led by about
-    ``0.12 (1 - 2d) ln(ρ) q/|v|`` where a share d of the readings steps, which is assumed.
+    ``0.12 (1 - 2d) ln(ρ) q/|v|`` where a share d of the readings steps, and at most by a tenth of a
+    step at the speed in the band, which is assumed.
 
     Parameters
     ----------
@@ -361,8 +362,11 @@ def rounding_lead(
                 continue
             density = float(np.mean(steps)) * record.rate * step / speed
             least = _LEADING * max(1.0 - 2.0 * stepping, 0.0) * step / speed
-            lead[joint, k] = least * min(math.log(density), _GATHERED)
-            error[joint, k] = math.hypot(_LEAD_ERROR * lead[joint, k], _UNGATHERED * least)
+            found = least * math.log(density)
+            in_band = float(np.std(speed_of(angle, record.rate, band_end)))
+            most = _MOST_LED * step / max(in_band, _TINY)
+            lead[joint, k] = math.copysign(min(abs(found), most), found)
+            error[joint, k] = min(math.hypot(_LEAD_ERROR * found, _UNGATHERED * least), most)
     return lead, error
 
 
