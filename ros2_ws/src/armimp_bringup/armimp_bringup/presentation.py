@@ -240,18 +240,19 @@ def _quality_table(result: EstimatorSummary, summary: Summary) -> Table:
 
 def _trial_table(summary: Summary) -> Table:
     trials = summary.trials
-    # What is zero in all trials, as it mostly is, takes no room.
+    # What is as it should be in all trials, as it mostly is, takes no room.
     counts = {
         **{kind: [str(one.total(kind)) for one in trials] for kind in _COUNTS},
         "clipped": [str(one.clipped) for one in trials],
         "excluded": [f"{100.0 * one.excluded_share:.3g} %" for one in trials],
         "saved s": [f"{one.saved:.1f}" for one in trials],
+        "not recorded": ["commands" if one.without_commands else "" for one in trials],
     }
     cells = {
         "joint": [str(one.k) for one in trials],
         "samples": [str(one.ticks) for one in trials],
         "lost": [str(one.lost) for one in trials],
-        **{name: told for name, told in counts.items() if {*told} - {"0", "0 %", "0.0"}},
+        **{name: told for name, told in counts.items() if {*told} - {"0", "0 %", "0.0", ""}},
         "lock ratio": [
             _largest([ratio for i, ratio in enumerate(one.lock_ratio) if i != one.k - 1])
             for one in trials

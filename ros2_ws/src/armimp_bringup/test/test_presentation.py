@@ -15,11 +15,13 @@ from armimp_bringup import presentation
 from armimp_bringup.presentation import Stopwatch, complaints, present
 from armimp_bringup.terminal import Display, describe_column, describe_trial
 from armimp_common.status import Phase, Progress
+from armimp_common.topics import COMMANDS
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.result import Result, load_result
 from armimp_estimation.summary import read_summary
 from support.results import make_result
 from support.streams import changed
+from support.synthetic_bags import recorded_arm
 
 
 @pytest.fixture
@@ -113,6 +115,17 @@ def test_problems_are_told_by_what_they_do_and_one_cause_takes_one_line(director
     assert "real time: the" not in told[0]
     (alone,) = complaints(summary.model_copy(update={"problems": problems[:1]}))
     assert alone == f"not valid: {problems[0]}"
+
+
+def test_commands_that_nobody_recorded_are_told_and_not_lost(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    messages = [one for one in recorded_arm().messages if one[0] != COMMANDS]
+    summary = read_summary(make_result(tmp_path / "silent", messages=messages) / "summary.json")
+    presentation.print_result(summary)
+    table = capsys.readouterr().out.partition("trials\n")[2]
+    rows = [line.split()[:4] for line in table.splitlines() if "commands" in line]
+    assert rows == [["1", "10000", "0", "commands"], ["2", "10000", "0", "commands"]]
 
 
 # --- The live display: what is measured so far, with its uncertainty, and how far the trial is --

@@ -261,7 +261,7 @@ class Summary(JsonModel):
     @property
     def verdict(self) -> Verdict:
         """Whether Z(f), ``impedance``, and whether M, B and K, ``parameters``, can be trusted."""
-        return Verdict.of(self.problems, *self._deciding)
+        return Verdict.of(self.problems, *self.deciding)
 
     @computed_field  # type: ignore[prop-decorator]
     @property
@@ -272,10 +272,11 @@ class Summary(JsonModel):
     @property
     def faults(self) -> list[Problem]:
         """The problems for which the result is not valid."""
-        return faults(self.problems, *self._deciding)
+        return faults(self.problems, *self.deciding)
 
     @property
-    def _deciding(self) -> list[str]:
+    def deciding(self) -> list[str]:
+        """The estimators that decide whether the result is valid."""
         return [name for name, one in self.estimators.items() if one.decides]
 
     def with_problems(self, problems: Sequence[Problem]) -> Self:

@@ -43,6 +43,10 @@ def page(result: Result) -> Page:
     return Page(report_page(result))
 
 
+def nbsp(words: str) -> str:
+    return words.replace("\N{NO-BREAK SPACE}", " ")
+
+
 def altered(directory: Path, target: Path, **changes: object) -> Path:
     """A copy of a result without bags, with another summary."""
     target.mkdir()
@@ -158,9 +162,47 @@ def test_an_invalid_result_says_why_and_what_to_do(directory: Path, tmp_path: Pa
     assert "Not valid: 1 problem " in words
     assert "Joints that should have been held still moved" in words
     sentence = found.sentence.replace("(limit 2 %)", "").strip()
-    assert sentence in words.replace("\N{NO-BREAK SPACE}", " ")
+    assert sentence in nbsp(words)
     assert "What to do:" in words
     assert "do not use them as a result" in words
+
+
+def test_what_only_another_estimator_needs_is_marked_so_and_not_claimed(
+    directory: Path, tmp_path: Path
+) -> None:
+    summary = read_summary(directory / "summary.json")
+    trials = [changed(one, lock_ratio=[0.1, 0.1], bias_bound=[0.6, 0.6]) for one in summary.trials]
+    siso = changed(summary.estimators["welch_siso"], decides=False)
+    estimators = {**summary.estimators, "welch_siso": siso}
+    target = altered(directory, tmp_path / "loose", trials=trials, estimators=estimators)
+    words = Page(report_page(load_result(target))).words
+    assert "Valid Both trials are complete, each joint answers its perturbation, and" in words
+    verdict = words[: words.index("Inertia, viscosity and stiffness")]
+    assert verdict.count("not needed by welch_full") == 2
+    assert "beyond" not in verdict
+
+
+def test_commands_that_nobody_recorded_are_not_lost(tmp_path: Path) -> None:
+    messages = [one for one in recorded_arm().messages if one[0] != topics.COMMANDS]
+    result = load_result(make_result(tmp_path / "silent", messages=messages))
+    assert [trial.lost for trial in result.summary.trials] == [0, 0]
+    words = Page(report_page(result)).words
+    assert "Valid Both trials are complete" in words
+    assert "lost samples 0 0 ✓ within commands not recorded" in nbsp(words)
+    assert "torque commands effort_controller/commands not recorded" in words
+
+
+def test_of_trials_that_lost_samples_only_intact_parts_are_claimed(
+    directory: Path, tmp_path: Path
+) -> None:
+    summary = read_summary(directory / "summary.json")
+    first, second = summary.trials
+    (name, count), *others = first.streams.items()
+    streams = {name: changed(count, lost=3), **dict(others)}
+    trials = [changed(first, streams=streams), second]
+    words = Page(report_page(load_result(altered(directory, tmp_path / "x", trials=trials)))).words
+    assert "Valid Intact parts of both trials were used, the held joints stayed still" in words
+    assert "lost samples 3 0 left out" in words
 
 
 def test_a_result_without_an_estimate_still_has_a_report(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field, computed_field
 
 from armimp_common.arrays import BoolArray, IntArray
-from armimp_common.topics import JOINT_STATES, NS_PER_S, PERTURBATION, TORQUE_SENSORS
+from armimp_common.topics import COMMANDS, JOINT_STATES, NS_PER_S, PERTURBATION, TORQUE_SENSORS
 from armimp_estimation.alignment.streams import Stream, Streams
 from armimp_estimation.alignment.trial_windows import TrialWindow
 from armimp_estimation.json_model import JsonModel
@@ -36,7 +36,7 @@ class StreamCount(JsonModel):
     """
 
     expected: int
-    """Control periods in the span."""
+    """Control periods in the span; 0 of commands that nobody recorded."""
     received: int
     """Messages that arrived, repetitions included."""
     lost: int
@@ -75,6 +75,12 @@ class StreamStatistics(JsonModel):
     def lost(self) -> int:
         """Messages missing from all streams together."""
         return self.total("lost")
+
+    @property
+    def without_commands(self) -> bool:
+        """Whether nobody recorded the commands."""
+        commands = self.streams.get(COMMANDS)
+        return commands is not None and not commands.expected
 
     @property
     def span(self) -> int:
@@ -229,7 +235,8 @@ def count_commands(streams: Streams, leading: AlignedStream) -> tuple[StreamCoun
     else:
         # A recording may end between the two messages of a tick.
         foreign = max(commands.count - leading.stream.count - 1, 0)
-    return StreamCount(expected=span, received=received, lost=span - received), foreign
+    expected = span if received else 0
+    return StreamCount(expected=expected, received=received, lost=expected - received), foreign
 
 
 def begins_anew(numbers: IntArray) -> BoolArray:

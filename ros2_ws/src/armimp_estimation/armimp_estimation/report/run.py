@@ -41,7 +41,8 @@ from armimp_estimation.report.plots import (
     trace_plot,
 )
 from armimp_estimation.result import Result
-from armimp_estimation.verdict import BIAS_BOUND, LOCK_RATIO
+from armimp_estimation.summary import Summary
+from armimp_estimation.verdict import BIAS_BOUND, LOCK_RATIO, SINGLE
 
 REPORT_FILE = "report.html"
 _BUCKETS, _FEW_BUCKETS = 1000, 250
@@ -123,10 +124,23 @@ def _verdict(result: Result) -> Content:
     return {
         "valid": summary.valid,
         "joints": summary.joints,
+        "complete": not any(trial.lost for trial in summary.trials),
+        "still": all(ratio <= LOCK_RATIO for ratio in _locks(summary).values()),
         "title": "Valid" if summary.valid else problems,
         "problems": advised((one.code, one.sentence) for one in summary.faults),
         "notes": result.notes,
         "limits": _limits_table(result) if summary.estimators else None,
+    }
+
+
+def _locks(summary: Summary) -> dict[object, float]:
+    """Motion of each held joint relative to the perturbed one, by place in words."""
+    names = summary.joint_names
+    return {
+        f"{name}, while {names[trial.k - 1]} is perturbed": trial.lock_ratio[i]
+        for trial in summary.trials
+        for i, name in enumerate(names)
+        if i != trial.k - 1
     }
 
 
@@ -147,44 +161,45 @@ def _limits_table(result: Result) -> Table:
     """What decides: the worst of each score, where it was found, and its limit."""
     summary, names = result.summary, result.joint_names
     first = next(iter(summary.estimators.values()))
-    judged = summary.estimators.get("lpm_full")  # of estimators with known biases it says nothing
+    judged = next((one for one in summary.estimators.values() if one.decides), None)
     elements = list(np.ndindex(summary.joints, summary.joints))
+    needless = "" if SINGLE in summary.deciding else f"not needed by {', '.join(summary.deciding)}"
     coherences: dict[object, float] = {
         f"angle, {name} perturbed": first.coherence_motion[k] for k, name in enumerate(names)
     }
-    locks: dict[object, float] = {}
+    locks = {place: 100.0 * ratio for place, ratio in _locks(summary).items()}
     bounds: dict[object, float] = {}
     lacks: dict[object, float] = {}
     for i, k in elements:
-        place = f"torque of {names[i]}, {names[k]} perturbed"
-        coherences[place] = first.coherence_torque[i][k]
+        if i == k:
+            place = f"torque of {names[i]}, {names[k]} perturbed"
+            coherences[place] = first.coherence_torque[i][k]
         if judged is not None:
             lacks[symbol("Z", i + 1, k + 1)] = judged.lack_of_fit[i][k]
     for trial in summary.trials if summary.joints > 1 else ():
-        for i, name in enumerate(names):
-            bounds[symbol("Z", i + 1, trial.k)] = 100.0 * trial.bias_bound[i]
-            if i != trial.k - 1:
-                place = f"{name}, while {names[trial.k - 1]} is perturbed"
-                locks[place] = 100.0 * trial.lock_ratio[i]
+        for i, bound in enumerate(trial.bias_bound):
+            bounds[symbol("Z", i + 1, trial.k)] = 100.0 * bound
     rows: list[list[object]] = []
-    scores: tuple[tuple[str, dict[object, float], float | None, str, float], ...] = (
-        ("motion of held joints (%)", locks, 100.0 * LOCK_RATIO, ".2f", 1.0),
-        ("bias that this may cause (%)", bounds, 100.0 * BIAS_BOUND, ".2f", 1.0),
-        ("coherence with perturbation", coherences, result.significance, ".4f", -1.0),
-        ("lack of fit", lacks, None if judged is None else judged.lack_limit, ".2f", 1.0),
+    scores: tuple[tuple[str, dict[object, float], float | None, str, float, str], ...] = (
+        ("motion of held joints (%)", locks, 100.0 * LOCK_RATIO, ".2f", 1.0, needless),
+        ("bias that this may cause (%)", bounds, 100.0 * BIAS_BOUND, ".2f", 1.0, needless),
+        ("coherence with perturbation", coherences, result.significance, ".4f", -1.0, ""),
+        ("lack of fit", lacks, None if judged is None else judged.lack_limit, ".2f", 1.0, ""),
     )
-    for title, found, limit, spec, sign in scores:
+    for title, found, limit, spec, sign, unjudged in scores:
         if limit is None or not found:
             continue
         # Written so that NaN is the worst, and beyond every limit.
         off = {place: math.inf if math.isnan(v) else sign * v for place, v in found.items()}
         where = max(off, key=lambda place: off[place])
-        bound = f"{'≤' if sign > 0.0 else '≥'} {number(limit, spec)}"
-        rows.append(
-            [title, number(found[where], spec), bound, mark(off[where] <= sign * limit), where]
-        )
+        text = f"{'≤' if sign > 0.0 else '≥'} {number(limit, spec)}"
+        met = off[where] <= sign * limit
+        verdict = unjudged if unjudged and not met else mark(met)
+        rows.append([title, number(found[where], spec), text, verdict, where])
     lost = sum(trial.lost for trial in summary.trials)
-    rows.append(["lost samples", lost, "0", mark(not lost), ""])
+    verdict = "left out" if lost and summary.valid else mark(not lost)
+    silent = any(trial.without_commands for trial in summary.trials)
+    rows.append(["lost samples", lost, "0", verdict, "commands not recorded" if silent else ""])
     return Table(
         caption="Worst values and limits",
         columns=["quantity", "worst", "limit", "verdict", "where"],
