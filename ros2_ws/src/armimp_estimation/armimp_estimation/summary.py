@@ -28,7 +28,7 @@ from armimp_estimation.fit import CommonDelay
 from armimp_estimation.identify import EstimatorResult, Identification, TrialScores
 from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector, read_json
 from armimp_estimation.metadata import Timing, Truth
-from armimp_estimation.problems import Problem
+from armimp_estimation.problems import Problem, Severity
 from armimp_estimation.scores import NORMAL_95, Coherences
 from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.verdict import Verdict, faults
@@ -273,6 +273,12 @@ class Summary(JsonModel):
     def faults(self) -> list[Problem]:
         """The problems for which the result is not valid."""
         return faults(self.problems, *self.deciding)
+
+    @property
+    def refusals(self) -> list[Problem]:
+        """The problems for which only estimates that decide nothing are not valid."""
+        errors = (one for one in self.problems if one.severity is Severity.ERROR)
+        return [one for one in errors if one not in self.faults]
 
     @property
     def deciding(self) -> list[str]:

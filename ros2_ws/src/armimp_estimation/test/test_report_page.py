@@ -5,6 +5,7 @@ import hashlib
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from armimp_common import topics
 from armimp_common.cdr import decode_trial_status, encode_trial_status
 from armimp_common.status import Phase
 from armimp_estimation.figures import TWO_COLUMNS, impedance_figure, write_figures
-from armimp_estimation.problems import ProblemCode, problem
+from armimp_estimation.problems import ProblemCode, Severity, problem
 from armimp_estimation.report import REPORT_FILE, report_page, write_report
 from armimp_estimation.report.formats import difference, number, percent, plain, uncertain
 from armimp_estimation.report.page import render_page
@@ -180,6 +181,24 @@ def test_what_only_another_estimator_needs_is_marked_so_and_not_claimed(
     verdict = words[: words.index("Inertia, viscosity and stiffness")]
     assert verdict.count("not needed by welch_full") == 2
     assert "beyond" not in verdict
+
+
+def test_notes_and_refusals_of_a_valid_result_are_remarks(directory: Path, tmp_path: Path) -> None:
+    summary = read_summary(directory / "summary.json")
+    siso = changed(summary.estimators["welch_siso"], decides=False)
+    percent: dict[str, Any] = {"gain": 10.0, "cross_talk": 3.0, "angle": 1.5}
+    note = problem(ProblemCode.CALIBRATION_ASSUMED, severity=Severity.NOTE, **percent)
+    moved: dict[str, Any] = {"name": "elbow", "perturbed": "shoulder", "percent": 9.0, "limit": 2.0}
+    refusal = problem(ProblemCode.LOCK_RATIO, estimator="welch_siso", **moved)
+    target = altered(
+        directory,
+        tmp_path / "noted",
+        problems=[note, refusal],
+        estimators={**summary.estimators, "welch_siso": siso},
+    )
+    verdict, _, remarks = Page(report_page(load_result(target))).words.partition("Remarks")
+    assert "Valid" in verdict
+    assert f"{note} refused: {refusal}" in remarks
 
 
 def test_commands_that_nobody_recorded_are_not_lost(tmp_path: Path) -> None:

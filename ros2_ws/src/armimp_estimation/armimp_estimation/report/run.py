@@ -16,7 +16,7 @@ from armimp_estimation.atomic_write import write_text
 from armimp_estimation.distortion import Distortion
 from armimp_estimation.mbk import MBK
 from armimp_estimation.nonlinearity import deviations
-from armimp_estimation.problems import Kind, ProblemCode, kind_of
+from armimp_estimation.problems import Kind, ProblemCode, Severity, kind_of
 from armimp_estimation.report.formats import (
     STREAMS,
     alarming,
@@ -128,7 +128,11 @@ def _verdict(result: Result) -> Content:
         "still": all(ratio <= LOCK_RATIO for ratio in _locks(summary).values()),
         "title": "Valid" if summary.valid else problems,
         "problems": advised((one.code, one.sentence) for one in summary.faults),
-        "notes": result.notes,
+        "notes": [
+            *result.notes,
+            *(one.sentence for one in summary.problems if one.severity is Severity.NOTE),
+            *(f"refused: {one}" for one in summary.refusals),
+        ],
         "limits": _limits_table(result) if summary.estimators else None,
     }
 
