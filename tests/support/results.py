@@ -5,10 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from math import nan
 from pathlib import Path
+
+import numpy as np
 
 from armimp_estimation.bags import read_bag
 from armimp_estimation.result import conclude
+from armimp_estimation.summary import EstimatorSummary, ModelParameterSummary, ModelSummary
 from support.bag_files import write_bag
 from support.synthetic_bags import Message, recorded_arm
 from support.synthetic_trials import TWO_JOINT_ARM
@@ -38,6 +42,25 @@ METADATA: Mapping[str, str] = {
     "angle_uncertainty": "0",
     "truth": json.dumps({name: getattr(TWO_JOINT_ARM, name).tolist() for name in ("M", "B", "K")}),
 }
+
+
+def with_cuff(one: EstimatorSummary) -> EstimatorSummary:
+    """The same of two joints, with a model of which one value was not fitted."""
+    matrices = {name: np.ravel(getattr(one, name)).tolist() for name in "MBK"}
+    values = {**matrices, "cuff_stiffness": [2e5, 1e4], "delay": [0.01]}
+    parameters = {
+        name: ModelParameterSummary(values=found, errors=[*[0.5] * (len(found) - 1), nan], unit="u")
+        for name, found in values.items()
+    }
+    cuff = ModelSummary(
+        equation="A + B",
+        parameters=parameters,
+        lack_of_fit=one.lack_of_fit,
+        held_out=1.0,
+        criterion=1.0,
+        fits=True,
+    )
+    return one.model_copy(update={"models": {"cuff": cuff}, "model": "cuff"})
 
 
 def make_result(

@@ -170,7 +170,7 @@ class Result:
     models: dict[str, ModelFit] = field(default_factory=dict)
     """Models of the arm that were fitted beside M, B and K, with their values and errors."""
     model: str | None = None
-    """Of these the one that the data support."""
+    """Of these the one that was asked for, or that the data support."""
 
     def interval(
         self, matrix: Literal["M", "B", "K"], level: float = 0.95

@@ -25,6 +25,7 @@ from armimp_estimation.result import Result, load_result
 from armimp_estimation.summary import (
     SUMMARY_FILE,
     EstimatorSummary,
+    ModelSummary,
     OriginSummary,
     Summary,
     WallSummary,
@@ -169,6 +170,8 @@ def print_result(summary: Summary, console: Console | None = None) -> None:
     out = console if console is not None else Console(soft_wrap=True)
     for name, result in summary.estimators.items():
         out.print(_parameter_table(name, result, summary))
+        if result.offered is not None:
+            out.print(_model_table(f"{name}, model {result.model}", result.offered))
         out.print(_quality_table(result, summary))
     if summary.trials:
         out.print(_trial_table(summary))
@@ -219,6 +222,14 @@ def _parameter_table(name: str, result: EstimatorSummary, summary: Summary) -> T
                 true = getattr(summary.truth, letter)[i][k]
                 cells += [f"{true:.5f}", _relative(value, true)]
             table.add_row(*cells, unit, end_section=i == k == last)
+    return table
+
+
+def _model_table(title: str, model: ModelSummary) -> Table:
+    table = _table(["", "estimate", "± s.e.", "unit"], f"{title}: Z = {model.equation}")
+    for name, place, value, error, unit in model.elements:
+        label = name + "".join(map(str, place))
+        table.add_row(label, f"{value:.5g}", "–" if math.isnan(error) else f"{error:.2g}", unit)
     return table
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -40,6 +40,8 @@ _MOST_JOINTS = 4
 _BLOCK = 0.5
 _STRONG = 10.0
 """Difference of the criterion that is strong evidence (Kass & Raftery, J. Am. Stat. Ass. 1995)."""
+_CLEARLY = 2.0
+"""Standard errors from which on a parameter is resolved."""
 _ITERATIONS = 30
 _FAR = 40.0
 _LEAST = 1e-6
@@ -110,6 +112,16 @@ class ModelFit:
     """Mean lack of fit of bins that had no part in the fit; NaN if the others don't fit."""
     criterion: float
     """Bayesian information criterion, less is better."""
+    declared: bool = False
+    """Whether it was asked for by its name, not looked for."""
+
+    @property
+    def resolved(self) -> bool:
+        """Whether the data tell something beside M, B and K from 0."""
+        return any(
+            bool((np.abs(self.values[one.name]) > _CLEARLY * self.errors[one.name]).any())
+            for one in self.model.parameters[len(INTRINSIC) :]
+        )
 
     @property
     def fits(self) -> bool:
@@ -262,12 +274,17 @@ def fit_models(
     if asked == AUTO:
         fits = bool((plain.lack <= plain.lack_limit).all())
         names = () if fits or not estimate.unbiased or estimate.joints > _MOST_JOINTS else [*MODELS]
-    return tuple(_Problem(MODELS[name], estimate, plain, calibration).fit() for name in names)
+    fitted = (_Problem(MODELS[name], estimate, plain, calibration).fit() for name in names)
+    return tuple(replace(one, declared=asked != AUTO) for one in fitted)
 
 
 def supported(models: Sequence[ModelFit]) -> ModelFit | None:
-    """Model that the data support: of those that fit, the one with the best criterion."""
-    return min((one for one in models if one.fits), key=lambda one: one.criterion, default=None)
+    """Model that stands beside M, B and K: of those that fit, the one with the best criterion.
+
+    One that nobody declared has to be resolved, too.
+    """
+    possible = (one for one in models if one.fits and (one.declared or one.resolved))
+    return min(possible, key=lambda one: one.criterion, default=None)
 
 
 class _Problem:

@@ -86,6 +86,7 @@ class ProblemCode(str, Enum):
     LACK_OF_FIT = "lack_of_fit"
     HIGH_PASSED = "high_passed"
     MODEL_OFFERED = "model_offered"
+    MODEL_DECLARED = "model_declared"
     NO_MODEL = "no_model"
     CALIBRATION_ASSUMED = "calibration_assumed"
     IMPLAUSIBLE_INERTIA = "implausible_inertia"

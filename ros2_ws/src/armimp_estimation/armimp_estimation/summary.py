@@ -8,7 +8,7 @@ import struct
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -66,6 +66,16 @@ class ModelSummary(JsonModel):
     """Bayesian information criterion."""
     fits: bool
     """Whether noise explains the rest."""
+
+    @property
+    def elements(self) -> Iterator[tuple[str, tuple[int, ...], float, float, str]]:
+        """Name of each parameter, indices from 1, value, standard error and unit."""
+        n = len(self.lack_of_fit)
+        shapes = {n * n: (n, n), n: (n,), 1: ()}
+        for name, one in self.parameters.items():
+            places = np.ndindex(shapes.get(len(one.values), (len(one.values),)))
+            for place, value, error in zip(places, one.values, one.errors, strict=False):
+                yield name, tuple(index + 1 for index in place), value, error, one.unit
 
     @classmethod
     def of(cls, fit: ModelFit) -> ModelSummary:
@@ -146,7 +156,12 @@ class EstimatorSummary(JsonModel):
     models: dict[str, ModelSummary] = Field(default_factory=dict)
     """Models of the arm that were fitted beside M, B and K."""
     model: str | None = None
-    """Of these the one that the data support."""
+    """Of these the one that was declared, or that the data support."""
+
+    @property
+    def offered(self) -> ModelSummary | None:
+        """The model whose M, B and K stand beside these."""
+        return None if self.model is None else self.models.get(self.model)
 
     @classmethod
     def of(cls, result: EstimatorResult, *, decides: bool) -> EstimatorSummary:

@@ -297,7 +297,7 @@ def judge_estimate(
 
 
 def judge_models(estimator: str, models: Sequence[ModelFit]) -> list[Problem]:
-    """Say which model the data support in the place of M, B and K, or that none of them does.
+    """Say which model was declared or is supported in the place of M, B and K, or that none is.
 
     Parameters
     ----------
@@ -312,7 +312,7 @@ def judge_models(estimator: str, models: Sequence[ModelFit]) -> list[Problem]:
     told: dict[str, Any] = {"models": ", ".join(one.model.name for one in models)}
     code = ProblemCode.NO_MODEL
     if best is not None:
-        code = ProblemCode.MODEL_OFFERED
+        code = ProblemCode.MODEL_DECLARED if best.declared else ProblemCode.MODEL_OFFERED
         told = {"model": best.model.name, "equation": best.model.equation}
         told |= {"lack": float(np.max(best.lack)), "text": best.text}
     return [problem(code, severity=Severity.NOTE, estimator=estimator, **told)]

@@ -16,6 +16,8 @@ from armimp_estimation.arm_models import (
 )
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import Calibration, fit_impedance
+from armimp_estimation.problems import ProblemCode
+from armimp_estimation.verdict import judge_models
 from support.synthetic_trials import TWO_JOINT_ARM, made_estimate
 
 FloatArray = NDArray[np.float64]
@@ -83,6 +85,26 @@ def test_the_planted_model_is_the_one_that_the_data_support_and_its_values_come_
         assert gains == pytest.approx([0.3, 0.2], rel=0.1)
     if name == "cuff":
         assert best.values["cuff_stiffness"] == pytest.approx([5e3, 3e3], rel=0.1)
+
+
+def test_a_model_of_which_nothing_is_resolved_is_offered_only_if_it_was_declared() -> None:
+    (fit,) = fits_of(measured("mbk_delay", seed=1), asked="mbk_delay")
+    vague = replace(fit, errors={**fit.errors, "delay": np.array(0.01)})
+    codes = {}
+    for name, one in (("clear", fit), ("vague", vague)):
+        for declared in (True, False):
+            (told,) = judge_models("lpm_full", [replace(one, declared=declared)])
+            codes[name, declared] = told.code
+            assert ("the data support the model" in told.sentence) is (
+                told.code is ProblemCode.MODEL_OFFERED
+            )
+    assert fit.declared
+    assert codes == {
+        ("clear", True): ProblemCode.MODEL_DECLARED,
+        ("clear", False): ProblemCode.MODEL_OFFERED,
+        ("vague", True): ProblemCode.MODEL_DECLARED,
+        ("vague", False): ProblemCode.NO_MODEL,
+    }
 
 
 @pytest.mark.slow

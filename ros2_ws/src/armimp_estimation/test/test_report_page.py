@@ -22,7 +22,7 @@ from armimp_estimation.report.run import advised, assumptions
 from armimp_estimation.result import Result, load_result
 from armimp_estimation.summary import Summary, read_summary, write_summary
 from support.pages import Page
-from support.results import METADATA, make_result
+from support.results import METADATA, make_result, with_cuff
 from support.streams import changed
 from support.synthetic_bags import Message, recorded_arm, synthetic_recording
 
@@ -199,6 +199,16 @@ def test_notes_and_refusals_of_a_valid_result_are_remarks(directory: Path, tmp_p
     verdict, _, remarks = Page(report_page(load_result(target))).words.partition("Remarks")
     assert "Valid" in verdict
     assert f"{note} refused: {refusal}" in remarks
+
+
+def test_parameters_of_the_model_stand_beside_m_b_and_k(directory: Path, tmp_path: Path) -> None:
+    summary = read_summary(directory / "summary.json")
+    estimators = {name: with_cuff(one) for name, one in summary.estimators.items()}
+    target = altered(directory, tmp_path / "cuff", estimators=estimators)
+    words = Page(report_page(load_result(target))).words
+    assert "Model cuff of the arm, by welch_siso: Z = A + B parameter" in words
+    assert "M 12 " in words.partition("Model cuff of the arm")[2]
+    assert "cuff_stiffness 1 200000.00 ± 0.50 u cuff_stiffness 2 10000 ± – u delay 0.01 ±" in words
 
 
 def test_commands_that_nobody_recorded_are_not_lost(tmp_path: Path) -> None:

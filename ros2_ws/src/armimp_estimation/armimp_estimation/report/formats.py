@@ -67,7 +67,7 @@ def difference(value: float, true: float) -> str:
 def symbol(letter: str, *indices: object) -> Markup:
     """Write a symbol with its indices, which are 1-based."""
     below = Markup("<sub>{}</sub>").format("".join(map(str, indices))) if indices else ""
-    return Markup("<var>{}</var>{}").format(letter, below)
+    return Markup("<var>{}</var>{}").format(plain(letter), below)
 
 
 def code(value: object) -> Markup:
