@@ -146,7 +146,7 @@ def complaints(summary: Summary) -> list[str]:
     for one in summary.problems:
         if one.severity is Severity.NOTE:
             lines.append(f"note: {one}")
-        elif one not in faults:
+        elif one in summary.refusals:
             lines.append(f"refused: {one}")
         elif one not in late or len(late) == 1:
             lines.append(f"not valid: {one}")
@@ -179,7 +179,8 @@ def print_result(summary: Summary, console: Console | None = None) -> None:
         out.print(_timing_table(summary.timing))
     for line in _without_precision(summary):
         out.print(line, highlight=False)
-    out.print("[bold]valid[/]" if summary.valid else "[bold red]not valid[/]")
+    by = f", by {', '.join(summary.deciding)}" if summary.refusals else ""
+    out.print(f"[bold]valid[/]{by}" if summary.valid else "[bold red]not valid[/]", highlight=False)
     if summary.verdict.impedance and not summary.verdict.parameters:
         out.print("Z(f) is valid; M, B and K are not", highlight=False)
 

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import math
 import os
+import shutil
 import sys
+import textwrap
 import threading
 import time
 from contextlib import suppress
@@ -51,13 +53,19 @@ def repair_streams() -> None:
 
 
 def say(line: str) -> None:
-    """Print a line on standard error, which stays one line whatever the values it quotes hold."""
+    """Print a line on standard error, which stays one line whatever the values it quotes hold.
+
+    A terminal that is too narrow for it gets it broken between words.
+    """
     shown = "".join(
         letter if letter.isprintable() else letter.encode("unicode_escape").decode()
         for letter in line
     )
     if len(shown) > _LONGEST:
         shown = f"{shown[: _LONGEST // 2]} ... {shown[-_LONGEST // 2 :]}"
+    if sys.stderr.isatty():
+        width = shutil.get_terminal_size().columns
+        shown = textwrap.fill(shown, width, break_long_words=False, break_on_hyphens=False)
     print(shown, file=sys.stderr)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from rich.console import Console
 
 from armimp_bringup import presentation
 from armimp_bringup.presentation import Stopwatch, complaints, present
-from armimp_bringup.terminal import Display, describe_column, describe_trial
+from armimp_bringup.terminal import Display, describe_column, describe_trial, say
 from armimp_common.status import Phase, Progress
 from armimp_common.topics import COMMANDS
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
@@ -127,6 +128,36 @@ def test_parameters_of_the_model_are_printed_after_m_b_and_k(
     rows = [line.split() for line in table.splitlines()]
     assert ["cuff_stiffness1", "2e+05", "0.5", "u"] in rows
     assert ["delay", "0.01", "–", "u"] in rows
+
+
+def test_after_refusals_the_verdict_names_what_decides(
+    directory: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    summary = read_summary(directory / "summary.json")
+    presentation.print_result(summary)
+    assert capsys.readouterr().out.endswith("\nvalid\n")
+    siso = changed(summary.estimators["welch_siso"], decides=False)
+    refusal = problem(ProblemCode.NO_RESPONSE, estimator="welch_siso")
+    estimators = {**summary.estimators, "welch_siso": siso}
+    presentation.print_result(
+        summary.model_copy(update={"problems": [refusal], "estimators": estimators})
+    )
+    assert capsys.readouterr().out.endswith("\nvalid, by welch_full\n")
+
+
+def test_on_a_terminal_messages_break_between_words(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    line = "armimp: " + "perturbed half-open " * 9 + "x" * 90
+    say(line)
+    assert capsys.readouterr().err == f"{line}\n"
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    say(line)
+    shown = capsys.readouterr().err.splitlines()
+    assert " ".join(shown) == line
+    assert len(shown) > 2
+    assert all(len(one) <= 80 for one in shown[:-1])
 
 
 def test_commands_that_nobody_recorded_are_told_and_not_lost(
