@@ -84,6 +84,15 @@ def test_estimates_stand_beside_their_errors_and_the_truth(page: Page, result: R
     assert "Simulation" in page.words
 
 
+def test_the_heading_names_the_simulated_rig(directory: Path, tmp_path: Path) -> None:
+    config = {"experiment": {"rig": "realistic", "friction": 2}}
+    target = altered(directory, tmp_path / "rig", config=config)
+    words = Page(report_page(load_result(target))).words
+    assert "2 trials of 10 s · simulated · realistic rig · friction level 2" in words
+    target = altered(directory, tmp_path / "real", config=config, truth=None)
+    assert "realistic rig" not in Page(report_page(load_result(target))).words
+
+
 def test_without_truth_there_is_no_word_of_simulation_and_the_relative_error_is_shown(
     directory: Path, tmp_path: Path
 ) -> None:
