@@ -88,6 +88,7 @@ def report_page(result: Result) -> str:
         elements=list(np.ndindex(summary.joints, summary.joints)),
         LOCK_RATIO=LOCK_RATIO,
         BIAS_BOUND=BIAS_BOUND,
+        held=lambda met: _held(summary, met),
         title_of=lambda one: _title(result, one),
         noted=lambda count: alarming(count) if count else 0,
         STREAMS=STREAMS,
@@ -148,6 +149,13 @@ def _locks(summary: Summary) -> dict[object, float]:
     }
 
 
+def _held(summary: Summary, met: bool) -> object:
+    """Mark that a limit of held joints is met or not, which full matrices don't need."""
+    if met or SINGLE in summary.deciding:
+        return mark(met)
+    return f"not needed by {', '.join(summary.deciding)}"
+
+
 def advised(problems: Iterable[tuple[ProblemCode, str]]) -> list[tuple[Kind, list[str]]]:
     """Sort problems, given by code and sentence, by what there is to do about them.
 
@@ -167,7 +175,6 @@ def _limits_table(result: Result) -> Table:
     first = next(iter(summary.estimators.values()))
     judged = next((one for one in summary.estimators.values() if one.decides), None)
     elements = list(np.ndindex(summary.joints, summary.joints))
-    needless = "" if SINGLE in summary.deciding else f"not needed by {', '.join(summary.deciding)}"
     coherences: dict[object, float] = {
         f"angle, {name} perturbed": first.coherence_motion[k] for k, name in enumerate(names)
     }
@@ -184,13 +191,13 @@ def _limits_table(result: Result) -> Table:
         for i, bound in enumerate(trial.bias_bound):
             bounds[symbol("Z", i + 1, trial.k)] = 100.0 * bound
     rows: list[list[object]] = []
-    scores: tuple[tuple[str, dict[object, float], float | None, str, float, str], ...] = (
-        ("motion of held joints (%)", locks, 100.0 * LOCK_RATIO, ".2f", 1.0, needless),
-        ("bias that this may cause (%)", bounds, 100.0 * BIAS_BOUND, ".2f", 1.0, needless),
-        ("coherence with perturbation", coherences, result.significance, ".4f", -1.0, ""),
-        ("lack of fit", lacks, None if judged is None else judged.lack_limit, ".2f", 1.0, ""),
+    scores: tuple[tuple[str, dict[object, float], float | None, str, float], ...] = (
+        ("motion of held joints (%)", locks, 100.0 * LOCK_RATIO, ".2f", 1.0),
+        ("bias that this may cause (%)", bounds, 100.0 * BIAS_BOUND, ".2f", 1.0),
+        ("coherence with perturbation", coherences, result.significance, ".4f", -1.0),
+        ("lack of fit", lacks, None if judged is None else judged.lack_limit, ".2f", 1.0),
     )
-    for title, found, limit, spec, sign, unjudged in scores:
+    for title, found, limit, spec, sign in scores:
         if limit is None or not found:
             continue
         # Written so that NaN is the worst, and beyond every limit.
@@ -198,7 +205,7 @@ def _limits_table(result: Result) -> Table:
         where = max(off, key=lambda place: off[place])
         text = f"{'≤' if sign > 0.0 else '≥'} {number(limit, spec)}"
         met = off[where] <= sign * limit
-        verdict = unjudged if unjudged and not met else mark(met)
+        verdict = _held(summary, met) if found in (locks, bounds) else mark(met)
         rows.append([title, number(found[where], spec), text, verdict, where])
     lost = sum(trial.lost for trial in summary.trials)
     verdict = "left out" if lost and summary.valid else mark(not lost)
