@@ -672,7 +672,7 @@ class _Elements:
         found, covariance = replace(self, systematics=others).common_coefficients(
             terms, np.zeros(bounded)
         )
-        errors = np.tensordot(np.linalg.cholesky(covariance).T, terms, axes=1)
+        errors = np.tensordot(_root(covariance), terms, axes=1)
         Z = self.Z - np.tensordot(found, terms, axes=1)
         return replace(self, Z=Z, systematics=(*errors, *others))
 
@@ -798,12 +798,18 @@ def _with_delay(problem: _Elements) -> tuple[_Elements, CommonDelay | None]:
         told_error=told_error,
         refuted=refuted,
     )
-    errors = np.tensordot(np.linalg.cholesky(covariance).T, terms, axes=1)
+    errors = np.tensordot(_root(covariance), terms, axes=1)
     return replace(
         trial,
         Z=trial.Z - np.tensordot(found, terms, axes=1),
         systematics=(*trial.systematics, *errors),
     ), known
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    """R with ``RᵀR`` the covariance, which rounding may make indefinite where terms are alike."""
+    sizes, directions = np.linalg.eigh(covariance)
+    return np.asarray(np.sqrt(np.maximum(sizes, 0.0))[:, None] * directions.T)
 
 
 def hidden_square(
