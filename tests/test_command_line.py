@@ -161,6 +161,27 @@ def test_a_recording_without_trial_statuses_is_replayed_too(
     assert estimated["estimators"]["welch_siso"]["vaf"] is None
 
 
+def test_recordings_that_were_cut_are_estimated_and_replayed_to_one_verdict(
+    seen: Seen, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    copies = []
+    for bag in bags(seen.directory):
+        messages = list(iterate_messages(Path(bag)))
+        left = messages[: -len(messages) // 8]
+        copies.append(str(write_bag(tmp_path / Path(bag).name, left, {})))
+    capfd.readouterr()
+
+    status = main(["estimate", *copies, "--json"])
+    estimated = printed(capfd)
+    assert main(["replay", *copies, "--json"]) == status
+    replayed = printed(capfd)
+
+    assert replayed["estimators"] == estimated["estimators"] != {}
+    assert replayed["problems"] == estimated["problems"]
+    short = [one for one in estimated["problems"] if one["code"] == "cut_short"]
+    assert [(one["trial"], one["severity"]) for one in short] == [(1, "note"), (2, "note")]
+
+
 def test_help_of_run_states_the_defaults_of_the_configuration(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

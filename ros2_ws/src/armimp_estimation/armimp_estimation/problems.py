@@ -53,6 +53,7 @@ class ProblemCode(str, Enum):
     NO_PERTURBATION = "no_perturbation"
     MUCH_EXCLUDED = "much_excluded"
     CLIPPED_UNKNOWN = "clipped_unknown"
+    CUT_SHORT = "cut_short"
     # of the run
     TRIAL_ABORTED = "trial_aborted"
     TRIAL_SPOILED = "trial_spoiled"
