@@ -13,7 +13,7 @@ import pytest
 import armimp
 from armimp_estimation.torque_timing import TorqueReading
 from support.bag_files import write_bag
-from support.synthetic_bags import synthetic_recording
+from support.synthetic_bags import recorded_arm, synthetic_recording
 
 
 @pytest.fixture(scope="module")
@@ -161,6 +161,15 @@ def test_a_bag_becomes_a_recording_and_what_is_wrong_with_its_stamps_is_with_the
     assert "900 Hz were expected" in result.problems[0]
     with pytest.raises(armimp.ArmimpError, match="no bag"):
         armimp.read_bag()
+
+
+def test_the_model_that_a_bag_was_recorded_with_is_fitted_unless_another_one_is_asked_for(
+    tmp_path: Path,
+) -> None:
+    bag = write_bag(tmp_path / "bag", recorded_arm().messages, {"arm_model": '"cuff"'})
+    read = armimp.read_bag(bag)
+    assert armimp.identify(read).models.keys() == {"cuff"}
+    assert not armimp.identify(read, model="mbk").models
 
 
 def test_what_is_declared_of_how_linear_transducers_are_decides_the_errors_beside_a_person() -> (

@@ -144,7 +144,7 @@ class Declared(BaseModel):
     default as recorded with the bags, else what the records leave open."""
     model: Literal["auto", "mbk", "mbk_delay", "reflex", "cuff"] | None = None
     """Model of the arm to fit beside M, B and K: auto, mbk, mbk_delay, reflex or cuff; auto tries
-    all where M, B and K don't fit."""
+    all where M, B and K don't fit; by default as recorded with the bags, else auto."""
     rate: float | None = Field(default=None, ge=200.0, le=4000.0)
     """Sampling rate, Hz, if the recording has an unusual one."""
 
