@@ -243,3 +243,12 @@ def test_commands_that_move_nothing_confirm_no_gain(recording: armimp.Recording)
     for found in (with_nothing, without):
         assert sum("no command confirms the gain" in one for one in found.problems) == 2
     np.testing.assert_allclose(with_nothing.K_se, without.K_se, rtol=0.05)
+
+
+@pytest.mark.parametrize("joints", [1, 2])
+def test_commands_that_are_the_perturbations_are_said_to_explain_no_torque(joints: int) -> None:
+    recording = armimp.simulate(joints=joints, duration=10.0, seed=1)
+    command = [one.perturbation for one in recording.trials]
+    found = armimp.identify(rebuilt(recording, command=command))
+    assert any("commands don't explain the torques" in one for one in found.problems)
+    assert not any("seems to show" in one for one in found.problems)

@@ -95,6 +95,7 @@ class ProblemCode(str, Enum):
     IMPLAUSIBLE_ANGLE = "implausible_angle"
     TORQUE_UNBALANCED = "torque_unbalanced"
     TORQUES_CROSS = "torques_cross"
+    COMMANDS_UNRELATED = "commands_unrelated"
     GAIN_DOUBTED = "gain_doubted"
     GAIN_UNCONFIRMED = "gain_unconfirmed"
     ROBOT_INERTIA_IMPOSSIBLE = "robot_inertia_impossible"

@@ -313,8 +313,8 @@ def _span(window: TrialWindow, aligned: Mapping[str, AlignedStream]) -> int:
 
 def _shortfall(window: TrialWindow, span: int) -> Iterator[Problem]:
     if 0 < span < window.ticks and window.fault is None:
-        counted = {"count": span, "planned": window.ticks}
-        yield problem(ProblemCode.CUT_SHORT, severity=Severity.NOTE, **counted)
+        code, note = ProblemCode.CUT_SHORT, Severity.NOTE
+        yield problem(code, severity=note, count=span, planned=window.ticks)
 
 
 def _joint_index(window: TrialWindow, joint_names: Sequence[str]) -> int | None:
