@@ -178,7 +178,7 @@ def run(
         from armimp_bringup.orchestrator import run_experiment
         from armimp_bringup.presentation import Stopwatch, present
         from armimp_common.compiled import on_compiling
-        from armimp_common.executor import stop_on_signals
+        from armimp_common.process import stop_on_signals
         from armimp_common.status import Phase
 
         on_compiling(tell_of_compiling)
@@ -223,6 +223,7 @@ def estimate(
         display.phase("starting")
         from armimp_bringup.offline_estimate import estimate_bags
         from armimp_bringup.presentation import present
+        from armimp_common.process import stop_on_signals
         from armimp_estimation.bags.reader import find_bags
 
         declared = checked(Declared, options)
@@ -237,11 +238,12 @@ def estimate(
             declared=declared,
         )
         display.close()
-        for note in result.notes:
-            say(f"note: {note}")
-        if out is not None:
-            result.write(out)
-        return present(result, out, as_json=json)
+        with stop_on_signals():  # too late, as there is a result
+            for note in result.notes:
+                say(f"note: {note}")
+            if out is not None:
+                result.write(out)
+            return present(result, out, as_json=json)
 
 
 @app.command()
@@ -259,7 +261,7 @@ def replay(
         display.phase("starting")
         from armimp_bringup.presentation import present
         from armimp_bringup.replay import replay_bags
-        from armimp_common.executor import stop_on_signals
+        from armimp_common.process import stop_on_signals
         from armimp_estimation.bags.reader import find_bags
 
         bags = find_bags(bags)

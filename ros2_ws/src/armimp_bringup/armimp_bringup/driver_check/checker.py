@@ -32,8 +32,8 @@ from armimp_bringup.driver_check.conversation import Conversation, MotionGuard, 
 from armimp_bringup.graph import GraphContext
 from armimp_common import topics
 from armimp_common.errors import GraphError
-from armimp_common.executor import stop_on_signals
 from armimp_common.lifecycle import LifecycleManager
+from armimp_common.process import stop_on_signals
 from armimp_common.topics import JOINT_STATES, RATE
 
 _PATIENCE, _LONG = 10.0, 60.0
