@@ -15,9 +15,11 @@ from pydantic import (
     Field,
     JsonValue,
     ValidationError,
+    ValidationInfo,
     field_validator,
     model_validator,
 )
+from typing_extensions import Self
 
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import Loader, check_names, explain, load_yaml
@@ -107,6 +109,27 @@ class ExperimentConfig(BaseModel):
     """Parameters of imbic_controller to override."""
     impedance_estimator: Overrides = {}
     """Parameters of impedance_estimator to override."""
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _no_truth(cls, value: object, info: ValidationInfo) -> object:
+        """Keep a truth value from being taken for the number 0 or 1."""
+        if (
+            isinstance(value, bool)
+            and cls.model_fields[str(info.field_name)].annotation is not bool
+        ):
+            raise ValueError("should be no truth value")
+        return value
+
+    @model_validator(mode="after")
+    def _one_internal_model(self) -> Self:
+        chosen = self.internal_model if "internal_model" in self.model_fields_set else "tde"
+        if self.as_in_paper and chosen != "tde":
+            raise ValueError(
+                f"as_in_paper (--as-in-paper) has the internal model tde, not internal_model"
+                f" (--internal-model) {chosen}"
+            )
+        return self
 
     @model_validator(mode="before")
     @classmethod
