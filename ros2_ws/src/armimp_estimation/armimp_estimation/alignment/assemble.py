@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -261,7 +261,8 @@ def _assemble(window: TrialWindow, streams: Streams, bag: str | None, period: fl
     else:
         commands = _commands(streams)
         segments = tuple(
-            _record(window, joint, streams.joint_names, aligned, commands, run) for run in runs
+            replace(_record(window, joint, streams.joint_names, aligned, commands, run), bag=bag)
+            for run in runs
         )
         if segments and not any(segment.perturbation[joint].any() for segment in segments):
             found.append(problem(ProblemCode.NO_PERTURBATION))
