@@ -74,7 +74,9 @@ _NewDirectory = Annotated[
 _Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 _Config = Annotated[
     Path | None,
-    typer.Option(help="YAML file with any of these options, and with parameters of the nodes."),
+    typer.Option(
+        help="YAML file with options of the experiment, and with parameters of the nodes."
+    ),
 ]
 _DomainId = Annotated[
     int | None,
@@ -355,7 +357,10 @@ def bench(
 @app.command()
 @options_of(CheckOptions)
 def check_driver(
-    domain_id: _DomainId = None,
+    domain_id: Annotated[
+        int | None,
+        typer.Option(help="ROS domain of the driver; by default ROS_DOMAIN_ID, else 0."),
+    ] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask whether --move is safe.")] = False,
     json: _Json = False,
     **options: Any,
