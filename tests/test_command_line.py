@@ -5,6 +5,7 @@ import json
 import os
 import pty
 import re
+import signal
 import struct
 import subprocess
 import sys
@@ -261,6 +262,17 @@ def test_a_replay_leaves_an_invalid_result(tmp_path: Path) -> None:
         told = interrupted(process, 1)
     assert any(line.startswith("armimp: not valid: interrupted by the user") for line in told)
     assert (out / "summary.json").exists()
+
+
+def test_a_result_that_is_there_outlives_an_interruption_while_it_is_drawn(
+    seen: Seen, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr("armimp_bringup.presentation._draw", interrupt)
+    assert call("estimate", str(seen.directory), "--out", str(tmp_path / "out")).status == 0
+    assert (tmp_path / "out" / "summary.json").exists()
 
 
 def test_when_an_import_is_interrupted_expect_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
