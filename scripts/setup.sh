@@ -13,7 +13,18 @@ export PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_INPUT=1 PIP_USER=0 PIP_REQUIRE_VIR
 
 # The settings of pip on this machine may name places that are not there, of which pip warns once for
 # each package: only what ends an installation is shown.
-quiet_pip() { $pip --quiet --quiet "$@"; }
+quiet_pip() { patiently $pip --quiet --quiet "$@"; }
+
+# On a terminal, show a dot every few seconds for as long as a command takes.
+patiently() {
+    [ -t 2 ] || { "$@"; return; }
+    (while sleep 3 && kill -0 $$ 2>/dev/null; do printf . >&2; done) 9>&- &
+    dots=$! status=0
+    "$@" || status=$?
+    kill $dots
+    echo >&2
+    return $status
+}
 
 say() { echo "armimp: $*" >&2; }
 
@@ -83,11 +94,13 @@ make_environment() {
     fi
     # The pinned pip and build back end first, then nothing outside the lock file is ever used.
     awk '!/^ / { take = /^(pip|setuptools)==/ } take' requirements.txt >"$venv/first.txt"
+    say "installing what requirements.txt lists"
     quiet_pip install --require-hashes -r "$venv/first.txt"
     quiet_pip install --require-hashes --no-build-isolation -r requirements.txt -r requirements-dev.txt
 }
 
 install_packages() {
+    say "installing the packages of this project"
     # Mode "compat" puts the source folders on the path, where mypy and other tools see them.
     set --
     # Only what is a package: of one that moved, an old checkout keeps compiled files.

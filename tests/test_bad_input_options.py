@@ -53,6 +53,11 @@ OF_OTHERS: list[tuple[tuple[str, ...], int, str]] = [
     (("replay", __file__), 1, "neither an MCAP nor an SQLite3 file"),
     (("estimate", str(Path(__file__).parent)), 1, "is not a bag"),
     (("run", "--frition", "2"), 2, "--friction"),
+    (
+        ("run", "--as-in-paper", "--internal-model", "observer"),
+        2,
+        "(--as-in-paper) has the internal model tde, not internal_model (--internal-model) obs",
+    ),
     (("estimat", "nowhere"), 2, "Did you mean 'estimate'"),
     (("estimate",), 2, "bags"),
     (("bench", "guess"), 2, "there is no benchmark 'guess', only speed, jitter"),
@@ -124,6 +129,7 @@ WRONG = {
     "[1, 2]": "not [1, 2]",
     # Names
     "colour: red": "'colour' does not exist",
+    "joints: true": "'joints' = True: should be no truth value",
     '"a\\nb": 1': r"'a\nb' does not exist",
     "arm_sim: {1: 2}": "arm_sim[1]",
     "frition: 2": "'frition' does not exist; the nearest valid name is 'friction'",

@@ -5,6 +5,7 @@ import json
 import os
 import pty
 import re
+import signal
 import struct
 import subprocess
 import sys
@@ -161,6 +162,27 @@ def test_a_recording_without_trial_statuses_is_replayed_too(
     assert estimated["estimators"]["welch_siso"]["vaf"] is None
 
 
+def test_recordings_that_were_cut_are_estimated_and_replayed_to_one_verdict(
+    seen: Seen, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    copies = []
+    for bag in bags(seen.directory):
+        messages = list(iterate_messages(Path(bag)))
+        left = messages[: -len(messages) // 8]
+        copies.append(str(write_bag(tmp_path / Path(bag).name, left, {})))
+    capfd.readouterr()
+
+    status = main(["estimate", *copies, "--json"])
+    estimated = printed(capfd)
+    assert main(["replay", *copies, "--json"]) == status
+    replayed = printed(capfd)
+
+    assert replayed["estimators"] == estimated["estimators"] != {}
+    assert replayed["problems"] == estimated["problems"]
+    short = [one for one in estimated["problems"] if one["code"] == "cut_short"]
+    assert [(one["trial"], one["severity"]) for one in short] == [(1, "note"), (2, "note")]
+
+
 def test_help_of_run_states_the_defaults_of_the_configuration(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -238,8 +260,19 @@ def test_a_replay_leaves_an_invalid_result(tmp_path: Path) -> None:
         while not process.stderr.readline().startswith("trial 1/2"):
             assert process.poll() is None
         told = interrupted(process, 1)
-    assert "armimp: not valid: interrupted by the user" in told
+    assert any(line.startswith("armimp: not valid: interrupted by the user") for line in told)
     assert (out / "summary.json").exists()
+
+
+def test_a_result_that_is_there_outlives_an_interruption_while_it_is_drawn(
+    seen: Seen, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr("armimp_bringup.presentation._draw", interrupt)
+    assert call("estimate", str(seen.directory), "--out", str(tmp_path / "out")).status == 0
+    assert (tmp_path / "out" / "summary.json").exists()
 
 
 def test_when_an_import_is_interrupted_expect_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

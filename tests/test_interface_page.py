@@ -139,7 +139,7 @@ def test_the_keys_of_column_and_conclusion_are_those_of_the_code(
 
 
 def test_the_metadata_keys_of_the_page_are_those_that_a_run_stores() -> None:
-    config = ExperimentConfig()
+    config = ExperimentConfig(rig="realistic")
     parameters = node_parameters(config, None)
     stored = bag_metadata(config, parameters.simulator, parameters.controller)
     rows = _table("Bags", "key")

@@ -36,6 +36,8 @@ class Recording:
     calibration: Calibration = field(default_factory=Calibration.undeclared)
     """What is known of transducers and encoders; by default what is assumed of any, 1 % of gain and
     of cross-talk, 1.5 % of angles; :func:`dataclasses.replace` declares another one."""
+    model: str = "auto"
+    """Model of the arm that was asked for when it was recorded."""
     problems: tuple[Problem, ...] = ()
     """What was wrong with the trials when they were read."""
 
@@ -221,6 +223,7 @@ def simulate(**options: Any) -> Recording:
         reading=experiment.options.lpm.reading,
         truth=experiment.truth,
         calibration=experiment.options.calibration,
+        model=experiment.options.model,
     )
 
 
@@ -263,11 +266,12 @@ def read_bag(*bags: str | Path, rate: float | None = None) -> Recording:
         trials=tuple(records),
         reading=known.reading,
         calibration=known.calibration,
+        model=known.arm_model,
         problems=tuple(problems_of(trials, known)),
     )
 
 
-def identify(recording: Recording, estimator: str = "lpm_full", model: str = "auto") -> Result:
+def identify(recording: Recording, estimator: str = "lpm_full", model: str | None = None) -> Result:
     """Identify M, B and K from one trial for each joint.
 
     Parameters
@@ -275,9 +279,9 @@ def identify(recording: Recording, estimator: str = "lpm_full", model: str = "au
     recording : Recording
     estimator : str
         Name of an estimator, as ``lpm_full`` or ``welch_siso``.
-    model : str
+    model : str, optional
         Model of the arm to fit beside M, B and K: ``mbk_delay``, ``reflex``, ``cuff``; ``mbk`` for
-        none; ``auto`` for all where M, B and K don't fit.
+        none; ``auto`` for all where M, B and K don't fit. By default as recorded, else ``auto``.
 
     Raises
     ------
@@ -302,7 +306,7 @@ def identify(recording: Recording, estimator: str = "lpm_full", model: str = "au
     config = IdentifyConfig(
         welch=welch,
         lpm=LpmConfig(reading=recording.reading),
-        model=model,
+        model=recording.model if model is None else model,
         calibration=recording.calibration,
     )
     found = identify_trials(data, [estimator], recording.truth, config)

@@ -13,7 +13,7 @@ import pytest
 import armimp
 from armimp_estimation.torque_timing import TorqueReading
 from support.bag_files import write_bag
-from support.synthetic_bags import synthetic_recording
+from support.synthetic_bags import recorded_arm, synthetic_recording
 
 
 @pytest.fixture(scope="module")
@@ -163,6 +163,15 @@ def test_a_bag_becomes_a_recording_and_what_is_wrong_with_its_stamps_is_with_the
         armimp.read_bag()
 
 
+def test_the_model_that_a_bag_was_recorded_with_is_fitted_unless_another_one_is_asked_for(
+    tmp_path: Path,
+) -> None:
+    bag = write_bag(tmp_path / "bag", recorded_arm().messages, {"arm_model": '"cuff"'})
+    read = armimp.read_bag(bag)
+    assert armimp.identify(read).models.keys() == {"cuff"}
+    assert not armimp.identify(read, model="mbk").models
+
+
 def test_what_is_declared_of_how_linear_transducers_are_decides_the_errors_beside_a_person() -> (
     None
 ):
@@ -234,3 +243,12 @@ def test_commands_that_move_nothing_confirm_no_gain(recording: armimp.Recording)
     for found in (with_nothing, without):
         assert sum("no command confirms the gain" in one for one in found.problems) == 2
     np.testing.assert_allclose(with_nothing.K_se, without.K_se, rtol=0.05)
+
+
+@pytest.mark.parametrize("joints", [1, 2])
+def test_commands_that_are_the_perturbations_are_said_to_explain_no_torque(joints: int) -> None:
+    recording = armimp.simulate(joints=joints, duration=10.0, seed=1)
+    command = [one.perturbation for one in recording.trials]
+    found = armimp.identify(rebuilt(recording, command=command))
+    assert any("commands don't explain the torques" in one for one in found.problems)
+    assert not any("seems to show" in one for one in found.problems)

@@ -14,7 +14,9 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from armimp_common.errors import ArmimpError, ConfigurationError, GraphError
+from armimp_bringup.terminal import Display
+from armimp_common.errors import ArmimpError, ConfigurationError, GraphError, InterruptionError
+from armimp_common.process import stop_on_signals
 from armimp_common.versions import git_revision, versions
 from armimp_estimation.summary import Summary
 
@@ -56,13 +58,17 @@ def run_for_bench(tell: Tell = lambda _: None, **options: Any) -> Summary:
     ------
     GraphError
         If it gave no estimate, as on a machine that is much too slow.
+    InterruptionError
+        After SIGINT or SIGTERM.
     """
     from armimp_bringup.config import load_config
     from armimp_bringup.orchestrator import run_experiment
 
     config = load_config(None, {"duration": DURATION, **options})
-    with tempfile.TemporaryDirectory() as folder:
-        summary = run_experiment(config, Path(folder) / "run").summary
+    with tempfile.TemporaryDirectory() as folder, stop_on_signals() as stopped:
+        summary = run_experiment(config, Path(folder) / "run", interrupted=stopped).summary
+        if stopped():
+            raise InterruptionError("interrupted")
     for problem in summary.faults:
         tell(str(problem))
     if not summary.trials:
@@ -103,10 +109,15 @@ def jitter(tell: Tell) -> list[Measured]:
         tell(f"{DURATION:g} s in real time, {label}")
         try:
             timing = run_for_bench(tell, mode="realtime", joints=1, priority=priority).timing
-        except (ConfigurationError, GraphError) as error:  # no permission, or far too slow
+        except ConfigurationError as error:  # no permission
             tell(str(error))
             continue
+        except GraphError as error:  # far too slow
+            tell(str(error))
+            timing = None
         if timing is None:
+            words = f"{label}: aborted"
+            figures.append(Measured(key=f"{key}_aborted", label=words, value=1.0, limit=0.0))
             continue
         found = {
             "late": ("late samples", 100.0 * timing.late / max(timing.ticks, 1), "%"),
@@ -159,11 +170,15 @@ def bench(
     measured: dict[str, list[Measured]] = {}
     failed: dict[str, str] = {}
     began = time.monotonic()
-    for name in dict.fromkeys(names or known):
-        try:
-            measured[name] = known[name](errors.print)
-        except ArmimpError as error:  # does not keep the others from running
-            failed[name] = str(error)
+    with Display(errors) as display:
+        display.phase("measuring")
+        for name in dict.fromkeys(names or known):
+            try:
+                measured[name] = known[name](errors.print)
+            except InterruptionError:
+                raise
+            except ArmimpError as error:  # does not keep the others from running
+                failed[name] = str(error)
     if as_json:
         print(json.dumps(_record(measured, failed)))
     else:

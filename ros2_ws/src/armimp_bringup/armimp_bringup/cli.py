@@ -74,7 +74,9 @@ _NewDirectory = Annotated[
 _Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 _Config = Annotated[
     Path | None,
-    typer.Option(help="YAML file with any of these options, and with parameters of the nodes."),
+    typer.Option(
+        help="YAML file with options of the experiment, and with parameters of the nodes."
+    ),
 ]
 _DomainId = Annotated[
     int | None,
@@ -178,7 +180,7 @@ def run(
         from armimp_bringup.orchestrator import run_experiment
         from armimp_bringup.presentation import Stopwatch, present
         from armimp_common.compiled import on_compiling
-        from armimp_common.executor import stop_on_signals
+        from armimp_common.process import stop_on_signals
         from armimp_common.status import Phase
 
         on_compiling(tell_of_compiling)
@@ -223,6 +225,7 @@ def estimate(
         display.phase("starting")
         from armimp_bringup.offline_estimate import estimate_bags
         from armimp_bringup.presentation import present
+        from armimp_common.process import stop_on_signals
         from armimp_estimation.bags.reader import find_bags
 
         declared = checked(Declared, options)
@@ -237,11 +240,12 @@ def estimate(
             declared=declared,
         )
         display.close()
-        for note in result.notes:
-            say(f"note: {note}")
-        if out is not None:
-            result.write(out)
-        return present(result, out, as_json=json)
+        with stop_on_signals():  # too late, as there is a result
+            for note in result.notes:
+                say(f"note: {note}")
+            if out is not None:
+                result.write(out)
+            return present(result, out, as_json=json)
 
 
 @app.command()
@@ -259,7 +263,7 @@ def replay(
         display.phase("starting")
         from armimp_bringup.presentation import present
         from armimp_bringup.replay import replay_bags
-        from armimp_common.executor import stop_on_signals
+        from armimp_common.process import stop_on_signals
         from armimp_estimation.bags.reader import find_bags
 
         bags = find_bags(bags)
@@ -353,7 +357,10 @@ def bench(
 @app.command()
 @options_of(CheckOptions)
 def check_driver(
-    domain_id: _DomainId = None,
+    domain_id: Annotated[
+        int | None,
+        typer.Option(help="ROS domain of the driver; by default ROS_DOMAIN_ID, else 0."),
+    ] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask whether --move is safe.")] = False,
     json: _Json = False,
     **options: Any,

@@ -15,9 +15,11 @@ from pydantic import (
     Field,
     JsonValue,
     ValidationError,
+    ValidationInfo,
     field_validator,
     model_validator,
 )
+from typing_extensions import Self
 
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import Loader, check_names, explain, load_yaml
@@ -108,6 +110,27 @@ class ExperimentConfig(BaseModel):
     impedance_estimator: Overrides = {}
     """Parameters of impedance_estimator to override."""
 
+    @field_validator("*", mode="before")
+    @classmethod
+    def _no_truth(cls, value: object, info: ValidationInfo) -> object:
+        """Keep a truth value from being taken for the number 0 or 1."""
+        if (
+            isinstance(value, bool)
+            and cls.model_fields[str(info.field_name)].annotation is not bool
+        ):
+            raise ValueError("should be no truth value")
+        return value
+
+    @model_validator(mode="after")
+    def _one_internal_model(self) -> Self:
+        chosen = self.internal_model if "internal_model" in self.model_fields_set else "tde"
+        if self.as_in_paper and chosen != "tde":
+            raise ValueError(
+                f"as_in_paper (--as-in-paper) has the internal model tde, not internal_model"
+                f" (--internal-model) {chosen}"
+            )
+        return self
+
     @model_validator(mode="before")
     @classmethod
     def _separate_in_realtime(cls, values: Any) -> Any:
@@ -144,7 +167,7 @@ class Declared(BaseModel):
     default as recorded with the bags, else what the records leave open."""
     model: Literal["auto", "mbk", "mbk_delay", "reflex", "cuff"] | None = None
     """Model of the arm to fit beside M, B and K: auto, mbk, mbk_delay, reflex or cuff; auto tries
-    all where M, B and K don't fit."""
+    all where M, B and K don't fit; by default as recorded with the bags, else auto."""
     rate: float | None = Field(default=None, ge=200.0, le=4000.0)
     """Sampling rate, Hz, if the recording has an unusual one."""
 

@@ -6,6 +6,7 @@ import json
 import tempfile
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +45,10 @@ _CLASSES: dict[str, type[Any]] = {
 _BATCH = 400
 """Messages under way at once: far less than the depth of the subscriptions."""
 _TIMEOUT = 10.0
+_ON_THE_WAY = 0.2
+"""Messages of streams that are not waited for have arrived by then (s)."""
+_NEVER = 1_000_000
+"""Number of a trial that does not come."""
 
 
 class BagPlayer(Node):
@@ -63,14 +68,18 @@ class BagPlayer(Node):
         self._echo = subscribe_raw(self, topics.PERTURBATION, JointState, self._on_echo)
 
     def play(self, bag: BagContent, should_stop: Callable[[], bool]) -> None:
-        """Play one bag as fast as the graph takes it.
+        """Play one bag as fast as the graph takes it, and let a trial that was cut end there.
 
         Raises
         ------
         GraphError
             If the messages don't go through.
         """
-        for sent, (topic, message) in enumerate(_with_statuses(bag), 1):
+        messages, last = list(_with_statuses(bag)), bag.trials[-1].window
+        if not last.ended and topics.COMMANDS in bag.topics:
+            while messages[-1][0] != topics.COMMANDS:  # of a sample that is not complete
+                messages.pop()
+        for sent, (topic, message) in enumerate(messages, 1):
             self._senders[topic].publish(message)
             self._expected += topic == topics.PERTURBATION
             if sent % _BATCH == 0:
@@ -78,6 +87,9 @@ class BagPlayer(Node):
                 if should_stop():
                     return
         self._wait()
+        if not last.ended:
+            self._spinner.spin_until(Future(), _ON_THE_WAY)
+            self._senders[topics.TRIAL].publish(_status(Phase.REST, replace(last, trial=_NEVER), 0))
 
     def finish(self, last: TrialWindow, trials: int) -> None:
         """Announce that nothing more will come."""
@@ -112,7 +124,7 @@ def _with_statuses(bag: BagContent) -> Iterator[tuple[str, bytes]]:
             present = due.popleft()
             yield topics.TRIAL, _status(Phase.PERTURB, present, len(windows))
         yield topic, raw
-    if present is not None:
+    if present is not None and present.ended:
         yield topics.TRIAL, _status(Phase.REST, present, len(windows))
 
 

@@ -161,7 +161,8 @@ class Display:
             if self._bar is not None:
                 label, done, total, text = self._bar
                 row = Table.grid(padding=(0, 1))
-                row.add_column(no_wrap=True)
+                if label:
+                    row.add_column(no_wrap=True)
                 row.add_column(width=_BAR_WIDTH)
                 row.add_column(no_wrap=True)
                 bar = ProgressBar(total=max(total, 1), completed=done, width=_BAR_WIDTH)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import signal
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -75,7 +77,7 @@ def test_jitter_is_that_of_runs_in_real_time_without_what_is_not_permitted(
     figures = TimingFigures(ticks=200, late=1, missed=4, period_p50=1e-3, latency_max=3e-3)
     timing = Timing.of(figures, TimingLimits())
 
-    def run_experiment(config: ExperimentConfig, _: Path) -> SimpleNamespace:
+    def run_experiment(config: ExperimentConfig, _: Path, **__: object) -> SimpleNamespace:
         assert (config.mode, config.joints) == ("realtime", 1)
         if config.priority:
             raise ConfigurationError("priority = 50: not permitted")
@@ -91,12 +93,41 @@ def test_jitter_is_that_of_runs_in_real_time_without_what_is_not_permitted(
     assert "priority = 50: not permitted" in told
 
 
+def test_a_run_in_real_time_that_was_aborted_is_a_figure_that_misses_its_target(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    summary = SimpleNamespace(faults=["too slow"], trials=[], timing=None)
+    monkeypatch.setattr(
+        orchestrator, "run_experiment", lambda *_, **__: SimpleNamespace(summary=summary)
+    )
+    found = bench.jitter(lambda _: None)
+    assert [one.label for one in found if one.missed] == [
+        "ordinary: aborted",
+        "SCHED_FIFO: aborted",
+    ]
+
+
+def test_when_interrupted_expect_no_figures(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def run_experiment(*_: object, **__: object) -> SimpleNamespace:
+        os.kill(os.getpid(), signal.SIGINT)
+        return SimpleNamespace(summary=None)
+
+    monkeypatch.setattr(orchestrator, "run_experiment", run_experiment)
+    assert main(["bench"]) == 130
+    told = capsys.readouterr()
+    assert (told.out, told.err.splitlines()[-1]) == ("", "armimp: interrupted")
+
+
 def test_speed_is_the_median_of_trials_and_lost_samples_miss_the_target(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     trials = [SimpleNamespace(lost=0, rtf=10.0), SimpleNamespace(lost=3, rtf=6.0)]
     summary = SimpleNamespace(faults=[], trials=trials)
-    monkeypatch.setattr(orchestrator, "run_experiment", lambda *_: SimpleNamespace(summary=summary))
+    monkeypatch.setattr(
+        orchestrator, "run_experiment", lambda *_, **__: SimpleNamespace(summary=summary)
+    )
     found = {one.key: one for one in bench.speed(lambda _: None)}
     assert found["composed_speed"].value == found["separate_speed"].value == 8.0
     assert found["composed_lost"].missed

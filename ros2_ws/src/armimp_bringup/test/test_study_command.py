@@ -100,6 +100,7 @@ def test_progress_is_a_bar_on_a_terminal_and_lines_elsewhere() -> None:
         if terminal:
             assert "drawing the figures" in text
             assert "━" in text
+            assert "1 of 4 conditions, " in text
         else:
             assert len(text.splitlines()) == 2
             assert text.startswith("1 of 4 conditions")

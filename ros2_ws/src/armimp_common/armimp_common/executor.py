@@ -14,14 +14,12 @@ that is set back. So a thread looks for steps of the wall clock, and has all tim
 
 import math
 import os
-import signal
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from types import FrameType
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import rclpy
 from rcl_interfaces.msg import SetParametersResult
@@ -37,7 +35,7 @@ from rclpy.timer import Timer
 from rclpy.utilities import remove_ros_args
 
 from armimp_common.errors import ArmimpError, ConfigurationError
-from armimp_common.process import follow_parent
+from armimp_common.process import follow_parent, stop_on_signals
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -237,34 +235,6 @@ def make_executor(context: Context | None = None) -> Executor:
     except ImportError:
         return SingleThreadedExecutor(context=context)
     return EventsExecutor(context=context)
-
-
-@contextmanager
-def stop_on_signals() -> Iterator[Callable[[], bool]]:
-    """Turn SIGINT and SIGTERM into a stop condition; a second SIGINT interrupts at once.
-
-    To be used in the main thread, with rclpy's own handlers off.
-
-    Yields
-    ------
-    callable
-        Tells whether a signal has come.
-    """
-    received: list[int] = []
-
-    def on_signal(number: int, frame: FrameType | None) -> None:
-        if number == signal.SIGINT and number in received:
-            raise KeyboardInterrupt
-        received.append(number)
-
-    before: dict[int, Any] = {
-        number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM)
-    }
-    try:
-        yield lambda: bool(received)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def run_node(factory: Callable[..., Node], args: Sequence[str] | None = None) -> int:

@@ -6,15 +6,20 @@ import signal
 import socket
 import threading
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from enum import Enum
 from functools import cache
 from ipaddress import ip_address
 from pathlib import Path
+from types import FrameType
 from typing import Any, Final
 
 _STAT_BYTES: Final = 4096
 """More than ``/proc/<pid>/stat`` ever has."""
 _VARIABLE: Final = "ARMIMP_PARENT_PIPE"
+_IN_ORDER: Final = 5.0
+"""Seconds within which work that is interrupted mostly has ended in order."""
 _PATIENCE: Final = 60.0
 """Seconds that an orphan has to end in order, which may include an estimate."""
 
@@ -169,3 +174,32 @@ def _wait(pipe: int) -> None:
     os.kill(os.getpid(), signal.SIGTERM)
     time.sleep(_PATIENCE)
     os.kill(os.getpid(), signal.SIGKILL)
+
+
+@contextmanager
+def stop_on_signals() -> Iterator[Callable[[], bool]]:
+    """Turn SIGINT and SIGTERM into a stop condition; SIGINT again, some seconds later, interrupts.
+
+    Sooner it is the impatience of somebody whose work is being ended in order. To be used in the
+    main thread, with rclpy's own handlers off.
+
+    Yields
+    ------
+    callable
+        Tells whether a signal has come.
+    """
+    received: dict[int, float] = {}
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        first = received.setdefault(number, time.monotonic())
+        if number == signal.SIGINT and time.monotonic() - first > _IN_ORDER:
+            raise KeyboardInterrupt
+
+    before: dict[int, Any] = {
+        number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield lambda: bool(received)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -85,7 +85,7 @@ def test_own_socket_is_found_as_long_as_it_is_open(
 CHILD = """
 import sys, time
 from armimp_common.process import follow_parent
-from armimp_common.executor import stop_on_signals
+from armimp_common.process import stop_on_signals
 
 with stop_on_signals() as stopped:
     follow_parent()

@@ -182,7 +182,8 @@ def _contradictions(trials: Sequence[TrialData]) -> Iterator[str]:
                 both = f"{name} as well as {names[trial.joint]}"
                 yield f"{this} perturbs {both}: decomposition needs one joint at a time"
     for joint, name in enumerate(trials[0].record.joint_names):
-        numbers = [str(trial.record.trial) for trial in trials if trial.joint == joint]
+        records = [trial.record for trial in trials if trial.joint == joint]
+        numbers = [f"{one.trial} of {one.bag}" if one.bag else str(one.trial) for one in records]
         which = f"joint {joint + 1} ({name})"
         if not numbers:
             yield f"no trial perturbs {which}"

@@ -53,6 +53,7 @@ class ProblemCode(str, Enum):
     NO_PERTURBATION = "no_perturbation"
     MUCH_EXCLUDED = "much_excluded"
     CLIPPED_UNKNOWN = "clipped_unknown"
+    CUT_SHORT = "cut_short"
     # of the run
     TRIAL_ABORTED = "trial_aborted"
     TRIAL_SPOILED = "trial_spoiled"
@@ -95,6 +96,7 @@ class ProblemCode(str, Enum):
     IMPLAUSIBLE_ANGLE = "implausible_angle"
     TORQUE_UNBALANCED = "torque_unbalanced"
     TORQUES_CROSS = "torques_cross"
+    COMMANDS_UNRELATED = "commands_unrelated"
     GAIN_DOUBTED = "gain_doubted"
     GAIN_UNCONFIRMED = "gain_unconfirmed"
     ROBOT_INERTIA_IMPOSSIBLE = "robot_inertia_impossible"

@@ -46,6 +46,8 @@ class TrialRecord:
     command: FloatArray | None = None
     """Torque command sent in answer to each sample, in force until the next, N·m; if known; shape
     (n, N)."""
+    bag: str | None = None
+    """Where it is stored, if it is."""
 
     def __post_init__(self) -> None:
         n = len(self.joint_names)

@@ -159,6 +159,8 @@ class TrialRecorder:
         present = self.status
         if present is not None and status.trial != present.trial:
             self._later.append(status)
+            if present.phase is Phase.PERTURB:  # the end of which was not recorded
+                self.finish()
             return
         if present is None:
             if status.phase not in (Phase.SETTLE, Phase.PERTURB):

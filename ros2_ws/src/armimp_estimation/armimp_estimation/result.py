@@ -153,7 +153,6 @@ def conclude(
         summary=summary,
         curves={name: ImpedanceCurve.of(one) for name, one in curves.items()},
         trials=tuple(trials),
-        notes=tuple(trial.note for trial in trials if trial.note),
     )
 
 

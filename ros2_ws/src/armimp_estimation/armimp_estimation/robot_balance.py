@@ -20,7 +20,7 @@ gain above 1 where a locked joint that friction holds (κ > 0) explains it.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -606,14 +606,9 @@ def judge_balance(
     if wrong:
         return problems, np.zeros(own.shape)
     doubts = _gains_in_doubt(shares, errors, _springs(balance, arm), calibration)
-    for name, share, error, doubt in zip(
-        names, *map(np.diag, (shares, errors, doubts)), strict=True
-    ):
-        if doubt > 0.0 and (abs(share) > _REFUTED * error or not calibration.assumed):
-            about = _gain_of(name, share, error) | {"doubt": 100.0 * float(doubt)}
-            problems.append(problem(ProblemCode.GAIN_DOUBTED, severity=Severity.NOTE, **about))
-        elif calibration.assumed and doubt > calibration.gain:
-            problems.append(_unconfirmed(name, float(doubt)))
+    own_shares, own_errors, own_doubts = map(np.diag, (shares, errors, doubts))
+    for name, share, error, doubt in zip(names, own_shares, own_errors, own_doubts, strict=True):
+        problems += _doubted(name, share, error, doubt, calibration)
     return problems, doubts
 
 
@@ -668,6 +663,19 @@ def _nothing_confirmed(
     return problems, doubt * np.eye(len(names))
 
 
+def _doubted(
+    name: str, share: float, error: float, doubt: float, calibration: Calibration
+) -> Iterator[Problem]:
+    """What is in the standard errors of a transducer that is not refused."""
+    if doubt > 1.0:
+        yield problem(ProblemCode.COMMANDS_UNRELATED, severity=Severity.NOTE, name=name)
+    elif doubt > 0.0 and (abs(share) > _REFUTED * error or not calibration.assumed):
+        about = _gain_of(name, share, error) | {"doubt": 100.0 * float(doubt)}
+        yield problem(ProblemCode.GAIN_DOUBTED, severity=Severity.NOTE, **about)
+    elif calibration.assumed and doubt > calibration.gain:
+        yield _unconfirmed(name, float(doubt))
+
+
 def _unconfirmed(name: str, doubt: float) -> Problem:
     code = ProblemCode.GAIN_UNCONFIRMED
     return problem(code, severity=Severity.NOTE, name=name, doubt=100.0 * doubt)
@@ -676,7 +684,10 @@ def _unconfirmed(name: str, doubt: float) -> Problem:
 def _wrong(names: Sequence[str], i: int, row: int, share: float, error: float) -> Problem:
     """A transducer that shows a share too much of the torque of a joint: its own, or another."""
     if i == row:
-        return problem(ProblemCode.TORQUE_UNBALANCED, **_gain_of(names[i], share, error))
+        gain = _gain_of(names[i], share, error)
+        if not gain["error"] < abs(gain["share"]):
+            return problem(ProblemCode.COMMANDS_UNRELATED, name=names[i])
+        return problem(ProblemCode.TORQUE_UNBALANCED, **gain)
     return problem(
         ProblemCode.TORQUES_CROSS,
         name=names[i],

@@ -430,8 +430,10 @@ def test_cut_recording_gives_all_complete_periods(cut: int) -> None:
     assert trial.statistics.lost == 0
     if complete > 1:
         assert_same(trial.intact()[0], recording.records[0], 0, complete)
-    if complete < TICKS:
-        assert trial.note == f"trial 1 is cut short: {complete} of {TICKS} samples"
+    if 1 < complete < TICKS:
+        short = only(trial, ProblemCode.CUT_SHORT)
+        assert short.severity is Severity.NOTE
+        assert str(short) == f"trial 1: cut short: {complete} of {TICKS} samples are there"
 
 
 @pytest.mark.parametrize(

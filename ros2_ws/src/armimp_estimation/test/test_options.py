@@ -127,6 +127,12 @@ def test_when_a_joint_has_two_trials_expect_data_error() -> None:
     data = synthetic_trials()
     with pytest.raises(DataError, match=r"2 trials perturb joint 1 \(joint_1\).*: trials 1, 1"):
         order_trials([*data, data[0]])
+    stored = [
+        dataclasses.replace(data[0], record=dataclasses.replace(data[0].record, bag=bag))
+        for bag in ("a/1", "b/1")
+    ]
+    with pytest.raises(DataError, match="trials 1 of a/1, 1 of b/1"):
+        order_trials([*stored, data[1]])
 
 
 @pytest.mark.parametrize(

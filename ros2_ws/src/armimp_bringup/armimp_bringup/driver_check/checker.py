@@ -30,10 +30,11 @@ from armimp_bringup.driver_check import (
 )
 from armimp_bringup.driver_check.conversation import Conversation, MotionGuard, Step, Torque
 from armimp_bringup.graph import GraphContext
+from armimp_bringup.terminal import Display
 from armimp_common import topics
 from armimp_common.errors import GraphError
-from armimp_common.executor import stop_on_signals
 from armimp_common.lifecycle import LifecycleManager
+from armimp_common.process import stop_on_signals
 from armimp_common.topics import JOINT_STATES, RATE
 
 _PATIENCE, _LONG = 10.0, 60.0
@@ -117,7 +118,9 @@ class Checker:
             timeout=_LONG,
             check=node.check,
         )
-        state = self._find()
+        with Display() as display:
+            display.phase("looking for a driver")
+            state = self._find()
         with self._active(state):
             node.wait(lambda: False, _LISTEN)
             self.paced = max(map(len, node.kept.values())) > 20

@@ -295,7 +295,7 @@ def _judge_pushes(record: Record) -> Iterator[Finding]:
     yield _judged("torque_sensors: sign", good, figure, _SIGN_LIMIT)
     good, figure = None, why
     if not mixed and delays:
-        good, figure = max(delays) <= _REACTION, f"{max(delays)} periods"
+        good, figure = max(delays) <= _REACTION, f"{max(delays)} period{'s' * (max(delays) != 1)}"
     yield _judged("torque: delay", good, figure, _DELAY_LIMIT)
 
 

@@ -10,8 +10,8 @@ that only one stream lost shows as well as one that all of them lost (`lost_samp
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -117,14 +117,6 @@ class Trial:
     def shortfall(self) -> int:
         """Planned samples that are not there because the recording, or the trial, ended early."""
         return self.window.ticks - self.statistics.streams[PERTURBATION].expected
-
-    @property
-    def note(self) -> str:
-        """What a user should know of a trial that can be estimated; empty if it is complete."""
-        if not self.shortfall:
-            return ""
-        ticks = self.window.ticks
-        return f"trial {self.trial} is cut short: {ticks - self.shortfall} of {ticks} samples"
 
     def refusals(self, *, allow_gaps: bool = False) -> list[Problem]:
         """Return the problems with which the trial must not be estimated.
@@ -269,12 +261,14 @@ def _assemble(window: TrialWindow, streams: Streams, bag: str | None, period: fl
     else:
         commands = _commands(streams)
         segments = tuple(
-            _record(window, joint, streams.joint_names, aligned, commands, run) for run in runs
+            replace(_record(window, joint, streams.joint_names, aligned, commands, run), bag=bag)
+            for run in runs
         )
         if segments and not any(segment.perturbation[joint].any() for segment in segments):
             found.append(problem(ProblemCode.NO_PERTURBATION))
     if window.clipped and not window.clipped_intervals:
         found.append(problem(ProblemCode.CLIPPED_UNKNOWN, count=window.clipped))
+    found += _shortfall(window, span)
     if not segments and _ANY_REFUSED.isdisjoint(one.code for one in found):
         found.append(problem(ProblemCode.NOTHING_RECORDED))
     if not disagree:
@@ -316,6 +310,12 @@ def _span(window: TrialWindow, aligned: Mapping[str, AlignedStream]) -> int:
         active = np.flatnonzero(leading.stream.values[:, order].any(axis=0))
         span = int(leading.numbers[active[-1]]) + 1 if active.size else 0
     return span
+
+
+def _shortfall(window: TrialWindow, span: int) -> Iterator[Problem]:
+    if 0 < span < window.ticks and window.fault is None:
+        code, note = ProblemCode.CUT_SHORT, Severity.NOTE
+        yield problem(code, severity=note, count=span, planned=window.ticks)
 
 
 def _joint_index(window: TrialWindow, joint_names: Sequence[str]) -> int | None:

@@ -113,7 +113,6 @@ def read_bag(path: Path, *, namespace: str | None = None) -> BagContent:
     notes = [f"{path}: {raw.cut}"] if raw.cut else []
     if defect:
         notes.append(f"{path}: damaged messages of {topics.TRIAL}: {one_line(defect)}")
-    notes += [f"{path}: {trial.note}" for trial in trials if trial.note]
     for topic in (topics.JOINT_STATES, topics.TORQUE_SENSORS):
         # Something could be decoded, but it need not be the first message.
         with suppress(MalformedMessageError):

@@ -442,8 +442,8 @@ def _moved(columns: Sequence[LocalResponse], records: Sequence[TrialRecord]) -> 
         kept &= moved
         if np.count_nonzero(kept) < FEWEST_FREQUENCIES:
             raise DataError(
-                f"trial {record.trial}: joint {k + 1} does not move with its perturbation, beyond "
-                f"noise, but at {np.count_nonzero(moved)} of {kept.size} frequencies",
+                f"trial {record.trial}: joint {k + 1} moves with its perturbation, beyond noise, "
+                f"at only {np.count_nonzero(moved)} of {kept.size} frequencies",
                 "joint_does_not_move",
             )
     return list(columns) if kept.all() else [column.at(kept) for column in columns]
