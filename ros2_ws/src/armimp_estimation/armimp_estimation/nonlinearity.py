@@ -524,9 +524,7 @@ def deviations(
     Returns
     -------
     dict of str to Deviation
-        ``"amplitude"``, ``"curvature"``, ``"posture"``, ``"hysteresis"``, ``"friction"``,
-        ``"time"``, ``"onset"``, and of the transducer ``"slack"``, ``"direction"``, ``"gain"`` and
-        ``"drift"``; empty for trials of less than 10 s.
+        Those of `TERMS`; empty for trials of less than 10 s.
     """
     if record.duration < _LEAST:
         return {}
@@ -629,7 +627,8 @@ def _deviation(
         share = slack / float(sizes[3])
     elif term.kind in {Kind.FORCE, Kind.DRAG}:
         share = float(np.max(np.abs(shift / own)))
-        held = slope if share > term.robots else 0.0
+        # What hardly moves has hardly any drag.
+        held = slope if term.kind is Kind.FORCE and share > term.robots else 0.0
     elif term.kind is Kind.STIFFNESS:
         # Where it falls that far, the stiffness of this motion is no measure of it.
         stiffness = float(max(abs(own[2]), abs(own[2] - shift[2])))
