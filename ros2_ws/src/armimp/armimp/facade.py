@@ -233,7 +233,7 @@ def read_bag(*bags: str | Path, rate: float | None = None) -> Recording:
     Parameters
     ----------
     *bags : str or Path
-        rosbag2 directories, ``.mcap`` or ``.db3`` files.
+        rosbag2 directories, ``.mcap`` or ``.db3`` files, or the directory of a run.
     rate : float, optional
         Samples per second that the stamps must give, Hz; needed where that is unusual.
 

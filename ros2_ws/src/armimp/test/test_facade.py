@@ -151,7 +151,7 @@ def test_a_bag_becomes_a_recording_and_what_is_wrong_with_its_stamps_is_with_the
 ) -> None:
     made = synthetic_recording(perturbed=(0, 1), ticks=2000, settle=10, rest=10)
     bag = write_bag(tmp_path / "bag", made.messages, {})
-    read = armimp.read_bag(bag)
+    read = armimp.read_bag(tmp_path)
     assert (read.problems, read.truth) == ((), None)
     assert [(one.perturbed_joint, one.samples) for one in read.trials] == [(0, 2000), (1, 2000)]
     doubted = armimp.read_bag(bag, rate=900.0)

@@ -226,10 +226,8 @@ def estimate(
         from armimp_bringup.offline_estimate import estimate_bags
         from armimp_bringup.presentation import present
         from armimp_common.process import stop_on_signals
-        from armimp_estimation.bags.reader import find_bags
 
         declared = checked(Declared, options)
-        bags = find_bags(bags)
         if out is not None:
             prepare_directory(out)
         result = estimate_bags(
@@ -264,9 +262,7 @@ def replay(
         from armimp_bringup.presentation import present
         from armimp_bringup.replay import replay_bags
         from armimp_common.process import stop_on_signals
-        from armimp_estimation.bags.reader import find_bags
 
-        bags = find_bags(bags)
         with stop_on_signals() as stopped:
             result = replay_bags(
                 bags,

@@ -10,7 +10,7 @@ from pathlib import Path
 from armimp_bringup.config import Declared
 from armimp_common.errors import DataError
 from armimp_estimation.bags import BagContent, read_bag
-from armimp_estimation.bags.reader import require_distinct
+from armimp_estimation.bags.reader import find_bags
 from armimp_estimation.bags.writer import finish_bag
 from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.metadata import CALIBRATION_KEYS, Metadata, latest_metadata
@@ -39,7 +39,7 @@ def estimate_bags(
 
     Parameters
     ----------
-    bags : any bags that the reader takes
+    bags : any bags that the reader takes, or directories of runs
     estimators : names, or estimators of one's own; empty for the defaults
     namespace : namespace of the topics
     allow_gaps : use the intact parts of trials that lost samples
@@ -92,12 +92,12 @@ def _metadata_of(declared: Declared) -> dict[str, str]:
 def read_bags(bags: Sequence[Path], *, namespace: str | None = None) -> list[BagContent]:
     """Read bags which belong to one experiment; those that a killed recorder left are finished.
 
-    BagError if a bag can't be read, or is given twice; DataError if the joints differ between them,
-    or the metadata make no sense.
+    They may be given as :func:`armimp_estimation.bags.reader.find_bags` takes them. BagError if a
+    bag can't be read, or is given twice; DataError if the joints differ between them, or the
+    metadata make no sense.
     """
-    require_distinct(bags)
     contents = []
-    for path in bags:
+    for path in find_bags(bags):
         finished = finish_bag(path)
         content = read_bag(path, namespace=namespace)
         contents.append(replace(content, notes=(finished, *content.notes)) if finished else content)

@@ -261,6 +261,11 @@ def find_bags(paths: Sequence[Path]) -> list[Path]:
     """Bags behind paths: those of the directory of a run, or of a folder of bags, in their order.
 
     Whatever is neither stays as it is, for the reader to judge.
+
+    Raises
+    ------
+    BagError
+        If two are one and the same, by another path, link or name of their files.
     """
     found: list[Path] = []
     for path in paths:
@@ -270,19 +275,8 @@ def find_bags(paths: Sequence[Path]) -> list[Path]:
             if not _holds_bag(folder):
                 bags = [one for one in folder.iterdir() if one.is_dir() and _holds_bag(one)]
         found += sorted(bags, key=_natural) or [path]
-    return found
-
-
-def require_distinct(bags: Sequence[Path]) -> None:
-    """Refuse bags that are one and the same, by another path, link or name of their files.
-
-    Raises
-    ------
-    BagError
-        If there are such ones.
-    """
     known: dict[tuple[int, int], Path] = {}
-    for bag in bags:
+    for bag in found:
         with suppress(OSError):  # as the reader will say
             for file in bag.iterdir() if bag.is_dir() else (bag,):
                 if file == bag or file.name.endswith(_SUFFIXES):
@@ -290,6 +284,7 @@ def require_distinct(bags: Sequence[Path]) -> None:
                     other = known.setdefault((status.st_dev, status.st_ino), bag)
                     if other is not bag:
                         raise BagError(f"{bag}: is the same as {other}")
+    return found
 
 
 def _holds_bag(folder: Path) -> bool:
