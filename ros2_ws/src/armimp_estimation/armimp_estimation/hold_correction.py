@@ -48,6 +48,8 @@ _PARTS, _ENOUGH = 8, 16_384
 the time goes with the square of the number of joints."""
 _TOLD = 1e-4
 """Share of the power of a step that angles have to tell apart from other steps."""
+_BESIDE = 3
+"""Periods by which commands may be recorded too late or too early, to be told from answers."""
 _QUICK = (2.0, 3.0, 15.0, 20.0)
 """Where the band begins and ends, and from where to where all of it is looked at, Hz."""
 
@@ -229,10 +231,11 @@ def answers_to_rounding(records: Sequence[TrialRecord]) -> tuple[FloatArray, Flo
         infinite where angles hardly explain the steps.
     """
     n, reading = records[0].joints, TorqueReading()
+    at = slice(_BESIDE - 1, _BESIDE + 1)
     records = [one.part(0, min(one.samples, _ENOUGH)) for one in records]
-    steps, changes = _chatter(records, reading, beside=1, differences=1)
+    steps, changes = _chatter(records, reading, beside=_BESIDE, differences=1)
     rounded = [replace(record, command=record.position) for record in records]
-    angles, _ = _chatter(rounded, reading, beside=1, differences=1)
+    angles, _ = _chatter(rounded, reading, beside=_BESIDE, differences=1)
     by, _ = regress(angles, steps)
     told = [by @ one for one in angles]
 
@@ -241,13 +244,13 @@ def answers_to_rounding(records: Sequence[TrialRecord]) -> tuple[FloatArray, Flo
 
     found = [regress(cut(told, part), cut(changes, part))[0] for part in range(_PARTS)]
     own = np.arange(n)
-    answers = np.reshape(found, (_PARTS, n, -1, n))[:, own, :2, own]
+    answers = np.reshape(found, (_PARTS, n, -1, n))[:, own, at, own]
     # Power of what is told of each step that no other step explains.
     squares = sum(_products(x, x) for x in told)
     power = np.where(np.diag(squares) > 0.0, np.diag(squares), 1.0)
     alone = 1.0 / np.diag(np.linalg.inv(squares + np.diag(1e-9 * power)))
     whole = sum(np.sum(x**2, axis=1) for x in steps)
-    known = (alone > _TOLD * whole).reshape(-1, n)[:2].T
+    known = (alone > _TOLD * whole).reshape(-1, n)[at].T
     errors = np.std(answers, axis=1, ddof=1) / np.sqrt(_PARTS)
     return np.mean(answers, axis=1), np.where(known, errors, np.inf)
 

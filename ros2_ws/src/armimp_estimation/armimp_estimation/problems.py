@@ -51,6 +51,7 @@ class ProblemCode(str, Enum):
     NOTHING_RECORDED = "nothing_recorded"
     JOINT_UNKNOWN = "joint_unknown"
     NO_PERTURBATION = "no_perturbation"
+    FURTHER_JOINT_MOVED = "further_joint_moved"
     MUCH_EXCLUDED = "much_excluded"
     CLIPPED_UNKNOWN = "clipped_unknown"
     CUT_SHORT = "cut_short"

@@ -97,8 +97,9 @@ _LOADED = 0.3
 well be of a cable that loads the transducer, relative to itself."""
 _REFUTED = 3.0
 """Standard errors by which a gain has to differ from 1 to refute a declared calibration."""
-_AT_ONCE = 0.1
-"""Share of a step of its command by which a torque may jump beyond what inertias allow."""
+_AT_ONCE, _WHOLE = 0.1, 1.2
+"""Share of a step of its command by which a torque may jump beyond what inertias allow, and at
+most: beyond, the step isn't of that sample."""
 _ROUNDED = 1.0
 """Power of second differences of an angle, relative to its resolution squared, up to which most of
 them is rounding, half of that square."""
@@ -635,6 +636,8 @@ def judge_answers(
     most = np.diag(shares)
     least = answers - _ERRORS * np.hypot(errors, most_error[:, None])
     beyond = least - most[:, None] - _AT_ONCE
+    if (answers - _ERRORS * errors > _WHOLE).any():
+        return []
     return [
         problem(
             ProblemCode.TORQUE_FROM_COMMAND,

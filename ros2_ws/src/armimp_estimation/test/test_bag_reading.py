@@ -25,6 +25,7 @@ from armimp_common.topics import (
 from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.metadata_yaml import dump
 from armimp_estimation.bags.raw import absolute
+from armimp_estimation.problems import ProblemCode, Severity
 from armimp_estimation.record import TrialRecord
 from support.bag_files import (
     iterate_messages,
@@ -90,16 +91,22 @@ def refusal(path: Path, *, namespace: str | None = None) -> str:
     return text
 
 
-def resent(record: TrialRecord, order: Callable[[int], Sequence[str]]) -> list[Message]:
-    """The samples of a trial whose messages have their joints in this order, by number."""
+def resent(
+    record: TrialRecord, order: Callable[[int], Sequence[str]], moved: float = 0.0
+) -> list[Message]:
+    """The samples of a trial whose messages have their joints in this order, by number.
+
+    Others than those of the trial move by this share of the perturbed one.
+    """
     rows = {name: row for row, name in enumerate(record.joint_names)}
     fields = ((JOINT_STATES, record.position), (TORQUE_SENSORS, record.torque))
+    other = 0.1 + moved * record.position[record.perturbed_joint]
     messages: list[Message] = []
     for tick in range(record.samples):
         stamp, names = record.start_ns + tick * PERIOD_NS, order(tick)
         for topic, values in (*fields, (PERTURBATION, record.perturbation)):
             told = [name for name in names if name in rows or topic == JOINT_STATES]
-            numbers = [values[rows[name], tick] if name in rows else 0.1 for name in told]
+            numbers = [values[rows[name], tick] if name in rows else other[tick] for name in told]
             encode = JointStateEncoder(told, VALUE_FIELD[topic]).encode
             messages.append((topic, stamp, encode(stamp, numbers)))
     return messages
@@ -241,6 +248,17 @@ class TestForeignMessages:
         np.testing.assert_array_equal(records_of(content)[0].position, record.position)
         (note,) = content.notes
         assert "joint_states has joints that were passed over, grip:" in note
+        assert not content.trials[0].problems
+
+    def test_a_further_joint_that_moves_with_the_perturbed_one_is_a_problem(
+        self, tmp_path: Path
+    ) -> None:
+        record = RECORDING.records[0]
+        messages = resent(record, lambda _: ("grip", *record.joint_names), moved=0.1)
+        (found,) = read_bag(write_ours(tmp_path / "bag", messages)).trials[0].problems
+        assert found.code is ProblemCode.FURTHER_JOINT_MOVED
+        assert (found.severity, found.values["name"]) == (Severity.ERROR, "grip")
+        assert found.values["percent"] == pytest.approx(10.0)
 
     def test_order_of_the_metadata_prevails(self, tmp_path: Path) -> None:
         path = write_ours(tmp_path / "bag", metadata={"joint_names": '["elbow", "shoulder"]'})

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -76,6 +77,9 @@ _REFUSED = frozenset(
 """Problems with which no part of a trial may be estimated."""
 _ANY_REFUSED = _REFUSED | _HEALED | {ProblemCode.TRIAL_ABORTED}
 """Problems with which a trial may not be estimated as a whole."""
+
+_STILL = 0.02
+"""Motion of a joint that nobody perturbs, relative to the perturbed one, that counts as none."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -264,6 +268,7 @@ def _assemble(window: TrialWindow, streams: Streams, bag: str | None, period: fl
             replace(_record(window, joint, streams.joint_names, aligned, commands, run), bag=bag)
             for run in runs
         )
+        found += _moved_further(streams, segments)
         if segments and not any(segment.perturbation[joint].any() for segment in segments):
             found.append(problem(ProblemCode.NO_PERTURBATION))
     if window.clipped and not window.clipped_intervals:
@@ -316,6 +321,23 @@ def _shortfall(window: TrialWindow, span: int) -> Iterator[Problem]:
     if 0 < span < window.ticks and window.fault is None:
         code, note = ProblemCode.CUT_SHORT, Severity.NOTE
         yield problem(code, severity=note, count=span, planned=window.ticks)
+
+
+def _moved_further(streams: Streams, segments: Sequence[TrialRecord]) -> Iterator[Problem]:
+    """Find joints which nobody perturbs, so that no impedance accounts for their motion."""
+    for (name, further), record in product(sorted(streams.further.items()), segments):
+        k, last_ns = record.perturbed_joint, record.start_ns + NS_PER_S * record.duration
+        within = (further.stamps >= record.start_ns) & (further.stamps < last_ns)
+        moved = float(np.std(further.values[0, within])) if within.any() else 0.0
+        own = float(np.std(record.position[k]))
+        if 0.0 < _STILL * own < moved:
+            yield problem(
+                ProblemCode.FURTHER_JOINT_MOVED,
+                name=name,
+                perturbed=record.joint_names[k],
+                percent=100.0 * moved / own,
+                limit=100.0 * _STILL,
+            )
 
 
 def _joint_index(window: TrialWindow, joint_names: Sequence[str]) -> int | None:

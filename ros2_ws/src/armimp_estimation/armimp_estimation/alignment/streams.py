@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from operator import lt
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.arrays import BoolArray, FloatArray, IntArray
-from armimp_common.cdr import CommandDecoder, JointStateDecoder, command_number
+from armimp_common.cdr import CommandDecoder, JointStateDecoder, command_number, joint_names_of
 from armimp_common.errors import DataError, MalformedMessageError
 from armimp_common.topics import (
     COMMANDS,
@@ -106,7 +107,7 @@ class Streams:
     ----------
     joint_names : sequence of str
         Order of the rows of all values; messages may have any other. Those of sensors may have
-        further joints, which are passed over.
+        further joints, which are passed over, but for their angles.
     stamped : mapping of str to Stream, optional
         Positions (rad), torque readings and perturbation (N·m), by topic of the contract; by
         default messages are added later.
@@ -124,6 +125,8 @@ class Streams:
         self.joint_names = tuple(joint_names)
         self.stamped = dict(stamped or {topic: Stream.empty(n) for topic in VALUE_FIELD})
         self.commands = Stream.empty(n) if commands is None else commands
+        self.further: dict[str, Stream] = {}
+        """Angles of further joints by name, rad; nobody perturbs these, so they must not move."""
         self._no_command = (np.nan,) * n
         self._streams = {**self.stamped, COMMANDS: self.commands}
         self._pending: dict[str, list[bytes]] = {topic: [] for topic in self._streams}
@@ -171,6 +174,15 @@ class Streams:
                     # It keeps its place, since a missing one would shift all those after it.
                     number, values = command_number(message), self._no_command
                 stream.append(np.array([number]), np.array(values)[:, None])
+        if topic == JOINT_STATES:
+            self._follow_further(messages)
+
+    def _follow_further(self, messages: Sequence[bytes]) -> None:
+        """Take the angles of further joints, where all messages have those of the first."""
+        with suppress(MalformedMessageError):
+            for name in filter(None, set(joint_names_of(messages[0])).difference(self.joint_names)):
+                decoded = JointStateDecoder((name,), "position", others=True).decode_many(messages)
+                self.further.setdefault(name, Stream.empty(1)).append(*decoded)
 
 
 def decode_streams(joint_names: Sequence[str], messages: Mapping[str, Sequence[bytes]]) -> Streams:
