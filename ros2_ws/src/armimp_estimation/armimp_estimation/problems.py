@@ -107,6 +107,7 @@ class ProblemCode(str, Enum):
     MENDED = "mended"
     DEAD_ZONE = "dead_zone"
     TORQUE_REPEATS = "torque_repeats"
+    ALIASED = "aliased"
     TORQUE_IS_COMMAND = "torque_is_command"
     TORQUE_FROM_COMMAND = "torque_from_command"
     UNRESOLVED = "unresolved"

@@ -84,6 +84,9 @@ _OF_COMMAND, _SCALED = 0.02, 0.005
 robot has inertia, but hardly any beside a heavy arm."""
 _SAME = 0.03
 _LAGS = 4
+_BINS, _FOLDED, _FOLLOWING = 10, 0.3, 0.7
+"""Bins of a coherence; power of a perturbation near half of the rate relative to that at 15 to
+40 Hz, from which on it may have more beyond; share of the motion that follows it otherwise."""
 RESOLVED_SHARE = 0.25
 """Share of the motion of a locked joint that may be unseen where its motion counts as resolved."""
 RESOLVED: Final = {JOINT_STATES: 20.0, TORQUE_SENSORS: 8.0}
@@ -100,7 +103,9 @@ def judge_signals(record: TrialRecord) -> list[Problem]:
     """
     # What was interpolated with all that is recorded did the same to cause and effect.
     resampled = repeating(record.perturbation[record.perturbed_joint]) > 0.0
-    return [
+    share, name = aliased(record), record.joint_names[record.perturbed_joint]
+    folded = [problem(ProblemCode.ALIASED, trial=record.trial, name=name, percent=100.0 * share)]
+    return (folded if share < 1.0 else []) + [
         problem(code, trial=record.trial, stream=stream, name=name, **values)
         for stream in (JOINT_STATES, TORQUE_SENSORS)
         for joint, name in enumerate(record.joint_names)
@@ -406,6 +411,39 @@ def without_slow(records: Sequence[TrialRecord]) -> BoolArray:
             within = power[:, :, (f > low) & (f <= high)]
             powers[place] += within.mean(axis=2) if within.size else 0.0
     return np.asarray(powers[0] < _LITTLE * powers[1])
+
+
+def followed(cause: FloatArray, signal: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Coherence of a signal, (N,), with its cause, and the power of that, by `_BINS` bins, (m,)."""
+    bins, window = cause.size // 2 // _BINS * _BINS, np.hanning(cause.size)
+    push, shown = (
+        np.fft.rfft((one - one.mean()) * window)[:bins].reshape(-1, _BINS)
+        for one in (cause, signal)
+    )
+    power, answer = (np.sum(np.abs(one) ** 2, axis=1) for one in (push, shown))
+    cross = np.abs(np.sum(np.conj(push) * shown, axis=1)) ** 2
+    return cross / np.maximum(answer * power, _TINY), power
+
+
+def aliased(record: TrialRecord) -> float:
+    """Share of the motion that follows a perturbation with power between the samples; 1 if all.
+
+    A recorder that keeps one sample in several, without a low-pass, folds what is beyond half of
+    its rate. Torques follow such a perturbation at once, and fold with it, but angles follow what
+    it sums up to: so they seem to follow a part of it, alike at all frequencies. What encoders or a
+    person add is quick or slow: one in four is taken as that where motion follows less than 0.7 of
+    the perturbation both at 3 to 8 Hz and at 15 to 40 Hz.
+    """
+    k = record.perturbed_joint
+    share, power = followed(record.perturbation[k, 1:-1], np.diff(record.position[k], n=2))
+    f = (np.arange(share.size) + 0.5) * _BINS * record.rate / (record.samples - 2)
+    slow, quick = (f > 3.0) & (f < 8.0), (f > 15.0) & (f < 40.0)
+    beyond = f > 0.375 * record.rate
+    told = slow.any() and quick.any()
+    if not told or np.mean(power[beyond]) < _FOLDED * np.mean(power[quick]):
+        return 1.0
+    most = max(float(np.mean(share[slow])), float(np.mean(share[quick])))
+    return most if most < _FOLLOWING else 1.0
 
 
 def speed_of(angle: FloatArray, rate: float, band_end: float) -> FloatArray:

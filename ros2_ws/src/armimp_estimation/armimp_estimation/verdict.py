@@ -22,6 +22,7 @@ from armimp_estimation.json_model import JsonModel
 from armimp_estimation.plausibility import judge_matrices
 from armimp_estimation.problems import Concern, Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
+from armimp_estimation.signal_quality import followed
 from armimp_estimation.torque_timing import TorqueReading
 
 LOCK_RATIO = 0.02
@@ -40,10 +41,9 @@ SINGLE = "welch_siso"
 """The estimator that takes locked joints as still."""
 _CLEARLY = 2.0
 """Another joint moves this many times as much as the perturbed one."""
-_AS_MUCH, _FOLLOWS, _BINS = 0.1, 0.5, 10
+_AS_MUCH, _FOLLOWS = 0.1, 0.5
 """Motion or torque of a joint relative to that in its own trial, and coherence with the
-perturbation of that, from which on it is of that trial; and frequencies of which that is a mean."""
-_TINY = float(np.finfo(np.float64).tiny)
+perturbation of that, from which on it is of that trial."""
 
 
 def faults(problems: Iterable[Problem], *estimators: str) -> list[Problem]:
@@ -146,11 +146,12 @@ def judge_trials(records: Sequence[TrialRecord]) -> list[Problem]:
     problems = []
     for (k, record), (i, other) in permutations(enumerate(records), 2):
         samples = min(record.samples, other.samples)
-        pushes = np.stack([record.perturbation[k, :samples], other.perturbation[i, :samples]])
+        pushes = record.perturbation[k, :samples], other.perturbation[i, :samples]
         for seen, there in ((record.position, other.position), (record.torque, other.torque)):
             if np.std(seen[i]) < _AS_MUCH * np.std(there[i]):
                 continue
-            here, elsewhere = _followed(pushes, seen[i, :samples])
+            told = [followed(one, seen[i, :samples]) for one in pushes]
+            here, elsewhere = (float(share @ power / np.sum(power)) for share, power in told)
             if elsewhere > _FOLLOWS and here < 0.5 * elsewhere:
                 names = record.joint_names
                 problems.append(
@@ -164,22 +165,6 @@ def judge_trials(records: Sequence[TrialRecord]) -> list[Problem]:
                 )
                 break
     return problems
-
-
-def _followed(causes: FloatArray, seen: FloatArray) -> FloatArray:
-    """Share of a signal, (N,), that follows each of causes, (m, N), where that has its power."""
-    bins = causes.shape[1] // 2 // _BINS * _BINS
-    window = np.hanning(causes.shape[1])
-    signal, *pushes = (
-        np.fft.rfft((one - one.mean()) * window)[:bins].reshape(-1, _BINS)
-        for one in (seen, *causes)
-    )
-    shares = []
-    for push in pushes:
-        power, shown = (np.sum(np.abs(one) ** 2, axis=1) for one in (push, signal))
-        cross = np.abs(np.sum(np.conj(push) * signal, axis=1)) ** 2
-        shares.append(float(np.sum(cross / np.maximum(shown, _TINY)) / np.sum(power)))
-    return np.array(shares)
 
 
 def judge_band(f: FloatArray, perturbed: FloatArray) -> list[Problem]:

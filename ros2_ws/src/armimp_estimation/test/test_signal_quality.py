@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.ndimage import median_filter
-from scipy.signal import butter, sosfilt
+from scipy.signal import butter, cont2discrete, lfilter, sosfilt
 
 from armimp_estimation.problems import ProblemCode, Severity
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.signal_quality import (
+    aliased,
     clipping,
     counts_of,
     dropouts,
@@ -302,3 +303,27 @@ def test_a_logger_that_interpolates_hides_no_motion_that_rounding_loses(logger: 
     records = [replace(one, position=logged(one.position, logger)) for one in records]
     shares = lost_motion(records)
     np.testing.assert_allclose(shares, (share, beside), atol=0.02)
+
+
+def pushed(keep: int, *, hold: int = 1, person: float = 0.0) -> TrialRecord:
+    """An arm under a white torque, of which a recorder keeps one sample in several."""
+    rng = np.random.default_rng(7)
+    push = np.repeat(rng.standard_normal(40_000 // hold), hold)
+    numerator, denominator, _ = cont2discrete(([1.0], [0.15, 0.8, 10.0]), 1.0 / RATE)
+    slow = sosfilt(butter(2, 2.0, fs=RATE, output="sos"), rng.standard_normal(push.size))
+    moved = lfilter(numerator[0], denominator, push + person * slow / slow.std())
+    angle = moved + 1e-6 * rng.standard_normal(push.size)
+    return made_record(angle[None, ::keep], None, push[None, ::keep], rate=RATE / keep)
+
+
+@pytest.mark.parametrize(("keep", "hold"), [(4, 1), (5, 1), (10, 2)])
+def test_a_perturbation_of_which_samples_were_thrown_away_is_told(keep: int, hold: int) -> None:
+    assert aliased(pushed(keep, hold=hold)) < 0.6
+    assert ProblemCode.ALIASED in {one.code for one in judge_signals(pushed(keep, hold=hold))}
+
+
+@pytest.mark.parametrize(("keep", "hold", "person"), [(1, 1, 0.3), (5, 5, 0.3), (5, 30, 1.0)])
+def test_a_white_perturbation_that_is_recorded_as_it_acts_is_sound(
+    keep: int, hold: int, person: float
+) -> None:
+    assert aliased(pushed(keep, hold=hold, person=person)) == 1.0
