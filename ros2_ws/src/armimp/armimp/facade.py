@@ -16,6 +16,7 @@ from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.alignment.trial_windows import HIGHEST, LOWEST
 from armimp_estimation.arm_models import ModelFit, supported
+from armimp_estimation.estimators.lpm import LpmConfig
 from armimp_estimation.fit import Calibration
 from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import Problem
@@ -29,8 +30,8 @@ class Recording:
 
     trials: tuple[TrialRecord, ...]
     """Perturbation (N·m), position (rad) and torque on the arm (N·m), of shape (n, N)."""
-    reading: TorqueReading = field(default_factory=TorqueReading)
-    """When and how torques were read."""
+    lpm: LpmConfig = field(default_factory=LpmConfig)
+    """When and how torques were read, and how well that instant is known."""
     truth: MBK | None = None
     """The arm that was simulated, if it was."""
     calibration: Calibration = field(default_factory=Calibration.undeclared)
@@ -133,7 +134,7 @@ class Recording:
             reading = TorqueReading(timing=TorqueTiming(timing), delay=torque_delay)
         except ValueError:
             raise ConfigurationError(f"torque_delay: {torque_delay} s is impossible") from None
-        return cls(trials=tuple(records), reading=reading)
+        return cls(trials=tuple(records), lpm=LpmConfig(reading=reading))
 
 
 def _numbers(values: ArrayLike) -> FloatArray:
@@ -220,7 +221,7 @@ def simulate(**options: Any) -> Recording:
     (experiment,) = run_without_ros([config])
     return Recording(
         trials=experiment.records,
-        reading=experiment.options.lpm.reading,
+        lpm=experiment.options.lpm,
         truth=experiment.truth,
         calibration=experiment.options.calibration,
         model=experiment.options.model,
@@ -264,7 +265,7 @@ def read_bag(*bags: str | Path, rate: float | None = None) -> Recording:
     known = Metadata.of(metadata)
     return Recording(
         trials=tuple(records),
-        reading=known.reading,
+        lpm=known.lpm,
         calibration=known.calibration,
         model=known.arm_model,
         problems=tuple(problems_of(trials, known)),
@@ -290,7 +291,6 @@ def identify(recording: Recording, estimator: str = "lpm_full", model: str | Non
     DataError
         If the trials cannot be estimated.
     """
-    from armimp_estimation.estimators.lpm import LpmConfig
     from armimp_estimation.estimators.registry import IdentifyConfig
     from armimp_estimation.identify import identify as identify_trials
     from armimp_estimation.trial import TrialData, segments_for
@@ -302,10 +302,11 @@ def identify(recording: Recording, estimator: str = "lpm_full", model: str | Non
     if not recording.trials:
         raise DataError("there is no trial in the recording")
     welch = segments_for([[trial] for trial in recording.trials])
-    data = [TrialData.of(one, welch=welch, reading=recording.reading) for one in recording.trials]
+    reading = recording.lpm.reading
+    data = [TrialData.of(one, welch=welch, reading=reading) for one in recording.trials]
     config = IdentifyConfig(
         welch=welch,
-        lpm=LpmConfig(reading=recording.reading),
+        lpm=recording.lpm,
         model=recording.model if model is None else model,
         calibration=recording.calibration,
     )

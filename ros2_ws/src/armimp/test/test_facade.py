@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 import armimp
-from armimp_estimation.torque_timing import TorqueReading
+from armimp_bringup.offline_estimate import estimate_bags
+from armimp_estimation.estimators.lpm import LpmConfig
 from support.bag_files import write_bag
 from support.synthetic_bags import recorded_arm, synthetic_recording
 
@@ -90,7 +91,7 @@ def test_plain_arrays_give_the_bits_of_the_recording_and_the_perturbed_joint_is_
     command = [one.command for one in recording.trials]
     made = rebuilt(recording, command=command, timing="before_update")
     assert [one.perturbed_joint for one in made.trials] == [0, 1]
-    assert np.array_equal(armimp.identify(made).K, result.K)
+    assert np.array_equal(armimp.identify(replace(made, lpm=recording.lpm)).K, result.K)
 
 
 @pytest.mark.parametrize(
@@ -163,6 +164,17 @@ def test_a_bag_becomes_a_recording_and_what_is_wrong_with_its_stamps_is_with_the
         armimp.read_bag()
 
 
+def test_what_a_bag_says_of_its_sensors_is_in_the_errors_as_on_the_command_line(
+    tmp_path: Path,
+) -> None:
+    known = {"torque_timing": '"before_update"', "torque_uncertainty": "0.002"}
+    bag = write_bag(tmp_path / "bag", recorded_arm().messages, known | {"gain_uncertainty": "0.03"})
+    told = estimate_bags([bag], ("lpm_full",)).summary.estimators["lpm_full"]
+    found = armimp.identify(armimp.read_bag(bag))
+    for name in ("M", "B", "K", "M_se", "B_se", "K_se"):
+        assert np.array_equal(getattr(found, name), getattr(told, name)), name
+
+
 def test_the_model_that_a_bag_was_recorded_with_is_fitted_unless_another_one_is_asked_for(
     tmp_path: Path,
 ) -> None:
@@ -220,7 +232,7 @@ def test_a_transducer_that_shows_the_torque_of_another_joint_is_named_with_its_s
 
 def test_an_arm_whose_torques_are_late_by_what_nobody_told_is_not_taken_for_bent() -> None:
     late = armimp.simulate(duration=20.0, seed=1, arm_sim={"sensors.torque.delay": 0.0015})
-    found = armimp.identify(replace(late, reading=TorqueReading()))
+    found = armimp.identify(replace(late, lpm=LpmConfig()))
     assert found.valid, found.problems
     assert any("late against angles by 1.5" in one for one in found.problems), found.problems
     assert not any("amplitude" in one or "hysteresis" in one for one in found.problems)
