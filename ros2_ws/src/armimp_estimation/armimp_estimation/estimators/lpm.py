@@ -153,7 +153,7 @@ class LpmFull:
         if jump is None and delay_uncertainty == half_period:
             told += _joints_held(impedance, f, half_period)
             lost += _untold_friction(records, impedance, f, bending)
-        told += _postures_apart(records, impedance, R, inverse, f)
+        lost += _postures_apart(records, impedance, R, inverse, f)
         systematics = (*told, *lost, *skewed)
         disturbance = covariance_of(columns, coefficients)
         return ImpedanceEstimate(
@@ -565,7 +565,8 @@ def _postures_apart(
 
     A joint that is locked in trial k shows the inertia at the posture there, with its small motion
     R_jk, not that of its own trial. By a distance of postures M_ij changes by that share of
-    ``√(M_ii M_jj)`` at most. Data can tell the size of this, too.
+    ``√(M_ii M_jj)`` at most. Data don't tell the size of this: where joints are held softly, R_jk is
+    mostly what the person moves.
     """
     postures = np.stack([record.position.mean(axis=1) for record in records])
     size = np.sqrt(np.abs(np.diag(_inertia(impedance, f))))
