@@ -270,7 +270,9 @@ def wait_for_partners(
         What has to have a peer.
     monitors
         Nodes that have to know of all subscriptions that `node` has made so far. Those that offer
-        no heartbeat, as drivers of others may not, are not waited for.
+        no heartbeat, as drivers of others may not, are not waited for; nor are those whose
+        heartbeat is not known yet. It is once any other publisher of theirs is, as it is made
+        first: so `subscriptions` should hold one to each of them.
     timeout_s
         How long to wait for peers, and then for an answer (s).
 
