@@ -3,6 +3,7 @@
 import contextlib
 import functools
 import io
+import itertools
 import signal
 import sys
 import threading
@@ -13,17 +14,15 @@ from typing import Any, ClassVar, TypeAlias
 import pytest
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from std_msgs.msg import Float64MultiArray
-from std_srvs.srv import Trigger
 
 from armimp_bringup.cli import main
 from armimp_bringup.config import CheckOptions
 from armimp_bringup.driver_check import Finding, Outcome, with_outcome
 from armimp_bringup.driver_check.command import ask
-from armimp_common import qos, topics
+from armimp_common import topics
 from armimp_common.errors import ConfigurationError
+from armimp_common.executor import steady_timer
 from armimp_common.pubsub import CommandPublisher, JointStatePublisher
-from armimp_common.realtime import Pacer
 from armimp_common.topics import PERIOD_NS
 from armimp_sim.node import ArmSimNode
 from support.command import interrupted, program
@@ -31,6 +30,7 @@ from support.graph import PATIENCE
 from support.processes import wait_until
 
 JOINTS = ("shoulder", "elbow")
+STREAMS = (topics.JOINT_STATES, topics.TORQUE_SENSORS)
 SIMULATOR = ["-m", "armimp_sim.node"]
 TEMPLATE = ["-m", "armimp_driver_template.node"]
 Start: TypeAlias = Callable[..., None]
@@ -60,64 +60,34 @@ def test_a_driver_in_a_namespace_is_found_there(host: Start, check: Check) -> No
     assert names(check(namespace="/exo")) == []
 
 
-# --- Drivers with one defect each ---------------------------------------------------------------
-
-
-class Strong(ArmSimNode):
-    """Takes newton metres for something far larger."""
-
-    def _on_command(self, command: tuple[float, ...]) -> None:
-        super()._on_command(tuple(150.0 * value for value in command))
-
-
-class Stubborn(ArmSimNode):
-    """Grants no reset."""
-
-    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success, response.message = False, "not today"
-        return response
-
-
-class DeafStop(ArmSimNode):
-    """Says that it stops, and goes on."""
-
-    def _on_stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success = True
-        return response
-
-
-class Slow(Node):
-    """No lifecycle node, no services, half the rate, and torques by best effort."""
+class Plain(Node):
+    """No lifecycle node, no services, torques by best effort, and a pace of its own."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(topics.SIM_NODE, **options)
         hasty = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._angles = JointStatePublisher(self, topics.JOINT_STATES, JOINTS, "position")
-        self._torques = JointStatePublisher(
-            self, topics.TORQUE_SENSORS, JOINTS, "effort", profile=hasty
-        )
-        self._listener = self.create_subscription(
-            Float64MultiArray, topics.COMMANDS, lambda _: None, qos.SAMPLE
-        )
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
+        angles = JointStatePublisher(self, topics.JOINT_STATES, JOINTS, "position")
+        torques = JointStatePublisher(self, topics.TORQUE_SENSORS, JOINTS, "effort", profile=hasty)
+        stamps = itertools.count(0, 2 * PERIOD_NS)
 
-    def destroy_node(self) -> None:
-        self._ended.set()
-        self._thread.join()
-        super().destroy_node()
+        def publish() -> None:
+            stamp_ns = next(stamps)
+            angles.publish(stamp_ns, (1.0, 1.0))
+            torques.publish(stamp_ns, (0.0, 0.0))
 
-    def _run(self) -> None:
-        pacer = Pacer(2 * PERIOD_NS)
-        pacer.start()
-        tick = 0
-        while not self._ended.is_set():
-            stamp_ns = 2 * PERIOD_NS * tick
-            self._angles.publish(stamp_ns, (1.0, 1.0))
-            self._torques.publish(stamp_ns, (0.0, 0.0))
-            tick += 1
-            pacer.wait(tick)
+        steady_timer(self, 2.0 * topics.PERIOD, publish)
+
+
+@pytest.mark.slow
+def test_a_plain_node_is_judged_as_it_is(host: Start, check: Check) -> None:
+    host(Plain)
+    findings = check()
+    assert findings["lifecycle"].outcome is Outcome.NOT_CHECKED
+    expected = {f"service arm_sim/{name}" for name in ("emergency_stop", "reset")}
+    expected |= {"torque_sensors: quality of service", "effort_controller/commands: type"}
+    assert expected <= set(names(findings))
+    for topic in STREAMS:
+        assert findings[f"{topic}: joint names"].outcome is Outcome.PASS
 
 
 class InUse(ArmSimNode):
@@ -126,48 +96,6 @@ class InUse(ArmSimNode):
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
         self._commander = CommandPublisher(self, topics.COMMANDS, len(JOINTS))
-
-
-@pytest.mark.slow
-@pytest.mark.alone
-def test_a_plain_node_with_another_rate_is_judged_as_well(host: Start, check: Check) -> None:
-    host(Slow)
-
-    findings = check()
-
-    assert findings["lifecycle"].outcome is Outcome.NOT_CHECKED
-    expected = {f"service arm_sim/{name}" for name in ("emergency_stop", "reset")}
-    expected |= {"torque_sensors: quality of service"}
-    for check_name in ("rate", "stamps 1 ms apart", "clock"):
-        expected |= {f"{topic}: {check_name}" for topic in ("joint_states", "torque_sensors")}
-    assert expected <= set(names(findings))
-    assert findings["joint_states: joint names"].outcome is Outcome.PASS
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("defect", "move", "expected"),
-    [
-        (Stubborn, False, ["emergency stop: reset"]),
-        (DeafStop, True, ["emergency stop: told", "emergency stop: latched"]),
-    ],
-)
-def test_a_defect_that_is_planted_into_a_driver_is_named_and_nothing_else(
-    host: Start, check: Check, defect: type[ArmSimNode], move: bool, expected: list[str]
-) -> None:
-    host(defect, mode="lockstep")
-    assert names(check(move=move)) == expected
-
-
-@pytest.mark.slow
-def test_when_a_rig_moves_too_far_expect_its_emergency_stop_to_be_called_and_not_reset(
-    host: Start, check: Check
-) -> None:
-    host(Strong, mode="lockstep")
-    findings = check(move=True)
-    assert names(findings) == ["torque: motion"]
-    assert "torque taken away" in findings["torque: motion"].figure
-    assert check()["no fault at rest"].figure == "arm_sim: rig: emergency stop"
 
 
 @pytest.mark.slow
@@ -245,7 +173,6 @@ def test_when_it_is_interrupted_under_torque_expect_zero_torque_to_be_commanded_
 # machine gives them, `armimp check-driver` judges and no test: pace, and torque under watchdogs.
 ROBOT = str(Path(__file__).resolve().parent / "fake_ros2_control.py")
 BRIDGE = ["-m", "armimp_ros2_control.node"]
-STREAMS = ("joint_states", "torque_sensors")
 
 
 @pytest.mark.slow

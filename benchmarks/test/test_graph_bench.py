@@ -1,17 +1,12 @@
 """The benchmark of the node graph: what is measured is told apart, and adds up."""
 
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from armimp_bringup.bench import Measured
 from armimp_bringup.config import ExperimentConfig
-from armimp_common.errors import GraphError
-from armimp_sim.parameters import SimulatorParameters
-from armimp_sim.simulator import SimulatedRig
-from benchmarks import graph
-from benchmarks.graph import RATIO_LIMIT, Processes, Round, graph_figures, graph_tick
+from benchmarks.graph import RATIO_LIMIT, Processes, Round, graph_figures
 from benchmarks.tick_parts import TickParts, tick_parts
 
 PARTS = TickParts(plant=25e-6, law=3e-6, codecs=4e-6, recording=5e-6)
@@ -45,43 +40,6 @@ def test_a_lost_sample_and_a_slow_trial_miss_the_target() -> None:
     assert not figures("composed", 85e-6)["lost"].missed
     assert not figures("composed", 194e-6)["slowest"].missed
     assert figures("composed", 196e-6)["slowest"].missed
-
-
-def test_lost_samples_are_a_figure_and_whatever_else_spoils_a_run_is_an_error(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    trials = [SimpleNamespace(lost=0, rtf=10.0), SimpleNamespace(lost=3, rtf=5.0)]
-    summary = SimpleNamespace(valid=False, faults=["something"], trials=trials)
-    monkeypatch.setattr(graph, "run_experiment", lambda *_: SimpleNamespace(summary=summary))
-    experiment = graph_tick("composed")
-    assert experiment.ticks == pytest.approx([1e-4, 2e-4])
-    assert experiment.lost == 3
-    assert experiment.plant is None
-
-    trials[1].lost = 0
-    with pytest.raises(GraphError, match="not valid: something"):
-        graph_tick("composed")
-
-
-def test_the_plant_is_timed_where_it_is_stepped(monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = SimulatedRig(SimulatorParameters.preset())
-
-    def run_experiment(*arguments: object) -> SimpleNamespace:
-        for _ in range(5):
-            rig.step([0.0, 0.0])
-        trials = [SimpleNamespace(lost=0, rtf=10.0)]
-        summary = SimpleNamespace(valid=True, problems=[], trials=trials)
-        return SimpleNamespace(summary=summary)
-
-    monkeypatch.setattr(graph, "run_experiment", run_experiment)
-    before = SimulatedRig.step
-
-    experiment = graph_tick("composed")
-
-    assert rig.tick == 5
-    assert experiment.plant is not None
-    assert experiment.plant > 0.0
-    assert SimulatedRig.step is before
 
 
 def test_each_part_of_a_tick_takes_time_and_the_recording_is_complete() -> None:

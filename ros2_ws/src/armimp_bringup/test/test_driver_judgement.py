@@ -48,8 +48,9 @@ Edit = Callable[[Message], Message]
 class Driver(Answering):
     """A driver in real time and the checker in front of it, on one clock.
 
-    `watchdog` tells whether it stops without commands, `lets_go` whether torque then goes, and
-    `latches` whether it waits for a reset. While the checker is `held_up`, nothing that the driver
+    `watchdog` tells whether it stops without commands, `lets_go` whether torque then goes,
+    `latches` whether it waits for a reset, `resets` whether it grants that, and `deaf` whether it
+    only says that it stops when it is told to. While the checker is `held_up`, nothing that the driver
     sends reaches it. `drive` is what it makes of a torque, `sign` that of its transducers.
     """
 
@@ -59,6 +60,8 @@ class Driver(Answering):
         watchdog: bool = True,
         lets_go: bool = True,
         latches: bool = True,
+        resets: bool = True,
+        deaf: bool = False,
         held_up: Callable[[int], bool] = lambda _: False,
         moody: bool = False,
         drive: Callable[[Torque], Torque] = lambda torque: torque,
@@ -68,6 +71,7 @@ class Driver(Answering):
         super().__init__(JOINTS, self.obey, now_ns=lambda: self.time_ns, sleep=lambda _: None)
         self.rig = SimulatedRig(SimulatorParameters.preset())
         self.watchdog, self.lets_go, self.latches = watchdog, lets_go, latches
+        self.resets, self.deaf = resets, deaf
         self.held_up, self.moody = held_up, moody
         self.drive, self.sign = drive, sign
         self.encoders = {
@@ -126,9 +130,10 @@ class Driver(Answering):
     def call(self, service: str, patience: float, since: float | None = None) -> Call:
         self.step()
         if service == SIM_STOP_SERVICE:
-            self.latch("emergency stop")
+            if not self.deaf:
+                self.latch("emergency stop")
             return Call(success=True)
-        if self.commanded != ZERO:
+        if self.commanded != ZERO or not self.resets:
             return Call(success=False, message="there is torque")
         self.fault = ""
         return Call(success=True)
@@ -352,18 +357,25 @@ def late(by: int) -> Callable[[Torque], Torque]:
 
 
 MIXED, SIGN = "torque: joint and sign", "torque_sensors: sign"
+NEVER = ["stale commands: told", "stale commands: torque", "stale commands: latched"]
+LATCHED = "emergency stop: latched"
 
 
 @pytest.mark.parametrize(
     ("defects", "expected", "words"),
     [
+        ({"watchdog": False}, NEVER, ""),
+        ({"lets_go": False}, ["stale commands: torque"], ""),
+        ({"latches": False}, ["stale commands: latched", LATCHED], ""),
+        ({"deaf": True, "watchdog": False}, [*NEVER, "emergency stop: told", LATCHED], ""),
         (
-            {"watchdog": False},
-            ["stale commands: told", "stale commands: torque", "stale commands: latched"],
+            {"resets": False},
+            [
+                *("stale commands: reset", "emergency stop: told", "emergency stop: reset"),
+                *("second publisher: told", "second publisher: reset"),
+            ],
             "",
         ),
-        ({"lets_go": False}, ["stale commands: torque"], ""),
-        ({"latches": False}, ["stale commands: latched", "emergency stop: latched"], ""),
         ({"drive": late(6)}, ["torque: delay"], ""),
         ({"drive": lambda t: (-t[0], t[1])}, [MIXED], "shoulder turns against"),
         ({"drive": lambda t: (t[1], t[0])}, [MIXED], "shoulder and elbow mixed up"),
@@ -402,18 +414,21 @@ def test_when_commands_are_held_up_and_the_driver_stops_expect_no_judgement() ->
 
 
 @pytest.mark.parametrize(
-    ("defects", "named"),
+    ("defects", "named", "fault"),
     [
-        ({"moody": True}, "torque: no stop"),
-        ({"drive": lambda t: (20.0 * t[0], 20.0 * t[1])}, "torque: motion"),
+        ({"moody": True}, "torque: no stop", ""),
+        # It is told to stop, and not reset.
+        ({"drive": lambda t: (20.0 * t[0], 20.0 * t[1])}, "torque: motion", "emergency stop"),
     ],
 )
 def test_a_driver_that_stops_by_itself_or_goes_astray_is_named_and_the_rest_is_inconclusive(
-    defects: Any, named: str
+    defects: Any, named: str, fault: str
 ) -> None:
-    record = moved(Driver(**defects))
+    driver = Driver(**defects)
+    record = moved(driver)
     assert failed(record) == [named]
     assert unsure(record) >= LEFT
+    assert driver.fault == fault
 
 
 # --- The checker's limit of motion --------------------------------------------------------------
