@@ -30,23 +30,15 @@ OF_RUN = [
     ("--duration", "nan", "'duration' = nan"),
     ("--duration", "ten", "--duration"),
     ("--joints", "9", "'joints' = 9: input should be 1, 2, 3, 4, 5, 6 or 7"),
-    ("--duration", "1", "'duration' = 1.0"),
     ("--config", "nowhere.yaml", "nowhere.yaml"),
     ("--estimator", "foo", "'foo'"),
-    ("--estimator", "a\nb", r"'a\nb'"),
     ("--config", ".", ".: Is a directory"),
-    ("--config", "/proc/self/mem", "/proc/self/mem: Input/output error"),
-    ("--config", LONG * 20, "File name too long"),
     ("--out", "../file/x", "../file/x: cannot be made: Not a directory"),
     ("--out", "../full", "../full: is not empty"),
-    ("--out", "/proc/here", "/proc/here: cannot be made"),
     ("--out", LONG, f"{LONG}: cannot be made: File name too long"),
     ("--colour", "red", "--colour"),
     ("--target-error", "2", '= "2": is no share such as 2% or 0.02; did you mean 2%?'),
-    *(
-        ("--target-error", text, f'"{text}": is no share')
-        for text in ("0", "100%", "-1%", "nan", "two")
-    ),
+    *(("--target-error", text, f'"{text}": is no share') for text in ("0", "100%", "nan")),
 ]
 OF_OTHERS: list[tuple[tuple[str, ...], int, str]] = [
     (("estimate", __file__), 1, "neither an MCAP nor an SQLite3 file"),
@@ -117,9 +109,7 @@ def test_a_name_that_is_not_text_is_refused_whatever_it_names(command: str) -> N
 COMMANDS = (("run",), ("reproduce", "--no-figures"))
 
 NOT_YAML = {
-    "binary": bytes(range(256)),
     "unclosed": b"a: [",
-    "undefined alias": b"*nowhere",
     "foreign tag": b"friction: !level 3",
     "tag of Python": b"!!python/object/apply:os.system ['true']",
 }
@@ -132,28 +122,19 @@ WRONG = {
     "joints: true": "'joints' = True: should be no truth value",
     '"a\\nb": 1': r"'a\nb' does not exist",
     "arm_sim: {1: 2}": "arm_sim[1]",
-    "frition: 2": "'frition' does not exist; the nearest valid name is 'friction'",
     "arm_sim: {arm: {inertai: [1.0]}}": "'arm.inertai' does not exist; the nearest valid name",
-    "arm_sim: {'arm.inertia': {x: 3}}": "'arm.inertia.x' does not exist",
     # Types
-    'mode: "a\\nb"': r"'mode' = " + '"a\\nb"',
-    "estimators: lpm_full": "'estimators' = \"lpm_full\"",
     "estimators: []": "'estimators' needs distinct names",
     "estimators: [guess]": "there is no 'guess'",
-    "arm_sim: null": "'arm_sim' = None",
-    "impedance_estimator: {directory: 5}": "'directory' = 5",
     "impedance_estimator: {metadata: '[1]'}": "'metadata' is not a JSON object of strings: '[1]'",
     # Shapes of matrices
     "arm_sim: {arm: {inertia: [[1, 0], [0]]}}": "'arm.inertia' = [[1, 0], [0]]: rows differ",
-    "arm_sim: {arm: {inertia: [[1, 0, 0, 1]]}}": "'arm.inertia' has 1 row for 4 columns",
     "arm_sim: {arm: {inertia: [1.0]}}": "inertia has 1 values, needs 4",
-    "arm_sim: {joints: []}": "'joints' = []",
     # Numbers
     "arm_sim: {seed: 99999999999999999999}": "'seed' = 99999999999999999999: is too large",
     # Physics
     "arm_sim: {arm: {inertia: [-1.0, 0.0, 0.0, 1.0]}}": "inertia of every joint must be positive",
     "arm_sim: {arm: {stiffness: [1.0e+300, 0, 0, 1.0]}}": "'arm.stiffness' = 1e+300: is too large",
-    "arm_sim: {arm: {stiffness: [1.0e+20, 0, 0, 1.0]}}": "|h·λ|",
     "imbic_controller: {law: {internal_model: tde, model_inertia: [9.0, 0.0, 0.0, 9.0]}}": (
         "unstable when sampled"
     ),

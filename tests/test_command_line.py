@@ -25,7 +25,6 @@ from armimp_estimation.bags import read_bag
 from support.bag_files import iterate_messages, write_bag
 from support.command import call, interrupted, program
 from support.processes import processes_of, wait_until
-from support.synthetic_bags import recorded_arm
 
 ROWS = 24
 PROGRAM = """
@@ -237,31 +236,6 @@ def test_the_last_screen_has_the_trials_the_verdict_and_the_place_and_no_progres
 
 
 # --- Ctrl-C at any moment: one line, exit status 130 without a result, never a traceback --------
-
-
-@pytest.mark.alone
-@pytest.mark.slow
-def test_while_it_measures_expect_one_line() -> None:
-    with program("bench") as process:
-        assert process.stderr is not None
-        assert process.stderr.readline()
-        told = interrupted(process, 130)
-    assert told[-1] == "armimp: interrupted"
-    assert len([line for line in told if line.startswith("armimp: ")]) == 1
-
-
-@pytest.mark.alone
-@pytest.mark.slow
-def test_a_replay_leaves_an_invalid_result(tmp_path: Path) -> None:
-    bag, out = tmp_path / "bag", tmp_path / "out"
-    write_bag(bag, recorded_arm(20_000).messages, {})
-    with program("replay", str(bag), "--out", str(out)) as process:
-        assert process.stderr is not None
-        while not process.stderr.readline().startswith("trial 1/2"):
-            assert process.poll() is None
-        told = interrupted(process, 1)
-    assert any(line.startswith("armimp: not valid: interrupted by the user") for line in told)
-    assert (out / "summary.json").exists()
 
 
 def test_a_result_that_is_there_outlives_an_interruption_while_it_is_drawn(

@@ -37,15 +37,6 @@ def numbers(text: str) -> list[float]:
     return [float(one) for one in re.findall(r"[-+]?\d+\.\d+", text)]
 
 
-def test_they_are_numbered_without_a_gap_and_all_in_the_list() -> None:
-    assert list(BY_NUMBER) == [f"{number + 1:02d}" for number in range(len(EXAMPLES))]
-    page = (ROOT / "examples" / "README.md").read_text(encoding="utf-8")
-    listed = re.findall(r"^\| \[(\d\d_\w+\.py)\]", page, flags=re.M)
-    assert listed == [path.name for path in EXAMPLES]
-    for path in EXAMPLES:
-        assert f"examples/{path.name}" in path.read_text(encoding="utf-8"), "how to start it"
-
-
 def test_one_experiment_is_simulated_and_estimated() -> None:
     out = printed("01")
     lines = [line for line in out.splitlines() if " = " in line]

@@ -76,11 +76,6 @@ def test_the_tests_of_the_recipes_pass_beside_those_of_the_interfaces(extended: 
         python(extended, "-m", "pytest", "-q", *names, jit=jit)
 
 
-def test_what_the_recipes_add_is_written_as_the_rest_is(extended: Path) -> None:
-    for arguments in (["check"], ["format", "--check"]):
-        python(extended, "-m", "ruff", *arguments, "--no-cache")
-
-
 def test_the_examples_of_configurations_are_accepted(extended: Path) -> None:
     blocks = re.findall(r"^```yaml\n(.*?)^```$", PAGE, re.M | re.S)
     assert len(blocks) == 2

@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 from armimp_bringup.cli import main
-from armimp_common.status import Phase
-from armimp_estimation.bags import read_bag
 from armimp_estimation.summary import Summary
 from support.runs import FinishedRun, Run
 
@@ -43,18 +41,6 @@ def test_trials_end_early_and_the_result_is_valid_and_as_good_as_was_asked_for(
     for name in "MBK":
         errors = np.array(getattr(result, f"{name}_se")) / np.abs(getattr(result, name))
         assert errors.max() < 1.05 * BOUND
-
-
-def test_bags_hold_what_belongs_to_the_trial_and_say_when_it_ended(early: FinishedRun) -> None:
-    for trial, summary in zip(early.trials(), early.summary.trials, strict=True):
-        assert {len(messages) for messages in trial.streams.values()} == {summary.ticks}
-        assert [(status.phase, status.ticks) for status in trial.statuses] == [
-            (Phase.SETTLE, PLANNED),
-            (Phase.PERTURB, PLANNED),
-            (Phase.PERTURB, summary.ticks),
-            (Phase.REST, summary.ticks),
-        ]
-    assert [read_bag(bag).notes for bag in early.bags] == [(), ()]
 
 
 def test_bags_estimate_and_replay_to_the_same_result(early: FinishedRun, tmp_path: Path) -> None:

@@ -3,24 +3,13 @@
 from __future__ import annotations
 
 import ast
-import importlib.util
 import re
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from xml.etree import ElementTree
 
 import make_pictures
 import pytest
-
-from armimp_common.topics import (
-    CONTROLLER_NODE,
-    DATA_STREAMS,
-    ESTIMATOR_NODE,
-    RECEIVED,
-    SIM_NODE,
-    TRIAL,
-)
 
 ROOT = Path(__file__).resolve().parents[1]
 # Folders of tools, environments and results hold pages of others.
@@ -83,50 +72,7 @@ def test_every_link_leads_somewhere(page: Path) -> None:
     assert [link for link in links(page) if not leads_somewhere(page, link)] == []
 
 
-def test_every_page_of_docs_can_be_reached_from_the_readme() -> None:
-    reached, waiting = set[Path](), [Path("README.md")]
-    while waiting:
-        page = waiting.pop()
-        if page in reached or page.suffix != ".md":
-            continue
-        reached.add(page)
-        names = [link.partition("#")[0] for link in links(page)]
-        folder = (ROOT / page).parent
-        waiting += [(folder / name).resolve().relative_to(ROOT) for name in names if name]
-    assert {page for page in PAGES if page.parts[0] == "docs"} <= reached
-    assert {Path("CHANGELOG.md"), Path("CONTRIBUTING.md"), Path("examples/README.md")} <= reached
-
-
 # --- The architecture page: its names exist, and its decisions have dates -----------------------
-
-
-ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-PICTURE = ROOT / "docs" / "images" / "architecture.svg"
-
-
-@pytest.mark.parametrize("name", sorted(set(re.findall(r"`(armimp_\w+(?:\.\w+)+)`", ARCHITECTURE))))
-def test_every_module_that_the_page_names_exists(name: str) -> None:
-    assert importlib.util.find_spec(name) is not None
-
-
-def test_every_decision_has_a_date() -> None:
-    part = ARCHITECTURE.partition("\n## 6. Decisions")[2].partition("\n## 7. ")[0]
-    decisions = re.split(r"^\d+\. ", part, flags=re.MULTILINE)[1:]
-    assert len(decisions) > 20
-    assert [one for one in decisions if not re.search(r"20\d\d-\d\d-\d\d\)", one)] == []
-
-
-def test_the_picture_shows_topics_and_nodes_that_exist() -> None:
-    texts = [
-        one.text or "" for one in ElementTree.parse(PICTURE).iter() if one.tag.endswith("text")
-    ]
-    # A topic may be broken over two lines, or be followed by words.
-    shown = re.sub(r"/\n", "/", "\n".join(texts))
-    found = re.findall(r"^(\w+/[a-z]+|joint_states, torque_sensors|\w+_\w+s)(?=:|$)", shown, re.M)
-    topics = {topic for one in found for topic in one.split(", ")}
-    assert topics == {*DATA_STREAMS, TRIAL, RECEIVED}
-    for node in (SIM_NODE, CONTROLLER_NODE, ESTIMATOR_NODE):
-        assert node in texts
 
 
 # --- The page on safety names tests that exist --------------------------------------------------
@@ -171,13 +117,3 @@ def test_pictures_are_as_new_as_what_makes_them(name: str) -> None:
     assert make_pictures.stored()[name] == recipe.digest(), (
         f"out of date: make pictures ARGS={name}"
     )
-
-
-def test_every_picture_of_the_pages_has_a_recipe() -> None:
-    pages = [ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("research/*.md")]
-    shown = {
-        name
-        for page in pages
-        for name in re.findall(r"!\[[^\]]*\]\([^)]*images/([^)]+\.png)\)", page.read_text("utf-8"))
-    }
-    assert shown == {one for recipe in make_pictures.RECIPES.values() for one in recipe.pictures}

@@ -50,7 +50,7 @@ class Driver(Answering):
 
     `watchdog` tells whether it stops without commands, `lets_go` whether torque then goes,
     `latches` whether it waits for a reset, `resets` whether it grants that, and `deaf` whether it
-    only says that it stops when it is told to. While the checker is `held_up`, nothing that the driver
+    only says that it stops when told to. While the checker is `held_up`, nothing that the driver
     sends reaches it. `drive` is what it makes of a torque, `sign` that of its transducers.
     """
 

@@ -150,15 +150,6 @@ def test_when_two_claim_domains_expect_different_ones() -> None:
         assert {first.domain_id, second.domain_id} <= set(range(1, 101))
 
 
-def test_when_a_domain_is_taken_expect_graph_error_until_released() -> None:
-    with DomainClaim() as held:
-        domain_id = held.domain_id
-        with pytest.raises(GraphError, match=f"domain id {domain_id} is taken"):
-            DomainClaim(domain_id)
-    with DomainClaim(domain_id) as again:
-        assert again.domain_id == domain_id
-
-
 def test_when_a_program_of_another_kind_is_in_a_domain_expect_it_avoided() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other, DomainClaim() as first:
         free = first.domain_id

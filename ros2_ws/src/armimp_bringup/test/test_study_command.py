@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import io
 import json
 from pathlib import Path
 
 import pytest
-from rich.console import Console
 
 from armimp_bringup.cli import main
 from armimp_bringup.study import read_study
 from armimp_bringup.study.scores import StudyVerdict
-from armimp_bringup.terminal import Display, describe, display
+from armimp_bringup.terminal import describe
 from support.command import interrupted, program
 
 SHORT = ("--duration", "4", "--no-figures", "--only", "friction=0,resolution=0,perturbation=3")
@@ -86,21 +84,3 @@ def test_time_left_follows_from_what_was_done_since_the_start() -> None:
     assert describe(0, 48, 3.0, things="conditions") == "0 of 48 conditions"
     assert describe(12, 48, 10.0, things="conditions") == "12 of 48 conditions, 30 s left"
     assert describe(48, 48, 65.0, things="conditions") == "48 of 48 conditions, took 1 min 5 s"
-
-
-def test_progress_is_a_bar_on_a_terminal_and_lines_elsewhere() -> None:
-    for terminal in (True, False):
-        file = io.StringIO()
-        console = Console(file=file, force_terminal=terminal, width=100)
-        with Display(console):
-            display().progress(1, 4, things="conditions")
-            display().progress(4, 4, things="conditions")
-            display().phase("drawing the figures")
-        text = file.getvalue()
-        if terminal:
-            assert "drawing the figures" in text
-            assert "━" in text
-            assert "1 of 4 conditions, " in text
-        else:
-            assert len(text.splitlines()) == 2
-            assert text.startswith("1 of 4 conditions")

@@ -164,14 +164,6 @@ def test_worst_error_counts_in_both_directions_and_relative_to_the_element(
         assert worst.met is met
 
 
-def test_estimator_without_targets_is_shown_but_not_judged() -> None:
-    poor = _with(_entry(estimators=("direct",)), "direct", vaf=_square(3.0, 2))
-    verdict = judge([poor])
-    assert verdict.met
-    worst = _rows(verdict)["direct", "VAF"]
-    assert (worst.worst, worst.limit, worst.met) == (3.0, None, None)
-
-
 def test_with_more_joints_elements_that_transducers_cannot_resolve_are_not_judged() -> None:
     target = {
         f"target.{name}": [value] * 4

@@ -2,7 +2,6 @@
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -11,11 +10,8 @@ import pytest
 
 from armimp_common.process import (
     Life,
-    endpoints,
-    follow_parent,
     identity,
     life_of,
-    reachable_from_outside,
 )
 
 TELL = "import time; from armimp_common.process import identity; print(identity(), flush=True)"
@@ -53,33 +49,6 @@ def test_another_process_with_the_same_number_is_not_taken_for_it() -> None:
 def test_of_a_process_elsewhere_nothing_is_known(process: str) -> None:
     assert life_of(process) is Life.UNKNOWN
     assert life_of(process).there is None
-
-
-@pytest.mark.parametrize("kind", [socket.SOCK_DGRAM, socket.SOCK_STREAM])
-@pytest.mark.parametrize(
-    ("family", "address", "outside"),
-    [
-        (socket.AF_INET, "127.0.0.1", False),
-        (socket.AF_INET, "0.0.0.0", True),
-        (socket.AF_INET6, "::1", False),
-        (socket.AF_INET6, "::", True),
-    ],
-)
-def test_own_socket_is_found_as_long_as_it_is_open(
-    kind: socket.SocketKind, family: socket.AddressFamily, address: str, outside: bool
-) -> None:
-    with socket.socket(family, kind) as made:
-        try:
-            made.bind((address, 0))
-        except OSError:
-            pytest.skip("this machine has no IPv6")
-        expected = (address, made.getsockname()[1])
-        if kind is socket.SOCK_STREAM:
-            assert expected not in endpoints()
-            made.listen()
-        assert expected in endpoints()
-        assert (expected in reachable_from_outside()) is outside
-    assert expected not in endpoints()
 
 
 CHILD = """
@@ -127,16 +96,3 @@ def test_when_the_parent_is_killed_expect_the_child_to_end_in_order(
 
     # The child inherited the output, which ends only with it.
     assert parent.stdout.read() == "ended in order\n"
-
-
-@pytest.mark.parametrize("value", [None, "", "rubbish", "9999"])
-def test_without_a_pipe_nothing_is_followed(
-    monkeypatch: pytest.MonkeyPatch, value: str | None
-) -> None:
-    if value is not None:
-        monkeypatch.setenv("ARMIMP_PARENT_PIPE", value)
-
-    follow_parent()
-
-    # Children of this process have no part in it.
-    assert "ARMIMP_PARENT_PIPE" not in os.environ

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
-from armimp_common.schema import build, flatten
 from armimp_control.laws import (
     ANGLE_GAIN,
     DISTURBANCE_GAIN,
@@ -21,9 +20,7 @@ from armimp_control.laws import (
 from armimp_control.laws.imbic import ImbicConfig, Observer
 from armimp_control.laws.law import Controller
 from armimp_control.laws.pd import PdConfig
-from armimp_control.parameters import ControllerParameters
 from armimp_control.stability import RigDynamics, check_stability
-from support.controller import controller_parameters
 from support.laws import ARM, POSTURE, ROBOT, preset_law, torque_only, within_torque
 
 Array = NDArray[np.float64]
@@ -148,16 +145,6 @@ def test_law_is_that_of_the_design(n: int, limit: float, dither: float) -> None:
     config = _delayed(n, dither)
     # Roles change hands now and then.
     assert_law(config, DelayedEquations(config, limit), limit, lambda tick: (tick // 60) % n)
-
-
-@pytest.mark.parametrize("shape", [(1,), (3,), (1, 2)])
-@pytest.mark.parametrize("which", [0, 1, 2])
-def test_inputs_of_another_shape_are_refused(which: int, shape: tuple[int, ...]) -> None:
-    controller = Controller(_delayed(), safety=torque_only(80.0))
-    inputs = [np.zeros(2), np.zeros(2), np.zeros(2)]
-    inputs[which] = np.zeros(shape)
-    with pytest.raises(ValueError, match=r"must all be \(2,\)"):
-        controller.tick(*inputs)
 
 
 # --- IMBIC with an observer ---------------------------------------------------------------------
@@ -337,19 +324,3 @@ def test_locked_joints_are_held_by_stiffness_and_damping_and_the_perturbed_one_b
 ) -> None:
     config = _plain(n)
     assert_law(config, PdEquations(config, limit), limit, lambda tick: (tick // 20) % n)
-
-
-def _parameters(**changes: Any) -> ControllerParameters:
-    return build(ControllerParameters, {**flatten(controller_parameters()), **changes})
-
-
-def test_law_of_the_study_is_the_default_and_one_parameter_chooses_the_other() -> None:
-    assert isinstance(_parameters().law_config(), ImbicConfig)
-    chosen = _parameters(**{"law.kind": "pd"})
-    law = chosen.law_config()
-    assert isinstance(law, PdConfig)
-    assert law.inertia == pytest.approx([0.354, 0.180])
-    assert (law.frequency, law.damping_ratio, law.period) == (25.0, 1.0, 1e-3)
-    assert law.target == _parameters().imbic_config().target
-    tuned = _parameters(**{"law.pd_frequency": 40.0, "law.pd_damping_ratio": 0.7}).pd_config()
-    assert (tuned.frequency, tuned.damping_ratio) == (40.0, 0.7)

@@ -314,23 +314,6 @@ class TestLife:
         assert len(recorded) >= SETTLE + TICKS
         assert recorded == sent[: len(recorded)]
 
-    def test_node_in_a_namespace_keeps_to_it(self, desk: Desk) -> None:
-        left = Node("script", context=desk.context, namespace="/left")
-        desk.spinner.add_node(left)
-        outside, desk.script = desk.script, Script(left)
-        desk.make(cli_args=["--ros-args", "-r", "__ns:=/left"])
-        desk.activate()
-
-        outside.play(desk.spinner, MADE_UP[:ONE_TRIAL])
-        desk.play(MADE_UP)
-        desk.conclude()
-
-        assert desk.script.people[0].topic_name == "/left/impedance_estimator/result"
-        assert outside.results == []
-        assert [trial.lost for trial in desk.summary.trials] == [0, 0]
-        desk.spinner.remove_node(left)
-        left.destroy_node()
-
 
 class TestController:
     def begin(self, desk: Desk, *phases: Phase) -> None:

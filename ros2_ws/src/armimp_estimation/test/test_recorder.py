@@ -19,7 +19,6 @@ from armimp_common.cdr import (
 from armimp_common.errors import BagError
 from armimp_common.status import NOTICE_TICKS, Phase, StoppingDecision
 from armimp_common.topics import (
-    COMMANDS,
     DATA_STREAMS,
     JOINT_STATES,
     PERIOD_NS,
@@ -345,13 +344,6 @@ def test_when_a_sample_is_missing_or_cannot_be_used_expect_silence(
     spoiled = list(ARM_MESSAGES[topic])
     spoiled[100:101] = [] if bad is None else [bad]
     assert so_far({**ARM_MESSAGES, topic: spoiled}, 5000) is None
-
-
-def test_without_its_commands_a_running_trial_has_none() -> None:
-    commands = [*ARM_MESSAGES[COMMANDS][:10], b"rubbish", *ARM_MESSAGES[COMMANDS][11:]]
-    found = so_far({**ARM_MESSAGES, COMMANDS: commands}, 5000)
-    assert found is not None
-    assert found.command is None
 
 
 def test_the_last_trial_accounts_for_motion_of_locked_joints_and_the_first_says_so() -> None:

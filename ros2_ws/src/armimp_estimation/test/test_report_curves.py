@@ -9,15 +9,11 @@ from hypothesis import strategies as st
 
 from armimp_estimation.mbk import MBK
 from armimp_estimation.report.plots import (
-    DASHES,
-    bands_of,
     circle_radius,
     distances,
     envelope,
     phase_of,
-    printed,
     rows_of,
-    strokes,
 )
 from armimp_estimation.scores import Coherences
 from armimp_estimation.summary import ImpedanceCurve
@@ -25,7 +21,6 @@ from support.synthetic_trials import (
     TWO_JOINT_ARM,
     SyntheticConfig,
     made_estimate,
-    part_of,
     synthetic_trial,
 )
 
@@ -55,13 +50,6 @@ def test_estimates_are_compared_with_the_truth_or_else_with_the_best_of_them() -
     np.testing.assert_allclose(off, 100.0 * (5.0 / 4.9 - 1.0))
     assert ends[0] < off.min()
     assert ends[1] > off.max()
-
-
-def test_when_the_circle_holds_zero_expect_any_phase_and_a_positive_magnitude() -> None:
-    ones, radius = np.ones(F.size), circle_radius(stored(1.0, deviation=10.0), 0, 0)
-    (smallest, _), (lower, upper) = bands_of(ones, np.zeros(F.size), radius)
-    np.testing.assert_allclose(upper - lower, 360.0)
-    assert (smallest > 0.0).all()
 
 
 @pytest.mark.parametrize("turns", [-2, -1, 1, 2])
@@ -94,32 +82,9 @@ def test_an_envelope_keeps_the_extremes_of_a_signal_whatever_its_gaps(
         assert kept.size == 0
 
 
-def test_a_gap_between_segments_stays_a_gap() -> None:
-    record = synthetic_trial(TWO_JOINT_ARM, 1, SyntheticConfig(samples=100), seed=1)
-    shifted = replace(record, start_ns=5_000_000)
-    parts = [part_of(shifted, 0, 40), part_of(shifted, 50, 100)]
-    perturbation, angle, held, torque = rows_of(parts, start_ns=0, cutoff=None)
-
-    assert (perturbation.joints, angle.joints, held.joints) == ((1,), (1,), (0,))
-    assert torque.joints == (0, 1)
-    gaps = np.isnan(torque.values[0])
-    assert np.flatnonzero(gaps).tolist() == [*range(5), *range(45, 55)]
-    np.testing.assert_array_equal(torque.values[:, 55:], record.torque[:, 50:])
-    np.testing.assert_allclose(np.nanmean(angle.values), 0.0, atol=1e-12)
-    # Degrees.
-    expected = np.degrees(np.ptp(record.position[1, 50:]))
-    assert np.ptp(angle.values[0, 55:]) == pytest.approx(expected)
-
-
 def test_signals_are_seen_in_the_band_of_the_perturbation_neither_early_nor_late() -> None:
     record = synthetic_trial(TWO_JOINT_ARM, 1, SyntheticConfig(samples=4000), seed=1)
     time = np.arange(4000) / 1000.0
     slow, chatter = np.sin(2 * np.pi * 5.0 * time), 20.0 * np.sin(2 * np.pi * 400.0 * time)
     torque = rows_of([replace(record, torque=np.stack([slow + chatter] * 2))], record.start_ns)[-1]
     np.testing.assert_allclose(torque.values[0, 500:-500], slow[500:-500], atol=0.02)
-
-
-def test_estimators_differ_in_colour_and_dashes_even_if_they_are_unknown() -> None:
-    every = strokes(["welch_siso", "welch_full", "lpm_full", "direct", "mimo", "new"]).values()
-    assert len({printed(stroke.colour) for stroke in every}) == len(every)
-    assert {stroke.dash for stroke in every} == set(DASHES)

@@ -5,7 +5,6 @@ import hashlib
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,12 +12,10 @@ import pytest
 from armimp_common import topics
 from armimp_common.cdr import decode_trial_status, encode_trial_status
 from armimp_common.status import Phase
-from armimp_estimation.figures import TWO_COLUMNS, impedance_figure, write_figures
-from armimp_estimation.problems import ProblemCode, Severity, problem
+from armimp_estimation.figures import write_figures
+from armimp_estimation.problems import ProblemCode, problem
 from armimp_estimation.report import REPORT_FILE, report_page, write_report
 from armimp_estimation.report.formats import difference, number, percent, plain, uncertain
-from armimp_estimation.report.page import render_page
-from armimp_estimation.report.run import advised, assumptions
 from armimp_estimation.result import Result, load_result
 from armimp_estimation.summary import Summary, read_summary, write_summary
 from support.pages import Page
@@ -82,15 +79,6 @@ def test_estimates_stand_beside_their_errors_and_the_truth(page: Page, result: R
     assert " ".join(cells.split()) in page.words
     assert "true value" in page.words
     assert "Simulation" in page.words
-
-
-def test_the_heading_names_the_simulated_rig(directory: Path, tmp_path: Path) -> None:
-    config = {"experiment": {"rig": "realistic", "friction": 2}}
-    target = altered(directory, tmp_path / "rig", config=config)
-    words = Page(report_page(load_result(target))).words
-    assert "2 trials of 10 s · simulated · realistic rig · friction level 2" in words
-    target = altered(directory, tmp_path / "real", config=config, truth=None)
-    assert "realistic rig" not in Page(report_page(load_result(target))).words
 
 
 def test_without_truth_there_is_no_word_of_simulation_and_the_relative_error_is_shown(
@@ -191,24 +179,6 @@ def test_what_only_another_estimator_needs_is_marked_so_and_not_claimed(
     assert "beyond" not in words
 
 
-def test_notes_and_refusals_of_a_valid_result_are_remarks(directory: Path, tmp_path: Path) -> None:
-    summary = read_summary(directory / "summary.json")
-    siso = changed(summary.estimators["welch_siso"], decides=False)
-    percent: dict[str, Any] = {"gain": 10.0, "cross_talk": 3.0, "angle": 1.5}
-    note = problem(ProblemCode.CALIBRATION_ASSUMED, severity=Severity.NOTE, **percent)
-    moved: dict[str, Any] = {"name": "elbow", "perturbed": "shoulder", "percent": 9.0, "limit": 2.0}
-    refusal = problem(ProblemCode.LOCK_RATIO, estimator="welch_siso", **moved)
-    target = altered(
-        directory,
-        tmp_path / "noted",
-        problems=[note, refusal],
-        estimators={**summary.estimators, "welch_siso": siso},
-    )
-    verdict, _, remarks = Page(report_page(load_result(target))).words.partition("Remarks")
-    assert "Valid" in verdict
-    assert f"{note} refused: {refusal}" in remarks
-
-
 def test_parameters_of_the_model_stand_beside_m_b_and_k(directory: Path, tmp_path: Path) -> None:
     summary = read_summary(directory / "summary.json")
     estimators = {name: with_cuff(one) for name, one in summary.estimators.items()}
@@ -217,29 +187,6 @@ def test_parameters_of_the_model_stand_beside_m_b_and_k(directory: Path, tmp_pat
     assert "Model cuff of the arm, by welch_siso: Z = A + B parameter" in words
     assert "M 12 " in words.partition("Model cuff of the arm")[2]
     assert "cuff_stiffness 1 200000.00 ± 0.50 u cuff_stiffness 2 10000 ± – u delay 0.01 ±" in words
-
-
-def test_commands_that_nobody_recorded_are_not_lost(tmp_path: Path) -> None:
-    messages = [one for one in recorded_arm().messages if one[0] != topics.COMMANDS]
-    result = load_result(make_result(tmp_path / "silent", messages=messages))
-    assert [trial.lost for trial in result.summary.trials] == [0, 0]
-    words = Page(report_page(result)).words
-    assert "Valid Both trials are complete" in words
-    assert "lost samples 0 0 ✓ within commands not recorded" in nbsp(words)
-    assert "torque commands effort_controller/commands not recorded" in words
-
-
-def test_of_trials_that_lost_samples_only_intact_parts_are_claimed(
-    directory: Path, tmp_path: Path
-) -> None:
-    summary = read_summary(directory / "summary.json")
-    first, second = summary.trials
-    (name, count), *others = first.streams.items()
-    streams = {name: changed(count, lost=3), **dict(others)}
-    trials = [changed(first, streams=streams), second]
-    words = Page(report_page(load_result(altered(directory, tmp_path / "x", trials=trials)))).words
-    assert "Valid Intact parts of both trials were used, the held joints stayed still" in words
-    assert "lost samples 3 0 left out" in words
 
 
 def test_a_result_without_an_estimate_still_has_a_report(tmp_path: Path) -> None:
@@ -259,19 +206,6 @@ def test_a_result_without_an_estimate_still_has_a_report(tmp_path: Path) -> None
     assert "Not usable: trial 2: samples of torque_sensors are missing: 1000" in page.words
     figures = [a["id"] for tag, a in page.elements if tag == "figure"]
     assert figures == ["trace-1", "trace-2"]
-
-
-def test_a_summary_alone_is_enough_and_what_lacks_is_said(directory: Path, tmp_path: Path) -> None:
-    target = altered(directory, tmp_path / "alone")
-    (target / "frf.npz").unlink()
-    result = load_result(target)
-    words = Page(report_page(result)).words
-    assert result.trials == ()
-    assert result.curves == {}
-    assert len(result.notes) == 2
-    assert "frf.npz: not a file of impedance curves" in words
-    assert "no time traces: bags/session" in words
-    assert f"trial of {result.joint_names[0]} 10000 0" in words
 
 
 def test_of_a_trial_that_ended_early_both_lengths_are_told(tmp_path: Path) -> None:
@@ -329,18 +263,6 @@ def assert_harmless(page: Page) -> None:
         assert (attributes.get("href") or "#").startswith("#")
 
 
-def test_what_is_known_of_the_torque_readings_and_the_tare_is_told(tmp_path: Path) -> None:
-    readings = {"torque_timing": '"before_update"', "torque_delay": "0.002", "torque_cutoff": "200"}
-    result = load_result(make_result(tmp_path / "late", metadata={**METADATA, **readings}))
-    tared = [replace(one, window=replace(one.window, tare=(0.8125, -0.5))) for one in result.trials]
-    words = Page(report_page(replace(result, trials=tuple(tared)))).words
-    assert (
-        "Torques were read just before each command takes effect, 2 ms late, "
-        "through a Butterworth low-pass of order 1, 200 Hz."
-    ) in words
-    assert "tare 0.812 N·m, −0.500 N·m" in words.replace("\u202f", " ")
-
-
 def test_distortion_is_shown_by_trial_where_the_perturbation_repeats_itself(
     result: Result, page: Page
 ) -> None:
@@ -364,22 +286,6 @@ def test_distortion_is_shown_by_trial_where_the_perturbation_repeats_itself(
 @pytest.mark.parametrize("value", ["a\x00b", "a\x1bb", "a\x7fb", "a\u202eb", "a\u2066b"])
 def test_characters_which_deceive_are_shown_as_replaced(value: str) -> None:
     assert plain(value) == "a\N{REPLACEMENT CHARACTER}b"
-
-
-def test_problems_of_one_kind_come_together_in_their_order() -> None:
-    failed, stopped = ProblemCode.NODE_FAILED, ProblemCode.INTERRUPTED
-    found = advised([(failed, "a died"), (stopped, "by the user"), (failed, "b died")])
-    assert [(kind.title, sentences) for kind, sentences in found] == [
-        ("A node failed", ["a died", "b died"]),
-        ("The run was stopped", ["by the user"]),
-    ]
-
-
-@pytest.mark.parametrize(("joints", "title"), [(3, "Third joint"), (5, "Arm")])
-def test_of_more_than_two_joints_the_paper_says_nothing(joints: int, title: str) -> None:
-    config = {"experiment": {"joints": joints}, "arm_sim": {}}
-    made = render_page("", "report/assumptions.html", [], content=assumptions(config))
-    assert f"<dt>{title}</dt><dd>The paper's arm has two joints." in made
 
 
 def test_an_error_gets_two_digits_and_the_estimate_as_many_decimals() -> None:
@@ -411,17 +317,6 @@ def test_figures_are_written_as_png_and_pdf_the_same_each_time(
             first, second = (tmp_path / one / f"{name}.{form}" for one in ("one", "two"))
             assert first.read_bytes() == second.read_bytes()
             assert first.read_bytes().startswith(begin)
-
-
-def test_a_figure_fits_its_columns_and_nothing_is_cut_off(result: Result) -> None:
-    figure = impedance_figure(result.summary, result.curves)
-    width = figure.get_figwidth()
-    assert width == TWO_COLUMNS
-    assert len(figure.axes) == 12
-    needed = figure.get_tightbbox()
-    assert min(needed.x0, needed.y0) >= 0.0
-    assert needed.x1 <= width
-    assert needed.y1 <= figure.get_figheight()
 
 
 def test_without_an_estimate_the_traces_alone_are_drawn_whatever_the_joints_are_called(

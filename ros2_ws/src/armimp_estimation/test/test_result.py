@@ -21,7 +21,6 @@ from armimp_estimation.identify import Identification, identify
 from armimp_estimation.metadata import RECORD_KEY, Metadata, Timing, latest_metadata
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.recorder import TrialRecorder
-from armimp_estimation.report import report_page
 from armimp_estimation.result import Result, conclude
 from armimp_estimation.spectra import WelchConfig, segment_averages
 from armimp_estimation.summary import (
@@ -299,18 +298,6 @@ def test_when_a_bag_is_of_another_run_expect_the_worse_run_to_count(
     assert not longer.problems
     for order in ((bad, longer), (longer, bad)):
         assert latest_metadata(stored(*order)) == stored(bad)[0]
-
-
-def test_the_report_has_a_timing_part_for_a_run_in_real_time_only() -> None:
-    page = report_page(result_of([], metadata={**METADATA, **stored(timing(BAD))[0]}))
-    assert 'id="timing"' in page
-    assert 'id="timing"' not in report_page(result_of([]))
-    section = page[page.index('id="timing"') :]
-    section = section[: section.index("</section>")]
-    for shown in ("1.000", "1.100", "2.500", "0.200", "0.400", "1.500", "0.150", "5.000", "2000"):
-        assert shown in section
-    assert (section.count("✓"), section.count("✗")) == (2, 1)
-    assert "The computer was not quick or regular enough" in page
 
 
 # --- files ------------------------------------------------------------------------------------
