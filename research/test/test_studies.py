@@ -17,7 +17,6 @@ from research import controller, coverage, decomposition, growth, limits
 from research.coverage_statistics import QUANTILE, Share
 from research.decomposition_outcomes import Cell as DecompositionCell
 from research.decomposition_statistics import Mean
-from research.limits_statistics import Cell as LimitsCell
 from research.options import InvestigationOptions
 
 pytestmark = pytest.mark.slow
@@ -101,21 +100,6 @@ def test_pooled_intervals_hold_the_share_in_95_of_100_experiments() -> None:
 
 
 # --- Limits: how far estimators are from the accuracy that noise allows -------------------------
-
-
-def test_no_estimator_beats_the_bound_and_local_polynomials_come_close_to_it() -> None:
-    """24 runs, 48 ratios: below 0.5 by chance is beyond one in 10⁵ for each."""
-    plan = limits.LimitsPlan(
-        base=BASE, levels=REALISTIC, seeds="0:24", estimators=("lpm_full", "welch_siso")
-    )
-    cells: dict[tuple[str, float], LimitsCell] = {
-        (cell.estimator, cell.voluntary): cell for cell in limits.run_limits(plan, workers=2)
-    }
-    for cell in cells.values():
-        assert (cell.spread_ratio > 0.5).all()
-        assert float(np.sqrt(np.mean(cell.spread_ratio**2))) > 1.0
-    assert float(np.sqrt(np.mean(cells["lpm_full", 0.3].ratio ** 2))) < 1.5
-    assert cells["lpm_full", 0.3].worst[1] < 2.0
 
 
 # --- Decomposition: what it buys ----------------------------------------------------------------

@@ -118,17 +118,3 @@ def test_when_interrupted_expect_no_figures(
     assert main(["bench"]) == 130
     told = capsys.readouterr()
     assert (told.out, told.err.splitlines()[-1]) == ("", "armimp: interrupted")
-
-
-def test_speed_is_the_median_of_trials_and_lost_samples_miss_the_target(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    trials = [SimpleNamespace(lost=0, rtf=10.0), SimpleNamespace(lost=3, rtf=6.0)]
-    summary = SimpleNamespace(faults=[], trials=trials)
-    monkeypatch.setattr(
-        orchestrator, "run_experiment", lambda *_, **__: SimpleNamespace(summary=summary)
-    )
-    found = {one.key: one for one in bench.speed(lambda _: None)}
-    assert found["composed_speed"].value == found["separate_speed"].value == 8.0
-    assert found["composed_lost"].missed
-    assert not found["composed_speed"].missed

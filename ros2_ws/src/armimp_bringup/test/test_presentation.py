@@ -20,7 +20,7 @@ from armimp_common.topics import COMMANDS
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.result import Result, load_result
 from armimp_estimation.summary import read_summary
-from support.results import make_result, with_cuff
+from support.results import make_result
 from support.streams import changed
 from support.synthetic_bags import recorded_arm
 
@@ -116,18 +116,6 @@ def test_problems_are_told_by_what_they_do_and_one_cause_takes_one_line(director
     assert "real time: the" not in told[0]
     (alone,) = complaints(summary.model_copy(update={"problems": problems[:1]}))
     assert alone == f"not valid: {problems[0]}"
-
-
-def test_parameters_of_the_model_are_printed_after_m_b_and_k(
-    directory: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    summary = read_summary(directory / "summary.json")
-    estimators = {name: with_cuff(one) for name, one in summary.estimators.items()}
-    presentation.print_result(summary.model_copy(update={"estimators": estimators}))
-    _, _, table = capsys.readouterr().out.partition("welch_full, model cuff: Z = A + B\n")
-    rows = [line.split() for line in table.splitlines()]
-    assert ["cuff_stiffness1", "2e+05", "0.5", "u"] in rows
-    assert ["delay", "0.01", "–", "u"] in rows
 
 
 def test_after_refusals_the_verdict_names_what_decides(

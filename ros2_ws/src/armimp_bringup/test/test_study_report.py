@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import html
 import re
-import struct
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ import pytest
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.study import StudyEntry, read_study, saved_curves, select_conditions
 from armimp_bringup.study.engine import threads
-from armimp_bringup.study.figures import impedance_figure, levels_figure, write_figures
+from armimp_bringup.study.figures import impedance_figure, levels_figure
 from armimp_bringup.study.scores import (
     COHERENCE_SCORES,
     FIT_SCORES,
@@ -120,25 +119,6 @@ def test_report_is_written_without_figures_and_says_how_far_each_missed_target_i
 
 
 # --- figures -----------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_every_figure_is_written_alike_each_time_as_png_and_pdf_of_two_columns(
-    table: Table, truth: MBK, curves: Sequence[dict[str, ImpedanceCurve]], tmp_path: Path
-) -> None:
-    one, other = tmp_path / "one", tmp_path / "other"
-    for directory in (one, other):
-        directory.mkdir()
-        shown = write_figures(directory, CONDITIONS[:1], table[:1, :1], truth, lambda _: curves[0])
-    names = ("fig2-welch_siso-perturbation1", "fig3-welch_siso", "fig4-welch_siso")
-    assert set(shown) == {f"{name}.{suffix}" for name in names for suffix in ("png", "pdf")}
-    for name in names:
-        picture = (one / f"{name}.png").read_bytes()
-        assert picture.startswith(b"\x89PNG\r\n\x1a\n")
-        assert struct.unpack(">I", picture[16:20]) == (1432,)  # 7.16 inches of 200 points
-        assert (one / f"{name}.pdf").read_bytes().startswith(b"%PDF-")
-    for name in shown:
-        assert (one / name).read_bytes() == (other / name).read_bytes()
 
 
 def test_figure_2_shows_each_element_beside_the_truth_with_a_phase_that_does_not_jump(

@@ -149,32 +149,6 @@ def test_the_reset_is_refused_under_torque_and_granted_without(protection: Prote
 # --- Flow control: the simulator waits for a recorder, and for nobody else ----------------------
 
 
-def sent(backlog: FlowControl, samples: int) -> FlowControl:
-    for _ in range(samples):
-        backlog.count_sent()
-    return backlog
-
-
-@pytest.mark.parametrize("before", [0, 5 * MOST_UNDER_WAY])
-def test_with_a_recorder_that_falls_behind_whenever_it_began_the_next_sample_waits(
-    before: int,
-) -> None:
-    backlog = sent(FlowControl(), before)
-    backlog.acknowledge(0)
-    assert not sent(backlog, MOST_UNDER_WAY - 1).full
-    assert sent(backlog, 1).full
-    backlog.acknowledge(25)
-    assert not backlog.full
-
-
-def test_a_count_that_goes_back_is_not_of_the_recorder() -> None:
-    backlog = FlowControl()
-    backlog.acknowledge(0)
-    sent(backlog, 100).acknowledge(90)
-    backlog.acknowledge(10)
-    assert not backlog.full
-
-
 @given(st.lists(st.integers(min_value=0, max_value=400), max_size=60))
 def test_never_more_samples_are_under_way_than_the_limit(batches: list[int]) -> None:
     backlog = FlowControl()

@@ -137,17 +137,6 @@ def test_when_a_value_is_refused_expect_one_line_with_name_value_and_reason(
     assert str(caught.value) == message
 
 
-def test_when_a_field_without_default_is_not_given_expect_it_named() -> None:
-    class Required(Schema):
-        name: str
-        law: Law
-
-    assert defaults(Required) == {"law.gamma": 100.0, "law.mass": [0.2, 0.1], "law.delay": 1}
-    assert build(Required, {"name": "a", "law.delay": 2}).law.delay == 2
-    with pytest.raises(ConfigurationError, match="parameter 'name' is missing"):
-        build(Required, {"law.delay": 2})
-
-
 @pytest.mark.parametrize("annotation", [float | None, tuple[float | str, ...], dict[str, float]])
 def test_when_ros_has_no_such_type_expect_type_error(annotation: Any) -> None:
     model = type("Odd", (BaseModel,), {"__annotations__": {"field": annotation}})

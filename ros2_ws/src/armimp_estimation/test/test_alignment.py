@@ -31,7 +31,6 @@ from armimp_estimation.alignment.trial_windows import (
     infer_windows,
     judge_stamps,
     sampling_period,
-    tick_numbers,
     windows_from_statuses,
 )
 from armimp_estimation.problems import Problem, ProblemCode, Severity
@@ -264,13 +263,6 @@ def test_streams_whose_samples_cannot_be_paired_are_refused_with_that_alone(
     trial = with_torque_stamps(shift)
     assert only(trial, ProblemCode.STAMPS_DISAGREE).values["stream"] == TORQUE_SENSORS
     assert trial.refusals(allow_gaps=True)
-
-
-def test_jitter_of_a_tenth_of_a_period_in_each_stream_loses_no_sample() -> None:
-    rng = np.random.default_rng(1)
-    stamps = 1e9 * np.arange(20_000.0) / 1000.0
-    found = tick_numbers(np.rint(stamps + 1e5 * rng.normal(size=stamps.size)).astype(np.int64))
-    assert np.array_equal(found, np.arange(stamps.size))
 
 
 def test_perturbation_of_zero_is_refused() -> None:

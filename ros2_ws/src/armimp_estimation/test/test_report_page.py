@@ -3,15 +3,11 @@
 import base64
 import hashlib
 import re
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from armimp_common import topics
-from armimp_common.cdr import decode_trial_status, encode_trial_status
-from armimp_common.status import Phase
 from armimp_estimation.figures import write_figures
 from armimp_estimation.problems import ProblemCode, problem
 from armimp_estimation.report import REPORT_FILE, report_page, write_report
@@ -21,7 +17,7 @@ from armimp_estimation.summary import Summary, read_summary, write_summary
 from support.pages import Page
 from support.results import METADATA, make_result, with_cuff
 from support.streams import changed
-from support.synthetic_bags import Message, recorded_arm, synthetic_recording
+from support.synthetic_bags import recorded_arm, synthetic_recording
 
 HOSTILE = "\"'><script>alert(1)</script><img src=x onerror=alert(1)><a href='javascript:alert(1)'>"
 
@@ -208,21 +204,6 @@ def test_a_result_without_an_estimate_still_has_a_report(tmp_path: Path) -> None
     assert figures == ["trace-1", "trace-2"]
 
 
-def test_of_a_trial_that_ended_early_both_lengths_are_told(tmp_path: Path) -> None:
-    messages: list[Message] = []
-    for topic, time_ns, raw in recorded_arm().messages:
-        told = raw
-        if topic == topics.TRIAL and (status := decode_trial_status(raw)).phase is Phase.PERTURB:
-            told = encode_trial_status(changed(status, ticks=25_000))
-        messages.append((topic, time_ns, told))
-    result = load_result(make_result(tmp_path / "out", messages=messages))
-
-    assert [trial.saved for trial in result.summary.trials] == [15.0, 15.0]
-    assert result.summary.valid
-    told_of_early = "25 s planned; ended after 10 s, its standard errors being small enough"
-    assert Page(report_page(result)).words.count(told_of_early) == 2
-
-
 def hostile_summary(summary: Summary) -> Summary:
     """The same with the payload wherever there is a string."""
     (first, *_) = summary.estimators.values()
@@ -261,23 +242,6 @@ def assert_harmless(page: Page) -> None:
     for tag, attributes in page.elements:
         assert not [name for name in attributes if name.startswith("on")], tag
         assert (attributes.get("href") or "#").startswith("#")
-
-
-def test_distortion_is_shown_by_trial_where_the_perturbation_repeats_itself(
-    result: Result, page: Page
-) -> None:
-    assert "Torque by its origin" not in page.words
-    harmonics = np.array([1, 3, 5, 9, 11, 15, 17])[:, None] * np.arange(1000) / 1000.0
-    period = np.sum(np.cos(2.0 * np.pi * (harmonics + harmonics[:, 1:2] ** 2)), axis=0)
-    trials = []
-    for one in result.trials:
-        (record,) = one.segments
-        source = np.zeros_like(record.perturbation)
-        source[record.perturbed_joint] = np.resize(period, record.samples)
-        trials.append(replace(one, segments=(replace(record, perturbation=source),)))
-    shown = Page(report_page(replace(result, trials=tuple(trials))))
-    assert "Torque by its origin" in shown.words
-    assert {"distortion-1", "distortion-2"} <= set(shown.ids())
 
 
 # --- Strings stay text whatever they hold, and numbers are written ------------------------------

@@ -200,11 +200,3 @@ def test_when_a_filter_took_the_jumps_off_angles_and_torques_alike_expect_none()
         for record in rig_records()
     ]
     assert update_jump(filtered) is None
-
-
-@pytest.mark.parametrize("early", [0.0, 0.004])
-def test_foreign_commands_tell_no_jump_of_readings_that_are_early_either(early: float) -> None:
-    command_of = FOREIGN["noise"]
-    foreign = [replace(one, command=command_of(np.array(one.command))) for one in rig_records()]
-    reading = TorqueReading(timing=TorqueTiming.AFTER_UPDATE, delay=-early)
-    assert update_jump(foreign, reading.at_rate(RATE)) is None

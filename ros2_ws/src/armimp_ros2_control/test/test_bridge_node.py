@@ -168,14 +168,6 @@ def test_what_cannot_be_used_takes_the_torque_away_and_is_told(
     world.await_fault(words)
 
 
-def test_readings_that_are_not_finite_reach_the_controller_that_has_to_see_them(
-    world: World,
-) -> None:
-    world.feed(position=[math.nan, 0.0, 0.0])
-    eventually(world.spinner, lambda: len(world.positions) == 1, "the sample")
-    assert math.isnan(world.positions[0][1][1])
-
-
 def test_the_emergency_stop_zeroes_torque_until_the_reset_which_is_refused_under_torque(
     world: World,
 ) -> None:

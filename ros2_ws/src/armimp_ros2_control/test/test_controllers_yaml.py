@@ -21,15 +21,6 @@ def parameters(node: str) -> dict[str, Any]:
     return found
 
 
-def test_every_controller_of_the_manager_has_a_type_and_parameters_of_its_own() -> None:
-    manager = parameters("controller_manager")
-    controllers = {name: entry for name, entry in manager.items() if isinstance(entry, dict)}
-    assert set(controllers) == set(FILE) - {"controller_manager"}
-    for entry in controllers.values():
-        assert set(entry) == {"type"}
-        assert entry["type"].count("/") == 1
-
-
 def test_the_rate_is_that_of_the_contract() -> None:
     assert parameters("controller_manager")["update_rate"] * PERIOD_NS == NS_PER_S
 
