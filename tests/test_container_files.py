@@ -51,13 +51,3 @@ def test_every_node_has_a_container_with_its_parameters() -> None:
         assert parameters.startswith(INSIDE)
         assert (ROOT / parameters.removeprefix(INSIDE)).name == f"{name}.yaml"
         assert (ROOT / parameters.removeprefix(INSIDE)).is_file()
-
-
-def test_the_orchestrator_starts_after_the_nodes_in_their_network_and_their_domain() -> None:
-    orchestrator = SERVICES["armimp"]
-    assert set(orchestrator["depends_on"]) == set(NODES)
-    assert orchestrator["command"][:4] == ["armimp", "run", "--processes", "external"]
-    for key in ("environment", "networks", "volumes", "image"):
-        assert all(service[key] == orchestrator[key] for service in NODES.values())
-    profile = orchestrator["environment"]["FASTRTPS_DEFAULT_PROFILES_FILE"]
-    assert (ROOT / profile.removeprefix(INSIDE)).is_file()

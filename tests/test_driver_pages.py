@@ -1,18 +1,12 @@
 """docs/drivers.md says what the driver template, the driver check and the bridge do."""
 
-import re
 from pathlib import Path
-
-import numpy as np
-import pytest
-import yaml
 
 from armimp_bringup.config import CheckOptions
 from armimp_bringup.driver_check import Ending, Moves, Record
 from armimp_bringup.driver_check.command import report
 from armimp_bringup.driver_check.rules import judge
-from armimp_common.schema import build, dotted, flatten, leaves
-from armimp_driver_template.conversion import Drives, Sensors
+from armimp_common.schema import leaves
 from armimp_driver_template.parameters import DriverParameters
 from armimp_ros2_control.parameters import BridgeParameters
 from support.pages import markdown_tables
@@ -52,16 +46,3 @@ def test_the_page_names_every_parameter_of_calibration_mock_and_bridge() -> None
     groups = ("device_names", "encoder", "transducer", "drive", "mock")
     of_driver = [name for name in leaves(DriverParameters) if name.split(".")[0] in groups]
     assert sorted(first_cells("parameter")) == sorted([*of_driver, *leaves(BridgeParameters)])
-
-
-def test_the_example_of_a_calibration_is_one() -> None:
-    (block,) = re.findall(r"```yaml\n(.*?)```", PAGE, flags=re.DOTALL)
-    values = dotted(yaml.safe_load(block)["arm_sim"]["ros__parameters"])
-    parameters = build(DriverParameters, {**flatten(DriverParameters()), **values})
-
-    assert parameters.names_at_device() == ("axis_2", "axis_1")
-    encoders, drives = Sensors("encoder", parameters.encoder, 2), Drives(parameters.drive, 2)
-    # A turn of the motor is 1/80 of a turn of the shoulder, 1/50 of one of the elbow.
-    turned = encoders.values((12011 + 4096, 3077 + 4096))
-    assert turned == pytest.approx((2.0 * np.pi / 80.0, -2.0 * np.pi / 50.0))
-    assert drives.of_drives((0.0, 5.0))[1] == pytest.approx(-0.1)

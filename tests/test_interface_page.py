@@ -63,9 +63,6 @@ def test_the_topics_of_the_page_are_those_of_the_contract() -> None:
     assert {profile.history for profile in qos.PROFILES.values()} == {HistoryPolicy.KEEP_LAST}
 
 
-# --- parameters --------------------------------------------------------------------------------
-
-
 # --- keys of messages and files ----------------------------------------------------------------
 
 

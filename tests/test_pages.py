@@ -1,4 +1,4 @@
-"""Pages: their links, names, dates and pictures lead to what is there; hazards name their tests."""
+"""Pages: their links lead somewhere, hazards name their tests, and pictures are up to date."""
 
 from __future__ import annotations
 
@@ -70,9 +70,6 @@ def leads_somewhere(page: Path, link: str) -> bool:
 @pytest.mark.parametrize("page", PAGES, ids=str)
 def test_every_link_leads_somewhere(page: Path) -> None:
     assert [link for link in links(page) if not leads_somewhere(page, link)] == []
-
-
-# --- The architecture page: its names exist, and its decisions have dates -----------------------
 
 
 # --- The page on safety names tests that exist --------------------------------------------------

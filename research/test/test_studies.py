@@ -15,7 +15,6 @@ import pytest
 from armimp_bringup.config import ExperimentConfig
 from research import controller, coverage, decomposition, growth, limits
 from research.coverage_statistics import QUANTILE, Share
-from research.decomposition_outcomes import Cell as DecompositionCell
 from research.decomposition_statistics import Mean
 from research.options import InvestigationOptions
 
@@ -99,44 +98,7 @@ def test_pooled_intervals_hold_the_share_in_95_of_100_experiments() -> None:
     assert np.mean(held) == pytest.approx(0.95, abs=4.0 * np.sqrt(0.95 * 0.05 / 400))
 
 
-# --- Limits: how far estimators are from the accuracy that noise allows -------------------------
-
-
 # --- Decomposition: what it buys ----------------------------------------------------------------
-
-
-Decomposed = dict[tuple[str, float, float | None], DecompositionCell]
-
-
-@pytest.fixture(scope="module")
-def decomposed() -> Decomposed:
-    plan = decomposition.DecompositionPlan(
-        base=SHORT, seeds="0:8", voluntary=(0.0, 0.3), correlations=(0.0,), coupled_at=0.3
-    )
-    found = decomposition.run_decomposition(plan, workers=2)
-    return {(cell.estimator, cell.voluntary, cell.correlation): cell for cell in found}
-
-
-@pytest.mark.parametrize(
-    ("name", "correlation", "biased"),
-    [
-        ("direct", None, True),
-        ("welch_full", None, False),
-        ("lpm_full", None, False),
-        ("mimo", 0.0, False),
-    ],
-)
-def test_voluntary_torque_biases_the_direct_estimate_and_none_from_the_perturbation(
-    decomposed: Decomposed, name: str, correlation: float | None, biased: bool
-) -> None:
-    cell = decomposed[name, 0.3, correlation]
-    shift = cell.octaves_shift
-    assert shift is not None
-    assert bool(shift.significant) is biased
-    if biased:
-        assert np.max(np.abs(shift.z)) > 1.3 * shift.critical
-    else:
-        assert not cell.biased
 
 
 def test_chance_alone_is_significant_as_often_as_stated() -> None:

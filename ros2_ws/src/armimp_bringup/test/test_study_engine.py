@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import itertools
-import json
-import pickle
 import sys
-import threading
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +16,6 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.study import (
     MOST_SEEDS,
     Condition,
-    ConditionResult,
     engine,
     parse_seeds,
     select_conditions,
@@ -28,7 +23,6 @@ from armimp_bringup.study import (
 from armimp_bringup.study.engine import (
     Batch,
     cluster,
-    condition_config,
     run_batch,
     software,
     split_evenly,
@@ -37,64 +31,17 @@ from armimp_bringup.study.engine import (
 from armimp_bringup.study.study import run_study
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_sim.dynamics import WIDTH
-from support.graph import PATIENCE
 
 BASE = ExperimentConfig(duration=4.0, estimators=("welch_siso", "lpm_full"))
-CONDITIONS = (
-    *select_conditions(["friction=0,resolution=0+3,perturbation=3"], "4"),
-    Condition(friction=3, resolution=3, perturbation=1, seed=5),
-)
-
-
-def _run(conditions: Sequence[Condition], base: ExperimentConfig = BASE) -> list[ConditionResult]:
-    return run_batch(Batch(base=base, conditions=tuple(conditions)))
-
-
-@pytest.fixture(scope="module")
-def together() -> list[ConditionResult]:
-    return _run(CONDITIONS)
-
-
-def _assert_same(one: ConditionResult, other: ConditionResult) -> None:
-    assert one.entry.model_dump_json() == other.entry.model_dump_json()
-    for name, estimate in ((n, r.estimate) for n, r in one.results.items()):
-        for attribute in ("f", "Z", "variance"):
-            values = getattr(estimate, attribute)
-            np.testing.assert_array_equal(values, getattr(other.results[name].estimate, attribute))
-
-
-def test_condition_gives_the_same_bits_alone_and_beside_others(
-    together: list[ConditionResult],
-) -> None:
-    for condition, result in zip(CONDITIONS[1:], together[1:], strict=True):
-        (alone,) = _run([condition])
-        _assert_same(alone, result)
-
-
-def test_entry_says_what_it_was_made_of_and_survives_the_way_to_another_process(
-    together: list[ConditionResult],
-) -> None:
-    for condition, result in zip(CONDITIONS, together, strict=True):
-        entry = result.entry
-        assert entry.condition == condition
-        config = json.loads(json.dumps(entry.config))
-        assert config["experiment"] == json.loads(
-            condition_config(BASE, condition).model_dump_json()
-        )
-        assert config["versions"]["numpy"] == np.__version__
-        assert [trial.k for trial in entry.trials] == [1, 2]
-        assert {trial.ticks for trial in entry.trials} == {4_000}
-        assert list(entry.estimators) == list(BASE.estimators)
-        assert entry.truth is not None
-    _assert_same(pickle.loads(pickle.dumps(together[0])), together[0])
+ONE = (Condition(friction=3, resolution=3, perturbation=1, seed=5),)
 
 
 def test_other_software_and_unknown_estimators_are_refused() -> None:
     other = {**software(), "versions": {"numpy": "0.1"}}
     with pytest.raises(DataError, match=rf"numpy {np.__version__}, the study is made with 0\.1"):
-        run_batch(Batch(base=BASE, conditions=CONDITIONS, software=other))
+        run_batch(Batch(base=BASE, conditions=ONE, software=other))
     with pytest.raises(ConfigurationError, match="guess"):
-        _run(CONDITIONS[:1], BASE.model_copy(update={"estimators": ("guess",)}))
+        run_batch(Batch(base=BASE.model_copy(update={"estimators": ("guess",)}), conditions=ONE))
 
 
 @given(st.integers(0, 500), st.integers(1, 9))
@@ -114,40 +61,6 @@ def test_batches_keep_order_and_workers_busy(total: int, workers: int) -> None:
 
 
 # --- where batches run -------------------------------------------------------------------------
-
-
-def _batches(number: int) -> list[Batch]:
-    cells = [Condition(friction=0, resolution=0, perturbation=1, seed=s) for s in range(number)]
-    return [Batch(base=BASE, conditions=(one,), software={}) for one in cells]
-
-
-def _seed(batch: Batch) -> int:
-    return batch.conditions[0].seed
-
-
-def _await_threads() -> None:
-    """Return when no pool of threads is at work any more."""
-    for thread in threading.enumerate():
-        if thread.name.startswith("ThreadPoolExecutor"):
-            thread.join(PATIENCE)
-
-
-def test_error_in_a_batch_is_raised_and_the_others_are_not_begun() -> None:
-    begun, over = [], threading.Event()
-
-    def work(batch: Batch) -> list[ConditionResult]:
-        begun.append(_seed(batch))
-        if _seed(batch) == 1:
-            raise DataError("this one failed")
-        assert _seed(batch) == 0 or over.wait(PATIENCE)
-        return []
-
-    with pytest.raises(DataError, match="this one failed"):
-        list(threads(1).run(work, _batches(50)))
-    over.set()
-    _await_threads()
-    # One more may have begun before the error was heard of.
-    assert begun in ([0, 1], [0, 1, 2])
 
 
 def test_wrong_backends_are_told_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

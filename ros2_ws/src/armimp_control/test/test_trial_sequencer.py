@@ -170,9 +170,6 @@ def test_clipped_commands_are_counted_where_the_arm_is_perturbed() -> None:
     assert rest.valid
 
 
-# --- The timetable of an experiment -------------------------------------------------------------
-
-
 # --- Pairing of readings by stamp: none is taken for another, and none waits for ever -----------
 
 

@@ -90,17 +90,6 @@ def test_without_truth_there_is_no_word_of_simulation_and_the_relative_error_is_
     assert "they were made elsewhere" in words
 
 
-def test_every_plot_and_table_is_described_for_those_who_do_not_see_it(page: Page) -> None:
-    canvases = [a for _, a in page.elements if a.get("class") == "canvas"]
-    assert len(canvases) == 10
-    assert all(a["role"] == "img" and a["aria-label"] for a in canvases)
-    headers = [a for tag, a in page.elements if tag == "th"]
-    assert all(a["scope"] in {"col", "row", "colgroup", "rowgroup"} for a in headers)
-    tables = [tag for tag, _ in page.elements if tag in {"table", "caption"}]
-    assert tables == ["table", "caption"] * (len(tables) // 2)
-    assert ("html", {"lang": "en"}) in page.elements
-
-
 def test_account_of_samples_and_configuration_are_shown(page: Page) -> None:
     shown = (
         "joint angles joint_states 10000 10000 0 0 0",

@@ -223,23 +223,6 @@ def simulator(launch: Launch) -> ArmSimNode:
     return made
 
 
-def test_when_commands_stay_away_expect_a_fault_no_torque_and_samples_that_go_on(
-    simulator: ArmSimNode, answering: ScriptedController
-) -> None:
-    answering.answer = (3.0, -3.0)
-    answering.bring_up(simulator)
-    answering.await_samples(20)
-
-    answering.answer = None
-    answering.await_fault()
-    answering.await_samples(answering.count + 1200)
-
-    # Which watchdog is the first one depends on how the machine held up the commands before.
-    assert simulator.limiter is not None
-    assert {message for message, _ in answering.faults} == {simulator.limiter.fault}
-    assert answering.faults[-1][1] == "0.0 0.0"
-
-
 def test_what_goes_wrong_in_the_pacing_thread_ends_the_node(
     simulator: ArmSimNode, answering: ScriptedController, monkeypatch: pytest.MonkeyPatch
 ) -> None:
