@@ -1,5 +1,6 @@
 """Experiments that go wrong: interrupted, misconfigured, broken down."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,11 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import run_experiment
 from armimp_common.errors import ConfigurationError
 from armimp_common.lifecycle import LifecycleManager, TransitionName
+from armimp_common.schema import to_params_yaml
 from armimp_common.status import Phase, Progress
 from armimp_common.topics import CONTROLLER_NODE, SIM_NODE
 from armimp_estimation.bags import read_bag
+from armimp_estimation.problems import ProblemCode
 from armimp_estimation.summary import Summary, read_summary
 from support.runs import FinishedRun
 from support.telling import tell_by_samples
@@ -98,6 +101,25 @@ def test_when_interrupted_before_the_rig_is_active_expect_no_trial_begun(
     assert summary.estimators == {}
     assert SIM_NODE not in active
     assert Phase.SETTLE not in phases
+
+
+@pytest.mark.slow
+def test_when_a_node_refuses_its_configuration_expect_it_named_and_no_trial(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The orchestrator checks all parameters beforehand: spoil the file which it writes.
+    def spoiled(models: Any) -> str:
+        return re.sub(r"peak: .*", "peak: [1.0]", to_params_yaml(models))
+
+    monkeypatch.setattr(orchestrator, "to_params_yaml", spoiled)
+
+    summary = run_experiment(config(), tmp_path / "out").summary
+
+    assert not summary.valid
+    assert summary.problems[0].code is ProblemCode.NODE_FAILED
+    assert CONTROLLER_NODE in summary.problems[0].sentence
+    assert summary.trials == []
+    assert not (tmp_path / "out" / "bags").exists()
 
 
 def test_when_the_output_is_not_empty_expect_a_refusal_before_anything_starts(

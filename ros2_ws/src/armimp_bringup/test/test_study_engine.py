@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +62,23 @@ def test_batches_keep_order_and_workers_busy(total: int, workers: int) -> None:
 
 
 # --- where batches run -------------------------------------------------------------------------
+
+
+def test_the_first_error_of_a_task_is_raised_and_ends_the_others_but_for_those_at_work() -> None:
+    begun, over = list[int](), threading.Event()
+
+    def work(task: int) -> int:
+        begun.append(task)
+        if task == 1:
+            raise DataError("this one failed")
+        assert task == 0 or over.wait(60.0)
+        return task
+
+    with pytest.raises(DataError, match="this one failed"):
+        list(threads(1).run(work, range(50)))
+    over.set()
+    # One more may have begun before the error was heard of.
+    assert max(begun) <= 2
 
 
 def test_wrong_backends_are_told_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

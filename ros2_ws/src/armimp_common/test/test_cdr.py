@@ -199,6 +199,15 @@ def test_decode_many_agrees_with_decode(length: int, order: list[int], frames: l
     assert_many_agree(JointStateDecoder(names, "effort"), messages, 3)
 
 
+@pytest.mark.parametrize("place", [0, 7, 19])
+def test_when_one_of_many_is_malformed_expect_its_index_named(place: int) -> None:
+    messages = [JointStateEncoder(NAMES, "position").encode(k, [1.0, 2.0]) for k in range(20)]
+    messages[place] = messages[place][:-1]
+
+    with pytest.raises(MalformedMessageError, match=rf"message {place}: .*truncated"):
+        JointStateDecoder(NAMES, "position").decode_many(messages)
+
+
 @given(data=st.binary(max_size=200))
 def test_random_bytes_raise_nothing_but_malformed_message(data: bytes) -> None:
     for candidate in (data, b"\0\1\0\0" + data):

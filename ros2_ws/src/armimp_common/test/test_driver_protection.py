@@ -146,13 +146,29 @@ def test_the_reset_is_refused_under_torque_and_granted_without(protection: Prote
     assert (protection.applied, protection.fault) == ((1.0, 0.0), "")
 
 
+def sent(backlog: FlowControl, samples: int) -> FlowControl:
+    for _ in range(samples):
+        backlog.count_sent()
+    return backlog
+
+
+def test_a_count_that_goes_back_is_not_of_the_recorder() -> None:
+    backlog = FlowControl()
+    backlog.acknowledge(0)
+    sent(backlog, 100).acknowledge(90)
+    backlog.acknowledge(10)
+    assert not backlog.full
+
+
 # --- Flow control: the simulator waits for a recorder, and for nobody else ----------------------
 
 
-@given(st.lists(st.integers(min_value=0, max_value=400), max_size=60))
-def test_never_more_samples_are_under_way_than_the_limit(batches: list[int]) -> None:
-    backlog = FlowControl()
+@given(st.integers(0, 500), st.lists(st.integers(min_value=0, max_value=400), max_size=60))
+def test_never_more_samples_are_under_way_than_the_limit(before: int, batches: list[int]) -> None:
+    backlog = sent(FlowControl(), before)
+    assert not backlog.full
     backlog.acknowledge(0)
+    assert not backlog.full
     under_way = received = 0
     for batch in batches:
         for _ in range(batch):

@@ -245,6 +245,22 @@ def test_when_arrays_are_empty_expect_them_typed(make_node: MakeNode) -> None:
     assert parameters.load().scales == (1.5,)
 
 
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("law: {gama: 1.0}", "parameter 'law.gama' does not exist; .* 'law.gamma'"),
+        ("law: {mass: [1.0]}", "parameters do not fit together: 1 masses for 2 joints"),
+    ],
+)
+def test_when_file_is_wrong_expect_configuration_error_on_one_line(
+    make_node: MakeNode, line: str, message: str
+) -> None:
+    node = make_node(file(line))
+
+    with pytest.raises(ConfigurationError, match=f"^{message}[^\n]*$"):
+        ParameterSet(node, Params)
+
+
 def test_descriptors_carry_description_type_and_range(make_node: MakeNode) -> None:
     node = make_node()
     ParameterSet(node, Params)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import signal
 
+from armimp_common.errors import ConfigurationError
 from armimp_control import presets
 from armimp_control.perturbation import (
     CREST,
@@ -19,6 +20,7 @@ from armimp_control.perturbation import (
     butterworth,
     crest_factor,
     disturbance,
+    filtered,
     perturbation,
 )
 
@@ -43,6 +45,13 @@ def test_largest_value_is_the_peak_exactly(peak: float, ticks: int, seed: int) -
     assert np.max(np.abs(values)) == peak
 
 
+def test_trials_and_seeds_have_independent_streams() -> None:
+    streams = [_signal(trial=trial, seed=seed, ticks=50_000) for trial in (1, 2) for seed in (1, 2)]
+    correlation = np.corrcoef(streams) - np.eye(4)
+    # 50 s at 15 Hz are about 1500 independent values: chance correlation is about 0.026.
+    assert np.max(np.abs(correlation)) < 0.12
+
+
 def test_spectrum_is_flat_below_the_cutoff_and_empty_beyond() -> None:
     f, density = signal.welch(_signal(ticks=200_000), fs=1000.0, nperseg=4096)
 
@@ -65,6 +74,13 @@ def test_sections_are_those_of_scipy_to_the_last_bit(order: int) -> None:
     for cutoff in (0.5, 2.0, 5.0, 15.0, 40.0, 100.0, 249.0, 250.5, 400.0, 499.9):
         expected = signal.butter(order, cutoff, fs=1000.0, output="sos")
         assert np.array_equal(butterworth(order, cutoff, 1000.0), expected), cutoff
+
+
+@pytest.mark.parametrize(("order", "cutoff"), [(1, 499.9), (2, 2.0), (7, 40.0), (8, 15.0)])
+def test_a_signal_leaves_the_filter_as_it_leaves_that_of_scipy(order: int, cutoff: float) -> None:
+    white = np.random.default_rng(3).uniform(-1.0, 1.0, 20_000)
+    sections = butterworth(order, cutoff, 1000.0)
+    assert np.array_equal(filtered(sections, white), signal.sosfilt(sections, white))
 
 
 # --- The multisine: whole periods, odd lines with some left out, a low crest factor, the rms asked
@@ -204,3 +220,8 @@ def test_other_kinds_are_made_smaller_where_they_move_a_joint_too_far(
     part = 50_000 if kind == "noise" else PERIOD
     assert PRIORS[0].rms_angle(*_spectrum(held[:part])) == pytest.approx(0.02, rel=1e-6)
     assert np.allclose(held / np.max(held), free / np.max(free))
+
+
+def test_without_an_expectation_there_is_none() -> None:
+    with pytest.raises(ConfigurationError, match="expectation of the arm"):
+        perturbation(_parameters("optimal"), joint=0, trial=1, ticks=2000, seed=1)

@@ -134,6 +134,15 @@ def test_a_pause_of_a_quarter_of_a_second_or_another_joint_divides_what_is_infer
     assert [(one.joint, one.ticks) for one in found] == [(1, 390), (1, 340), (0, 10)]
 
 
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [([0.0, 0.0, 0.0], "no joint is perturbed"), ([1.0, 0.0, 2.0], "joints 1, 3 are perturbed")],
+)
+def test_what_cannot_be_inferred_is_refused(values: list[float], reason: str) -> None:
+    with pytest.raises(DataError, match=reason):
+        infer_windows(np.array([START], np.int64), np.array(values)[:, None])
+
+
 # --- the account of the samples ---------------------------------------------------------------
 
 

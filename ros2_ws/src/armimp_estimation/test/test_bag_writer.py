@@ -88,6 +88,22 @@ class TestRefusals:
             assert one_line(error) == f"{existing}: exists already, nothing is overwritten"
         assert [entry.name for entry in path.iterdir()] == ["precious"]
 
+    def test_unknown_topics_and_writing_after_close_are_refused(self, tmp_path: Path) -> None:
+        writer = BagWriter(tmp_path / "bag", metadata={})
+        attempts = (
+            lambda: writer.write("/rosout", b"", 0),
+            lambda: writer.write_block([0], {"/rosout": [bytes(4)]}),
+        )
+        for attempt in attempts:
+            with pytest.raises(BagError, match="topic is not recorded: '/rosout'"):
+                attempt()
+        writer.close()
+        writer.close()
+        for attempt in attempts:
+            with pytest.raises(BagError, match="the bag is closed") as error:
+                attempt()
+            one_line(error)
+
 
 class TestFullDisk:
     def test_free_space_is_checked_where_the_path_will_be(self, tmp_path: Path) -> None:

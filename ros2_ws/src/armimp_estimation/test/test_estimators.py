@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from armimp_common.errors import DataError
 from armimp_estimation.estimators.direct import Direct
 from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
@@ -22,6 +23,7 @@ from support.synthetic_trials import (
     LOOP,
     THREE_JOINT_ARM,
     TWO_JOINT_ARM,
+    WELCH,
     off,
     relative_error,
     share_within,
@@ -155,6 +157,18 @@ def test_a_response_stands_out_where_its_power_is_beyond_that_of_its_noise() -> 
     variance = np.where(np.arange(f.size) % 5, 1e4, 1e-4)
     lines = stands_out(f, 0.1 + np.sqrt(variance) * noise, variance)
     np.testing.assert_array_equal(lines, variance < 1.0)
+
+
+def test_when_the_perturbed_joint_does_not_move_expect_its_number_in_the_error() -> None:
+    moving, resting = synthetic_trials()
+    record = with_readings(resting, position=np.zeros_like(resting.record.position)).record
+    data = [moving, TrialData.of(record, welch=WELCH)]
+    with pytest.raises(DataError, match="joint 2 does not follow its perturbation"):
+        SISO.estimate(data)
+    with pytest.raises(DataError, match=r"joint 2 does not move at 0\.1221 Hz"):
+        DIRECT.estimate(data)
+    with pytest.raises(DataError, match="at only 0 of"):
+        LPM.column(record)
 
 
 def test_a_delay_of_all_torques_is_corrected() -> None:

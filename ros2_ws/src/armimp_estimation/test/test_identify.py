@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armimp_common.errors import DataError
+from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.fit import Calibration
 from armimp_estimation.identify import identify
@@ -218,6 +218,22 @@ def test_when_locking_fails_expect_it_in_the_verdict_though_derived_coherence_is
     for locked, moved in (("joint_2", "joint_1"), ("joint_1", "joint_2")):
         assert f"{locked} was not held still while {moved} was perturbed: within the band" in said
     assert "element (1, 2) may be biased" in said
+
+
+@pytest.mark.parametrize("estimators", [[], ["welch_siso", "welch_siso"], ["nonsense"]])
+def test_when_estimators_are_not_distinct_known_names_expect_configuration_error(
+    estimators: list[str],
+) -> None:
+    with pytest.raises(ConfigurationError, match="estimator"):
+        identify(synthetic_trials(LOOP), estimators, None, CONFIG)
+
+
+def test_scores_that_are_not_numbers_fail_the_verdict() -> None:
+    names = ("a", "b")
+    nan = np.full((2, 2), np.nan)
+    # Two locked joints, and four elements whose bias is unknown.
+    assert len(judge_locking(names, nan, nan)) == 6
+    assert len(judge_coherence(names, nan[0], nan, 0.25)) == 4
 
 
 def test_a_single_bad_score_is_told_of_the_right_element() -> None:

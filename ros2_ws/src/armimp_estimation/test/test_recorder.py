@@ -374,3 +374,13 @@ def filled(others: int, perturbations: int) -> StreamSynchronizer:
 
 def test_nothing_waits_for_perturbations_that_stay_away() -> None:
     assert len(filled(10_000, perturbations=0).take()[JOINT_STATES]) == 8000
+
+
+def test_once_closed_nothing_more_is_taken_and_what_waits_is_kept() -> None:
+    synchronizer, deliver = fed_synchronizer()
+    for message in (b"1", b"2"):
+        for topic in DATA_STREAMS:
+            deliver[topic](message)
+        synchronizer.close()
+    assert not synchronizer.poll()
+    assert synchronizer.take() == {topic: [b"1"] for topic in DATA_STREAMS}

@@ -279,6 +279,14 @@ def test_each_limit_that_is_exceeded_is_a_problem(
     assert summary.timing.model_dump_json() == told.model_dump_json()
 
 
+def test_of_several_bags_the_one_that_knows_most_of_the_run_tells_its_timing() -> None:
+    empty = timing(TimingFigures(ticks=10, late=0, missed=0))
+    assert json.loads(empty.model_dump_json())["latency_p99"] is None
+    bags = stored(empty, timing(), timing(ticks=5000))
+    assert latest_metadata([{"seed": "1", **bags[0]}, *bags[1:]]) == {"seed": "1", **bags[2]}
+    assert latest_metadata([{"seed": "1"}, {}]) == {"seed": "1"}
+
+
 @pytest.mark.parametrize(
     "changes", [{"missed": 900}, {"late": 900}, {"period_max": 0.2}, {"latency_max": 0.2}]
 )

@@ -12,6 +12,7 @@ from armimp_common.topics import PERIOD
 from armimp_sim import dynamics, presets
 from armimp_sim.model.friction import LuGre
 from armimp_sim.model.robot import PlanarChain
+from armimp_sim.model.sensors import Sampling
 from armimp_sim.parameters import RK4_RADIUS, SimulatorParameters
 from armimp_sim.plant import IntegrationError, Plant
 from support.plants import (
@@ -94,6 +95,15 @@ def test_speed_beyond_the_stability_of_the_bristles_is_reported_instead_of_blowi
     assert isinstance(caught.value, ArmimpError)
 
 
+@pytest.mark.parametrize("shape", [(2,), (1, 3), (1, 1), (2, 2)])
+def test_inputs_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
+    plant, good = Plant([study_plant()]), np.zeros((1, 2))
+    with pytest.raises(ValueError, match="must both be"):
+        plant.tick(np.zeros(shape), good)
+    with pytest.raises(ValueError, match="must both be"):
+        plant.tick(good, np.zeros(shape))
+
+
 # --- Equations of motion: the chain against mechanics, the compiled plant against numpy ---------
 
 
@@ -164,6 +174,17 @@ def test_at_constant_speed_friction_is_the_steady_state_law(speed: float, direct
     _, reached, bristle = plant.state()[0, :, 0]
     assert reached == pytest.approx(velocity, rel=1e-6)
     assert bristle == pytest.approx(direction * level / 2000.0, rel=1e-4)
+
+
+def test_lanes_that_disagree_in_time_or_shape_are_refused() -> None:
+    one = random_plant(2)
+    for other in (
+        random_plant(3),
+        changed(one, substeps=one.substeps + 1),
+        changed(one, sensors=one.sensors.model_copy(update={"sampling": Sampling.INTERVAL_MEAN})),
+    ):
+        with pytest.raises(ConfigurationError, match="lanes must agree"):
+            Plant([one, other])
 
 
 # --- Configurations that make no sense are refused in one line with the offending value ---------

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import build, flatten
+from armimp_common.sizes import JOINT_SIZES
 from armimp_sim import presets
 from armimp_sim.model.sensors import Sampling
 from armimp_sim.parameters import SimulatorParameters
@@ -64,6 +65,12 @@ Array = NDArray[np.float64]
 ALL = range(1, 8)
 
 
+def inertia_of(joints: int) -> Array:
+    """Of robot and arm in the posture."""
+    arm = presets.human_arm(joints)
+    return presets.robot(joints).mass_matrix(arm.theta_0) + arm.M
+
+
 @pytest.mark.parametrize("joints", ALL)
 @pytest.mark.parametrize("friction", presets.LEVELS)
 def test_every_number_of_joints_makes_a_plant_at_every_level(joints: int, friction: int) -> None:
@@ -71,6 +78,19 @@ def test_every_number_of_joints_makes_a_plant_at_every_level(joints: int, fricti
     parameters.check()
     assert joints == len(set(parameters.joints))
     assert parameters.substeps == 100
+
+
+@pytest.mark.parametrize("joints", ALL)
+def test_sizes_of_joints_are_inertias_to_the_power_of_three_fifths(joints: int) -> None:
+    inertia = np.diag(inertia_of(joints))
+    shoulder = inertia_of(2)[0, 0] if joints == 1 else inertia[0]
+    rule, sizes = (inertia / shoulder) ** 0.6, JOINT_SIZES[joints]
+    # Shoulder and elbow of the paper have the ratio of its Table III instead.
+    paper = {1: (0.6,), 2: (1.0, 0.6), 3: (1.0, 0.6)}.get(joints, ())
+    known = len(paper)
+    assert sizes[:known] == paper
+    assert paper == pytest.approx(tuple(rule[:known]), rel=0.05)
+    assert sizes[known:] == pytest.approx(tuple(rule[known:]), rel=0.03)
 
 
 # --- Values that make no rig are refused, each with its name and the value ----------------------
