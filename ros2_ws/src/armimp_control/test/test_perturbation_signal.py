@@ -21,6 +21,7 @@ from armimp_control.perturbation import (
     crest_factor,
     disturbance,
     filtered,
+    multisine_lines,
     perturbation,
 )
 
@@ -106,6 +107,15 @@ def test_it_repeats_itself_to_the_bit_and_begins_near_zero(ticks: int, period: i
     signal = _multisine(ticks=ticks)
     assert np.array_equal(signal[period:], signal[:-period])
     assert abs(signal[0]) == np.min(np.abs(signal))
+
+
+@pytest.mark.parametrize("ticks", [90_000, 60_000, 30_000, 9000, 5000])
+def test_a_whole_number_of_periods_fills_the_trial_but_for_a_few_samples(ticks: int) -> None:
+    lines, period = multisine_lines(MULTISINE, ticks=ticks, seed=1)
+    assert 1000.0 <= period <= 1000.0 * MULTISINE.period
+    assert ticks // period >= 4
+    assert ticks % period < ticks // period
+    assert lines.size >= 3
 
 
 @pytest.mark.parametrize("ticks", dict(DURATIONS))

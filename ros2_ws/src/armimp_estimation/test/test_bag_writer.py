@@ -87,6 +87,8 @@ class TestRefusals:
                 BagWriter(existing, metadata={})
             assert one_line(error) == f"{existing}: exists already, nothing is overwritten"
         assert [entry.name for entry in path.iterdir()] == ["precious"]
+        with pytest.raises(BagError, match=r"file/bag: cannot be written: "):
+            BagWriter(tmp_path / "file" / "bag", metadata={})
 
     def test_unknown_topics_and_writing_after_close_are_refused(self, tmp_path: Path) -> None:
         writer = BagWriter(tmp_path / "bag", metadata={})

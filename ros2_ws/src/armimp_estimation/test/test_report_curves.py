@@ -21,6 +21,7 @@ from support.synthetic_trials import (
     TWO_JOINT_ARM,
     SyntheticConfig,
     made_estimate,
+    part_of,
     synthetic_trial,
 )
 
@@ -80,6 +81,23 @@ def test_an_envelope_keeps_the_extremes_of_a_signal_whatever_its_gaps(
         assert kept.max() == known.max()
     else:
         assert kept.size == 0
+
+
+def test_a_gap_between_segments_stays_a_gap() -> None:
+    record = synthetic_trial(TWO_JOINT_ARM, 1, SyntheticConfig(samples=100), seed=1)
+    shifted = replace(record, start_ns=5_000_000)
+    parts = [part_of(shifted, 0, 40), part_of(shifted, 50, 100)]
+    perturbation, angle, held, torque = rows_of(parts, start_ns=0, cutoff=None)
+
+    assert (perturbation.joints, angle.joints, held.joints) == ((1,), (1,), (0,))
+    assert torque.joints == (0, 1)
+    gaps = np.isnan(torque.values[0])
+    assert np.flatnonzero(gaps).tolist() == [*range(5), *range(45, 55)]
+    np.testing.assert_array_equal(torque.values[:, 55:], record.torque[:, 50:])
+    np.testing.assert_allclose(np.nanmean(angle.values), 0.0, atol=1e-12)
+    # Degrees.
+    expected = np.degrees(np.ptp(record.position[1, 50:]))
+    assert np.ptp(angle.values[0, 55:]) == pytest.approx(expected)
 
 
 def test_signals_are_seen_in_the_band_of_the_perturbation_neither_early_nor_late() -> None:

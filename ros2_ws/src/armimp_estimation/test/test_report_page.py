@@ -193,6 +193,19 @@ def test_a_result_without_an_estimate_still_has_a_report(tmp_path: Path) -> None
     assert figures == ["trace-1", "trace-2"]
 
 
+def test_a_summary_alone_is_enough_and_what_lacks_is_said(directory: Path, tmp_path: Path) -> None:
+    target = altered(directory, tmp_path / "alone")
+    (target / "frf.npz").unlink()
+    result = load_result(target)
+    words = Page(report_page(result)).words
+    assert result.trials == ()
+    assert result.curves == {}
+    assert len(result.notes) == 2
+    assert "frf.npz: not a file of impedance curves" in words
+    assert "no time traces: bags/session" in words
+    assert f"trial of {result.joint_names[0]} 10000 0" in words
+
+
 def hostile_summary(summary: Summary) -> Summary:
     """The same with the payload wherever there is a string."""
     (first, *_) = summary.estimators.values()

@@ -89,6 +89,16 @@ def unrelated(rng: np.random.Generator) -> CrossSpectra:
     return cross_spectra(rng.standard_normal((2, 6144)), rate=125.0, config=WELCH)
 
 
+def test_coherence_of_unrelated_signals_exceeds_the_significance_level_as_often_as_alpha() -> None:
+    rng = np.random.default_rng(8)
+    spectra = [unrelated(rng) for _ in range(150)]
+    level = scores.coherence_significance(spectra[0].effective_averages)
+    assert level == pytest.approx(0.2549, abs=1e-3)
+    above = [scores.coherence(one, 0, 1) > level for one in spectra]
+    # Taking the 21 overlapped segments for independent ones, 21 % would exceed their level.
+    assert 0.035 < np.mean(above) < 0.065
+
+
 def test_band_mean_of_the_coherence_of_unrelated_signals_scatters_as_expected() -> None:
     rng = np.random.default_rng(9)
     means = [np.mean(scores.coherence(unrelated(rng), 0, 1)) for _ in range(300)]
