@@ -3,7 +3,7 @@
 import os
 import re
 import shutil
-from collections.abc import Iterator
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -19,18 +19,6 @@ PATCHES = re.findall(r"^```diff\n(.*?)^```$", PAGE, re.M | re.S)
 TESTS = [name for name, _ in NEW_FILES if "/test/" in name]
 COPIED = ("docs", "scripts", "ros2_ws/src", "tests/support")
 TESTS_OF_THE_WHOLE = ("tests/test_interface_page.py", "tests/test_generated_files.py")
-
-
-def hunks(patch: str) -> Iterator[tuple[str, str, str]]:
-    """File, text before and text after of each hunk."""
-    head, *parts = re.split(r"^@@ .*\n", patch, flags=re.M)
-    (name,) = re.findall(r"^\+\+\+ b/(.*)$", head, flags=re.M)
-    for part in parts:
-        # An editor may have taken the blank of an empty line of context away.
-        lines = [line or " " for line in part.splitlines()]
-        before = "\n".join(line[1:] for line in lines if line[0] in " -")
-        after = "\n".join(line[1:] for line in lines if line[0] in " +")
-        yield name, before, after
 
 
 def python(copy: Path, *arguments: str, jit: bool = True) -> None:
@@ -58,10 +46,10 @@ def extended(tmp_path_factory: pytest.TempPathFactory) -> Path:
         assert not (copy / name).exists(), name
         (copy / name).write_text(text, encoding="utf-8")
     for patch in PATCHES:
-        for name, before, after in hunks(patch):
-            text = (copy / name).read_text(encoding="utf-8")
-            assert text.count(before) == 1, f"{name} has changed, correct the page:\n{before}"
-            (copy / name).write_text(text.replace(before, after), encoding="utf-8")
+        done = subprocess.run(
+            ["git", "apply"], cwd=copy, input=patch, text=True, capture_output=True, check=False
+        )
+        assert done.returncode == 0, f"correct the page: {done.stderr}"
     python(copy, "scripts/write_generated.py")
     return copy
 
