@@ -6,7 +6,6 @@ forward_command_controller; the rig behind them is the simulated one.
 
 import random
 import sys
-import threading
 from typing import Any
 
 from rclpy.node import Node
@@ -14,10 +13,9 @@ from rclpy.qos import qos_profile_system_default
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from armimp_common.executor import run_node
-from armimp_common.realtime import Pacer, wake_up_exactly
+from armimp_common.executor import run_node, steady_timer
 from armimp_common.status import to_time
-from armimp_common.topics import PERIOD_NS
+from armimp_common.topics import PERIOD, PERIOD_NS
 from armimp_ros2_control.node import EFFORTS, STATES
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.simulator import SimulatedRig
@@ -39,35 +37,22 @@ class FakeRobot(Node):
             Float64MultiArray, EFFORTS, self._on_efforts, qos_profile_system_default
         )
         self._random = random.Random(1)
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
-
-    def destroy_node(self) -> None:
-        self._ended.set()
-        self._thread.join()
-        super().destroy_node()
+        self._timer = steady_timer(self, PERIOD, self._on_timer)
 
     def _on_efforts(self, message: Float64MultiArray) -> None:
         if len(message.data) == len(self._efforts):
             self._efforts = list(message.data)
 
-    def _run(self) -> None:
-        wake_up_exactly()
-        pacer = Pacer(PERIOD_NS)
-        pacer.start()
-        tick, state = 0, JointState(name=NAMES, velocity=[0.0] * 3)
-        while not self._ended.is_set():
-            shoulder, elbow = self._rig.position.tolist()
-            torques = self._rig.torque.tolist()
-            jitter_ns = self._random.randint(0, _JITTER_NS)
-            state.header.stamp = to_time(_EPOCH_NS + tick * PERIOD_NS + jitter_ns)
-            state.position = [elbow, float("nan"), shoulder]
-            state.effort = [torques[1], float("nan"), torques[0]]
-            self._states.publish(state)
-            self._rig.step(self._efforts)
-            tick += 1
-            pacer.wait(tick)
+    def _on_timer(self) -> None:
+        shoulder, elbow = self._rig.position.tolist()
+        torques = self._rig.torque.tolist()
+        state = JointState(name=NAMES, velocity=[0.0] * 3)
+        stamp_ns = self._rig.tick * PERIOD_NS + self._random.randint(0, _JITTER_NS)
+        state.header.stamp = to_time(_EPOCH_NS + stamp_ns)
+        state.position = [elbow, float("nan"), shoulder]
+        state.effort = [torques[1], float("nan"), torques[0]]
+        self._states.publish(state)
+        self._rig.step(self._efforts)
 
 
 if __name__ == "__main__":
