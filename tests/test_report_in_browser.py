@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 
@@ -12,7 +13,10 @@ from armimp_bringup.cli import main
 from armimp_estimation.report import write_report
 from armimp_estimation.result import load_result
 from support.browser import EXECUTABLE, Browser, started
-from support.results import make_result
+from support.results import METADATA, make_result
+from support.synthetic_bags import synthetic_recording
+
+HOSTILE = "\"'><script>window.hacked = 1</script><img src=x onerror='window.hacked = 1'>"
 
 
 @pytest.fixture(scope="module")
@@ -108,6 +112,65 @@ def test_the_end_of_a_trial_is_shown_in_full(page: Browser) -> None:
     assert page.value(step) == pytest.approx(0.001, rel=1e-3)
     assert page.value(f"{canvas}.layout.xaxis.range") == pytest.approx([8.0, 10.0])
     assert page.said() == []
+
+
+def test_page_and_plots_follow_the_colour_scheme_of_the_system_but_on_paper(page: Browser) -> None:
+    ink = "document.querySelector('#trace-2 .canvas')._fullLayout.font.color"  # drawn last
+    schemes: tuple[tuple[Literal["dark", "light"], str, str], ...] = (
+        ("dark", "#e3e7eb", "rgb(21, 25, 29)"),
+        ("light", "#1d2329", "rgb(255, 255, 255)"),
+    )
+    for scheme, colour, paper in schemes:
+        page.page.emulate_media(color_scheme=scheme)
+        page.wait_for(f"{ink} === '{colour}'")
+        assert page.value("getComputedStyle(document.body).backgroundColor") == paper
+        page.value("dispatchEvent(new Event('beforeprint'))")
+        assert page.value(ink) == "#1d2329"
+        page.value("dispatchEvent(new Event('afterprint'))")
+        assert page.value(ink) == colour
+    assert page.said() == []
+
+
+@pytest.mark.parametrize(
+    "width", [360, *(pytest.param(wider, marks=pytest.mark.slow) for wider in (800, 1600))]
+)
+def test_the_page_fits_any_screen(browser: Browser, valid: Path, width: int) -> None:
+    browser.open(valid, width=width)
+    assert browser.value("document.documentElement.scrollWidth") <= width
+    canvas = "document.querySelector('#bode-1-1 .main-svg').getBoundingClientRect().width"
+    assert 250 < browser.value(canvas) <= width
+
+
+@pytest.mark.slow
+def test_print_shows_everything_and_leaves_the_screen_as_it_was(page: Browser) -> None:
+    width = "document.querySelector('#trace-1 .main-svg').getAttribute('width')"
+    before = page.value(width)
+    page.value(
+        "addEventListener('beforeprint', () => {"
+        " window.folded = document.querySelectorAll('details:not([open])').length;"
+        " window.printed = " + width + "; })"
+    )
+    assert page.page.pdf().startswith(b"%PDF")
+    assert page.value("window.folded") == 0
+    assert int(page.value("window.printed")) < int(before)
+    page.wait_for(f"{width} === '{before}'")
+    assert page.value("document.querySelectorAll('details[open]').length") == 0
+    assert page.said() == []
+
+
+@pytest.mark.slow
+def test_hostile_names_do_nothing(browser: Browser, tmp_path: Path) -> None:
+    names = [HOSTILE, "<a href='javascript:window.hacked = 1'>name</a>"]
+    recording = synthetic_recording(joint_names=names, perturbed=(0, 1), ticks=5000)
+    config = json.dumps({HOSTILE: {HOSTILE: [HOSTILE]}, "experiment": HOSTILE})
+    metadata = {**METADATA, "config": config, "truth": "null"}
+    directory = make_result(tmp_path / "out", messages=recording.messages, metadata=metadata)
+    browser.open(write_report(directory, load_result(directory)))
+
+    assert browser.said() == []
+    assert browser.value("typeof window.hacked") == "undefined"
+    assert browser.value("document.querySelectorAll('main img, main a').length") == 0
+    assert HOSTILE in browser.value("document.querySelector('h1').textContent")
 
 
 # --- The report of a study ----------------------------------------------------------------------
