@@ -565,8 +565,8 @@ def _postures_apart(
 
     A joint that is locked in trial k shows the inertia at the posture there, with its small motion
     R_jk, not that of its own trial. By a distance of postures M_ij changes by that share of
-    ``√(M_ii M_jj)`` at most. Data don't tell the size of this: where joints are held softly, R_jk is
-    mostly what the person moves.
+    ``√(M_ii M_jj)`` at most. Data don't tell the size of this: where joints are held softly, R_jk
+    is mostly what the person moves.
     """
     postures = np.stack([record.position.mean(axis=1) for record in records])
     size = np.sqrt(np.abs(np.diag(_inertia(impedance, f))))
