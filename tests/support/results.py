@@ -9,7 +9,9 @@ from math import nan
 from pathlib import Path
 
 import numpy as np
+from pydantic import TypeAdapter
 
+from armimp_bringup.study import StudyEntry
 from armimp_estimation.bags import read_bag
 from armimp_estimation.result import conclude
 from armimp_estimation.summary import EstimatorSummary, ModelParameterSummary, ModelSummary
@@ -42,6 +44,11 @@ METADATA: Mapping[str, str] = {
     "angle_uncertainty": "0",
     "truth": json.dumps({name: getattr(TWO_JOINT_ARM, name).tolist() for name in ("M", "B", "K")}),
 }
+
+
+def read_study(path: Path) -> list[StudyEntry]:
+    """Entries of ``study.json``."""
+    return TypeAdapter(list[StudyEntry]).validate_json(path.read_bytes())
 
 
 def with_cuff(one: EstimatorSummary) -> EstimatorSummary:

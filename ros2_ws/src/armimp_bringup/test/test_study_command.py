@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from armimp_bringup.cli import main
-from armimp_bringup.study import read_study
 from armimp_bringup.study.scores import StudyVerdict
 from armimp_bringup.terminal import describe
 from support.command import interrupted, program
+from support.results import read_study
 
 SHORT = ("--duration", "4", "--no-figures", "--only", "friction=0,resolution=0,perturbation=3")
 

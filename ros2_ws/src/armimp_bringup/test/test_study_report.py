@@ -5,8 +5,7 @@ from __future__ import annotations
 import html
 import json
 import re
-import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ import numpy as np
 import pytest
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.study import StudyEntry, read_study, saved_curves, select_conditions
+from armimp_bringup.study import StudyEntry, saved_curves, select_conditions
 from armimp_bringup.study.engine import threads
 from armimp_bringup.study.figures import impedance_figure, levels_figure
 from armimp_bringup.study.scores import (
@@ -26,9 +25,10 @@ from armimp_bringup.study.scores import (
     results_table,
 )
 from armimp_bringup.study.study import run_study
-from armimp_common.errors import ConfigurationError, DataError
+from armimp_common.errors import ConfigurationError
 from armimp_estimation.mbk import MBK
-from armimp_estimation.summary import ImpedanceCurve, read_frf
+from armimp_estimation.summary import ImpedanceCurve
+from support.results import read_study
 
 BASE = ExperimentConfig(duration=4.0, estimators=("welch_siso", "lpm_full"))
 CONDITIONS = select_conditions(["friction=0+3,resolution=3,perturbation=1"], "1:3")
@@ -163,83 +163,6 @@ def test_figures_3_and_4_group_by_every_factor_and_reach_from_worst_to_best(tabl
     np.testing.assert_allclose(container.lines[0].get_ydata()[2], np.mean(values))
     segment = container.lines[2][0].get_segments()[2]
     np.testing.assert_allclose(segment[:, 1], [values.min(), values.max()])
-
-
-# --- Files of results, damaged in every way: each is named with its fault ------------------------
-
-
-ESTIMATOR = ("estimators", "welch_siso")
-MATRIX = [[1.0, 2.0], [3.0]]
-
-
-@pytest.mark.parametrize(
-    ("path", "value", "words"),
-    [
-        (("schema",), 2, "schema"),
-        (("joints",), 3, "for 3 joints"),
-        (("joints",), 10**30, "for 1000000000000000000000000000000 joints"),
-        (("seed",), 1.5, "seed"),
-        (("trials", 0, "k"), -1, "trials.0.k = -1 is none of 2 joints"),
-        (("trials", 0, "lock_ratio"), [], "trials.0.lock_ratio does not have the shape (2,)"),
-        (("trials", 1, "bias_bound"), [1.0], "trials.1.bias_bound does not have the shape (2,)"),
-        (("truth", "K"), MATRIX, "truth: not three matrices"),
-        ((*ESTIMATOR, "M"), [[]], "estimators.welch_siso.M does not have the shape (2, 2)"),
-        ((*ESTIMATOR, "B"), MATRIX, "estimators.welch_siso.B does not have the shape (2, 2)"),
-        ((*ESTIMATOR, "colour"), "red", "colour"),
-    ],
-)
-def test_a_wrong_value_in_a_result_is_named(
-    path: tuple[str | int, ...], value: object, words: str, study: Path, tmp_path: Path
-) -> None:
-    file = tmp_path / "study.json"
-    spoiled, *_ = json.loads((study / "study.json").read_bytes())
-    place: Any = spoiled
-    for key in path[:-1]:
-        place = place[key]
-    place[path[-1]] = value
-    file.write_text(json.dumps([spoiled]))
-    told = reason_against(read_study, file)
-    assert told.startswith(f"{file}: ")
-    assert words in told
-    assert len(told) < 800
-
-
-@pytest.mark.parametrize(
-    ("arrays", "words"),
-    [
-        ({"f": np.zeros(0)}, "frequencies of welch_siso"),
-        ({"f": np.array([2.0, 1.0])}, "frequencies of welch_siso"),
-        ({"Z_welch_siso": np.zeros(3)}, "Z_welch_siso has shape (3,)"),
-        ({"Z_welch_siso": np.array([{}], dtype=object)}, "allow_pickle"),
-        ({"averages_welch_siso": np.zeros(3)}, "averages_welch_siso has shape (3,)"),
-    ],
-)
-def test_wrong_arrays_of_curves_are_named(
-    arrays: dict[str, Any], words: str, study: Path, tmp_path: Path
-) -> None:
-    file = tmp_path / "frf.npz"
-    good = np.load(study / "conditions" / f"{CONDITIONS[0].name}.npz")
-    np.savez(file, **{**good, **arrays})
-    assert words in reason_against(read_frf, file)
-
-
-def test_curves_that_unfold_beyond_reason_are_refused(tmp_path: Path) -> None:
-    file = tmp_path / "frf.npz"
-    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive_file:
-        for i in range(65):
-            archive_file.writestr(f"Z_{i}.npy", bytes(8 << 20))
-    assert file.stat().st_size < 10_000_000
-    assert "it holds 545259520 bytes" in reason_against(read_frf, file)
-
-
-def reason_against(read: Callable[[Path], object], file: Path) -> str:
-    """The line with which a file is refused; empty if it is read."""
-    try:
-        read(file)
-    except DataError as error:
-        (line,) = str(error).splitlines()
-        return line
-    return ""
 
 
 # --- The targets of accuracy, where they are hardest to meet ------------------------------------

@@ -3,17 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, model_validator
-
-from armimp_common.errors import DataError
-from armimp_estimation.atomic_write import read_bytes
-
-_Content = TypeVar("_Content")
 
 
 def _nan_for_null(value: object) -> object:
@@ -52,19 +45,3 @@ def first_complaint(error: ValidationError) -> str:
     first = error.errors()[0]
     where = ".".join(map(str, first["loc"])) or "content"
     return f"{where}: {' '.join(first['msg'].removeprefix('Value error, ').split())}"
-
-
-def read_json(path: Path, validate: Callable[[bytes], _Content], what: str) -> _Content:
-    """Read a JSON file that should be `what`, such as "a summary".
-
-    Raises
-    ------
-    DataError
-        If it can't be read, or is something else; the message names file and place.
-    """
-    try:
-        return validate(read_bytes(path))
-    except OSError as error:
-        raise DataError(f"{path}: {error.strerror}") from error
-    except ValidationError as error:
-        raise DataError(f"{path}: not {what}: {first_complaint(error)}") from error

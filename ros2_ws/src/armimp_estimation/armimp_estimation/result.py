@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from armimp_common.errors import ArmimpError, DataError
+from armimp_common.errors import BagError, DataError
 from armimp_common.topics import NS_PER_S, PERIOD_NS, PERTURBATION
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.alignment.trial_windows import TOLERANCE
@@ -187,51 +187,38 @@ def problems_of(
 
 
 def load_result(directory: Path) -> Result:
-    """Read a result directory and the bags of its trials.
+    """Read the files of a result, and the bags of its trials.
 
-    What is missing besides the summary leaves a note, not an error.
+    A bag that cannot be read leaves a note, not an error.
 
     Parameters
     ----------
     directory : Path
-        With ``summary.json`` and mostly ``frf.npz``. The summary says where the bags are.
+        With ``summary.json``, ``frf.npz`` if there are estimates, and the bags that the summary
+        names.
 
     Raises
     ------
     DataError
-        If there is no readable summary.
+        If summary or curves cannot be read.
     """
     summary = read_summary(directory / SUMMARY_FILE)
     notes: list[str] = []
-    curves: dict[str, ImpedanceCurve] = {}
-    if summary.estimators:
-        try:
-            curves = read_frf(directory / FRF_FILE)
-            for name, one in curves.items():
-                if one.Z.shape != (shape := (summary.joints, summary.joints, one.f.size)):
-                    raise DataError(f"{FRF_FILE}: {name} has shape {one.Z.shape}, expected {shape}")
-        except DataError as error:
-            curves = {}
-            notes.append(str(error))
     trials: list[Trial] = []
     for name in dict.fromkeys(trial.bag for trial in summary.trials if trial.bag):
-        inside = directory / name  # or relative to where the result was made
         try:
-            content = read_bag(inside if inside.exists() else Path(name))
-        except (ArmimpError, OSError) as error:
+            content = read_bag(directory / name)
+        except BagError as error:
             notes.append(f"no time traces: {error}")
             continue
         notes += content.notes
-        if (count := len(content.joint_names)) == summary.joints:
-            trials += content.trials
-        else:
-            notes.append(f"{content.path}: has {count} joints, not {summary.joints}")
+        trials += content.trials
     return Result(
         name=directory.absolute().name,
         summary=summary,
-        curves={name: curves[name] for name in summary.estimators if name in curves},
+        curves=read_frf(directory / FRF_FILE) if summary.estimators else {},
         trials=tuple(sorted(trials, key=lambda trial: (trial.joint, trial.trial))),
-        notes=tuple(dict.fromkeys(notes)),
+        notes=tuple(notes),
     )
 
 

@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import math
 import shlex
-import struct
-import tokenize
-import zipfile
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -16,17 +12,17 @@ from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, JsonValue, computed_field, model_validator
+from pydantic import Field, JsonValue, ValidationError, computed_field
 from typing_extensions import Self
 
 from armimp_common.errors import DataError
 from armimp_estimation.alignment.lost_samples import StreamStatistics
 from armimp_estimation.arm_models import ModelFit, supported
-from armimp_estimation.atomic_write import open_regular, write_atomically
+from armimp_estimation.atomic_write import write_atomically
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import CommonDelay
 from armimp_estimation.identify import EstimatorResult, Identification, TrialScores
-from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector, read_json
+from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector, first_complaint
 from armimp_estimation.metadata import Timing, Truth
 from armimp_estimation.problems import Problem, Severity
 from armimp_estimation.scores import NORMAL_95, Coherences
@@ -305,39 +301,6 @@ class Summary(JsonModel):
         new = [one for one in problems if one not in self.problems]
         return self.model_copy(update={"problems": [*new, *self.problems]})
 
-    @model_validator(mode="after")
-    def _check_shapes(self) -> Self:
-        n = self.joints
-        special = {"covariance": (3 * n**2, 3 * n**2), "coherence_motion": (n,)}
-        special |= dict.fromkeys(("M_ci", "B_ci", "K_ci"), (n, n, 2))
-        expected: list[tuple[str, Any, tuple[int, ...]]]
-        expected = [("joint_names", self.joint_names, (n,))]
-        for name, estimator in self.estimators.items():
-            expected += [
-                (f"estimators.{name}.{field}", value, special.get(field, (n, n)))
-                for field, value in estimator
-                if isinstance(value, list)
-            ]
-        for number, trial in enumerate(self.trials):
-            if not 1 <= trial.k <= n:
-                raise ValueError(f"trials.{number}.k = {trial.k} is none of {n} joints")
-            expected.append((f"trials.{number}.lock_ratio", trial.lock_ratio, (n,)))
-            expected.append((f"trials.{number}.bias_bound", trial.bias_bound, (n,)))
-        for where, value, shape in expected:
-            if _shape(value) != shape:
-                raise ValueError(f"{where} does not have the shape {shape} for {n} joints")
-        if self.truth is not None and self.truth.joints != n:
-            raise ValueError(f"truth is of {self.truth.joints} joints, not {n}")
-        return self
-
-
-def _shape(rows: Any) -> tuple[int, ...]:
-    """Shape of lists of lists; empty where they are of different lengths."""
-    try:
-        return np.shape(rows)
-    except ValueError:
-        return ()
-
 
 def write_summary(path: Path, summary: Summary, *, anew: bool = False) -> None:
     """Write ``summary.json``; numbers have as many digits as it takes to read them back exactly.
@@ -357,20 +320,14 @@ def read_summary(path: Path) -> Summary:
     Raises
     ------
     DataError
-        If it cannot be read or is not a summary of schema 1; the message names file and place.
+        If it cannot be read, or another version wrote it; the message names file and place.
     """
-    return read_json(path, Summary.model_validate_json, "a summary")
-
-
-_MOST_BYTES: Final = 512 << 20
-
-_UNREADABLE: Final = (
-    *(OSError, ValueError, LookupError, TypeError, SyntaxError, EOFError),
-    *(ArithmeticError, MemoryError, RuntimeError),
-    *(zipfile.BadZipFile, zlib.error, struct.error),
-    tokenize.TokenError,  # headers of arrays are Python literals
-)
-"""All that zipfile and numpy let out when bytes of an archive have changed."""
+    try:
+        return Summary.model_validate_json(path.read_bytes())
+    except OSError as error:
+        raise DataError(f"{path}: {error.strerror}") from error
+    except ValidationError as error:
+        raise DataError(f"{path}: not a summary: {first_complaint(error)}") from error
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -384,30 +341,26 @@ class ImpedanceCurve(ImpedanceEstimate):
     def of(cls, result: EstimatorResult) -> ImpedanceCurve:
         """Return the curve of a result, with the precision that the file has."""
         estimate = result.estimate
-        kept = {name: getattr(estimate, name) for name, *_ in _ARRAYS.values()}
+        kept = {name: getattr(estimate, name) for name in _ARRAYS.values()}
         for name in ("covariance", "disturbance"):
             kept[name] = None if kept[name] is None else kept[name].astype(np.complex64)
         return cls(name=estimate.name, f=estimate.f, coherence=result.coherence, **kept)
 
 
-_ARRAYS: Final[Mapping[str, tuple[str, str, str]]] = {
-    "Z": ("Z", "nnf", "c"),
-    "T": ("T", "nnf", "c"),
-    "R": ("R", "nnf", "c"),
-    "var": ("variance", "nnf", "f"),
-    "averages": ("averages", "", "f"),
-    "correlation": ("bin_correlation", "-f", "f"),
-    "covariance": ("covariance", "nmmf", "c"),
-    "disturbance": ("disturbance", "nnnf", "c"),
-    "inverse": ("inverse", "nnf", "c"),
-    "systematics": ("systematics", "-nnf", "c"),
+_ARRAYS: Final = {
+    "Z": "Z",
+    "T": "T",
+    "R": "R",
+    "var": "variance",
+    "averages": "averages",
+    "correlation": "bin_correlation",
+    "covariance": "covariance",
+    "disturbance": "disturbance",
+    "inverse": "inverse",
+    "systematics": "systematics",
 }
-"""Arrays of a curve in ``frf.npz``: attribute, lengths, and kind of its numbers, by the beginning
-of its name, which that of the estimator follows.
-
-Lengths are those of joints (n), angles and torques (m) and frequencies (f), or any (-).
-"""
-_OPTIONAL: Final = ("covariance", "disturbance", "inverse")
+"""Attributes of a curve by the beginning of their names in ``frf.npz``; that of the estimator
+follows."""
 
 
 def write_frf(path: Path, curves: Mapping[str, ImpedanceCurve]) -> None:
@@ -431,7 +384,7 @@ def write_frf(path: Path, curves: Mapping[str, ImpedanceCurve]) -> None:
     }
     for name, curve in curves.items():
         arrays[f"f_{name}"] = None if np.array_equal(curve.f, first.f) else curve.f
-        arrays |= {f"{key}_{name}": getattr(curve, one) for key, (one, *_) in _ARRAYS.items()}
+        arrays |= {f"{key}_{name}": getattr(curve, one) for key, one in _ARRAYS.items()}
         arrays[f"systematics_{name}"] = np.array(curve.systematics).reshape(-1, *curve.Z.shape)
         arrays[f"derived_{name}"] = curve.coherence.derived
 
@@ -449,60 +402,27 @@ def read_frf(path: Path) -> dict[str, ImpedanceCurve]:
     Raises
     ------
     DataError
-        If it cannot be read or lacks an array.
+        If it cannot be read, or another version wrote it.
     """
     try:
-        # Opened here, as numpy leaves a file that it cannot read open.
-        with open_regular(path) as raw, np.load(raw, allow_pickle=False) as file:
-            size = sum(entry.file_size for entry in file.zip.infolist())
-            if size > _MOST_BYTES:
-                raise ValueError(f"it holds {size} bytes")
+        with np.load(path) as file:
             names = [key[2:] for key in file.files if key.startswith("Z_")]
-            curves = {name: _curve(file, name) for name in names}
-    except _UNREADABLE as error:
-        text = getattr(error, "strerror", None) or str(error)
-        reason = " ".join(text.split()) or type(error).__name__
-        raise DataError(f"{path}: not a file of impedance curves: {reason}") from error
-    return curves
+            return {name: _curve(file, name) for name in names}
+    except (OSError, LookupError, ValueError) as error:
+        raise DataError(f"{path}: not a file of impedance curves: {error}") from error
 
 
-def _curve(file: Any, name: str) -> ImpedanceCurve:
-    """Read the arrays of one estimator; ValueError for wrong shapes, types or numbers."""
-    f = file[f"f_{name}" if f"f_{name}" in file.files else "f"]
-    spectra = file["f_coherence"]
-    for where, grid in ((name, f), ("the coherences", spectra)):
-        ascends = grid.ndim == 1 and grid.dtype.kind == "f" and (np.diff(grid) > 0.0).all()
-        if not ascends or not grid.size or not np.isfinite(grid).all():
-            raise ValueError(f"the frequencies of {where} are not an ascending row of numbers")
-    n = len(file[f"Z_{name}"])
-    sizes = {"n": n, "m": 2 * n, "f": f.size, "s": spectra.size}
-
-    def array(key: str, lengths: str, kind: str) -> NDArray[Any]:
-        values: NDArray[Any] = file[key]
-        fits = len(lengths) == values.ndim and all(
-            sizes.get(letter, size) == size
-            for letter, size in zip(lengths, values.shape, strict=False)
-        )
-        if not fits or values.dtype.kind != kind:
-            raise ValueError(
-                f"{key} has shape {values.shape} of {values.dtype} for {n} joints, "
-                f"{f.size} frequencies"
-            )
-        return values
-
+def _curve(file: Mapping[str, NDArray[Any]], name: str) -> ImpedanceCurve:
+    """Take the arrays of one estimator."""
     found: dict[str, Any] = {
-        one: array(f"{key}_{name}", lengths, kind)
-        for key, (one, lengths, kind) in _ARRAYS.items()
-        if f"{key}_{name}" in file.files or key not in _OPTIONAL
+        one: file[f"{key}_{name}"] for key, one in _ARRAYS.items() if f"{key}_{name}" in file
     }
-    for key in ("Z", "T", "R"):
-        if not np.isfinite(found[key]).all():
-            raise ValueError(f"{key}_{name} is not finite")
     found["averages"], found["systematics"] = float(found["averages"]), tuple(found["systematics"])
     coherence = Coherences(
-        f=spectra,
-        motion=array("coherence_motion", "ns", "f"),
-        torque=array("coherence_torque", "nns", "f"),
-        derived=array(f"derived_{name}", "nns", "f"),
+        f=file["f_coherence"],
+        motion=file["coherence_motion"],
+        torque=file["coherence_torque"],
+        derived=file[f"derived_{name}"],
     )
+    f = file[f"f_{name}" if f"f_{name}" in file else "f"]
     return ImpedanceCurve(name=name, f=f, coherence=coherence, **found)

@@ -14,7 +14,6 @@ from pydantic import TypeAdapter
 from armimp_common.errors import ConfigurationError
 from armimp_control.presets import LEVELS as PERTURBATION_LEVELS
 from armimp_estimation.identify import EstimatorResult
-from armimp_estimation.json_model import read_json
 from armimp_estimation.summary import ImpedanceCurve, Summary, read_frf, write_frf, write_summary
 from armimp_sim.presets import LEVELS as SIMULATOR_LEVELS
 
@@ -154,17 +153,6 @@ _ENTRIES = TypeAdapter(list[StudyEntry])
 def study_text(entries: Sequence[StudyEntry]) -> str:
     """Content of ``study.json``: a list of entries."""
     return _ENTRIES.dump_json(list(entries), indent=1, by_alias=True).decode() + "\n"
-
-
-def read_study(path: Path) -> list[StudyEntry]:
-    """Read ``study.json``.
-
-    Raises
-    ------
-    DataError
-        If it can't be read, or is something else.
-    """
-    return read_json(path, _ENTRIES.validate_json, "a study")
 
 
 def save_result(directory: Path, result: ConditionResult) -> None:

@@ -11,7 +11,6 @@ import numpy as np
 
 from armimp_common import topics
 from armimp_common.realtime import LATE_NS
-from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.atomic_write import write_text
 from armimp_estimation.distortion import Distortion
 from armimp_estimation.mbk import MBK
@@ -89,7 +88,7 @@ def report_page(result: Result) -> str:
         LOCK_RATIO=LOCK_RATIO,
         BIAS_BOUND=BIAS_BOUND,
         held=lambda met: _held(summary, met),
-        title_of=lambda one: _title(result, one),
+        title_of=lambda one: f"Trial {one.trial}: {names[one.joint]} perturbed",
         noted=lambda count: alarming(count) if count else 0,
         STREAMS=STREAMS,
         COMMANDS=topics.COMMANDS,
@@ -109,13 +108,6 @@ def write_report(directory: Path, result: Result) -> Path:
     path = directory / REPORT_FILE
     write_text(path, report_page(result))
     return path
-
-
-def _title(result: Result, one: Trial) -> str:
-    """Return the title of a trial, whose bag and summary may not agree on the joints."""
-    joint, names = one.window.joint, result.joint_names
-    name = names[joint] if joint < len(names) else f"joint {joint + 1}"
-    return f"Trial {one.trial}: {name} perturbed"
 
 
 def _verdict(result: Result) -> Content:
