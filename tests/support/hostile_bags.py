@@ -25,7 +25,7 @@ from typing import Final, TypeAlias, TypeVar
 import lz4.frame
 import zstandard
 from mcap.data_stream import RecordBuilder
-from mcap.records import Channel, Chunk, Header, McapRecord, Metadata, Schema
+from mcap.records import Channel, Chunk, Header, McapRecord, Schema
 
 from armimp_common.cdr import CommandEncoder, JointStateEncoder, encode_trial_status
 from armimp_common.topics import (
@@ -199,9 +199,6 @@ MCAP: Final[dict[str, Callable[[], bytes]]] = {
     ),
     "trials of ten million samples": lambda: sound() + statuses(900, 10**6, 10_000_000),
     "three hundred thousand joints in messages": lambda: b"".join(three_hundred_thousand_joints()),
-    "metadata of millions of nodes": lambda: (
-        records(Metadata("rosbag2", {"serialized_metadata": "- a\n" * 2_000_000})) + sound()
-    ),
 }
 """What follows the head of the file, whose channels may be told anew."""
 

@@ -144,14 +144,12 @@ class TestStorages:
 
     @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
     @pytest.mark.parametrize("mode", [CompressionMode.NONE, CompressionMode.FILE])
-    def test_bare_file_is_read_with_its_metadata(
+    def test_bare_file_is_read(
         self, tmp_path: Path, storage: StoragePlugin, mode: CompressionMode
     ) -> None:
         path = write_rosbags(tmp_path / "bag", storage=storage, mode=mode)
         (file,) = (entry for entry in path.iterdir() if entry.name != "metadata.yaml")
-        moved = file.rename(tmp_path / "any name#?%")
-        assert_reads(moved)
-        assert read_bag(moved).metadata == METADATA
+        assert_reads(file.rename(tmp_path / "any name#?%"))
 
     @pytest.mark.parametrize("compression", CompressionType)
     def test_mcap_without_any_index_is_read(
@@ -292,7 +290,7 @@ class TestRefusals:
             ("rosbag2_bagfile_information:\n  version: 9", "lists no storage files"),
             (
                 "rosbag2_bagfile_information:\n  relative_file_paths: [[a]]",
-                "not the metadata of a bag: relative_file_paths.0: ",
+                "not the metadata of a bag: rosbag2_bagfile_information.relative_file_paths.0: ",
             ),
             ("rosbag2_bagfile_information: &a {relative_file_paths: *a}", "not the metadata of"),
             ("[" * 100_000, "not the metadata of a bag: "),

@@ -16,10 +16,11 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Metadata, Schema
 
-from armimp_estimation.bags.metadata_yaml import parse_custom_data
 from armimp_estimation.bags.raw import RECORD_COST, RawMessage, RawMessages, one_line
 
 MAGIC: Final = b"\x89MCAP0\r\n"
+METADATA_RECORD: Final = "armimp"
+"""Name of the record with the metadata, for files that lost their directory."""
 MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
 """Head of a message record: opcode, length, channel, sequence, log time, publish time."""
 BEYOND_LENGTH: Final = 22
@@ -100,21 +101,15 @@ class _McapReading:
         elif opcode == Opcode.CHANNEL:
             self._channel(Channel.read(stream))
         elif opcode == Opcode.METADATA:
-            self._metadata(Metadata.read(stream))
+            metadata = Metadata.read(stream)
+            if metadata.name == METADATA_RECORD:
+                self._into.metadata.update(metadata.metadata)
 
     def _channel(self, channel: Channel) -> None:
         kind = self._types.get(channel.schema_id, "")
         topic = self._into.topic_index(channel.topic, kind, channel.message_encoding)
         if topic is not None:
             self._channels[channel.id] = topic
-
-    def _metadata(self, metadata: Metadata) -> None:
-        if metadata.name == "rosbag2":
-            text = metadata.metadata.get("serialized_metadata", "")
-            self._spend(RECORD_COST * len(text))
-            self._into.metadata = {**parse_custom_data(text), **self._into.metadata}
-        elif metadata.name == "armimp":
-            self._into.metadata.update(metadata.metadata)
 
     def _uncompressed(self, chunk: Chunk) -> bytes:
         """Records of a chunk."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, Final
 
 import yaml
-from pydantic import BaseModel, BeforeValidator, ValidationError
+from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 
 from armimp_common.errors import BagError
 from armimp_common.schema import TextLoader, load_yaml
@@ -160,30 +160,19 @@ def read_metadata(file: Path) -> tuple[list[Path], dict[str, str]]:
         If the file is not the metadata of a bag.
     """
     try:
-        information = _Information.of(read_text(file, _MOST_BYTES))
+        # Strings only: the loader must not turn unquoted text such as 12:30 into numbers.
+        document = load_yaml(read_text(file, _MOST_BYTES), TextLoader, aliases=True)
+        information = _Document.model_validate(document).content
     except OSError as error:
         raise BagError(f"{file}: cannot be read: {error.strerror}") from None
-    except _BROKEN as error:
-        raise BagError(f"{file}: not the metadata of a bag: {one_line(error)}") from None
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        reason = first_complaint(error) if isinstance(error, ValidationError) else error
+        raise BagError(f"{file}: not the metadata of a bag: {one_line(reason)}") from None
     if not information.relative_file_paths:
         raise BagError(f"{file}: lists no storage files in relative_file_paths")
     # Old versions wrote the path from the parent directory; the files are always beside.
     paths = [file.parent / Path(path).name for path in information.relative_file_paths]
     return list(dict.fromkeys(paths)), information.custom_data
-
-
-def parse_custom_data(text: str) -> dict[str, str]:
-    """Extract ``custom_data`` from the metadata that rosbag2 stores inside the storage file.
-
-    Text that cannot be read gives an empty result, since this copy is only a convenience.
-    """
-    try:
-        return _Information.of(text).custom_data
-    except _BROKEN:
-        return {}
-
-
-_BROKEN: Final = (yaml.YAMLError, RecursionError, ValueError)
 
 
 def _or_empty(given: object) -> object:
@@ -196,13 +185,6 @@ class _Information(BaseModel):
     relative_file_paths: list[str] = []
     custom_data: Annotated[dict[str, str], BeforeValidator(_or_empty)] = {}
 
-    @classmethod
-    def of(cls, text: str) -> _Information:
-        """Take it from a document, with or without its root."""
-        # Strings only: the loader must not turn unquoted text such as 12:30 into numbers.
-        document = load_yaml(text, TextLoader, aliases=True)
-        inner = document.get(_ROOT, document) if isinstance(document, dict) else document
-        try:
-            return cls.model_validate(inner)
-        except ValidationError as error:
-            raise ValueError(first_complaint(error)) from None
+
+class _Document(BaseModel):
+    content: _Information = Field(alias=_ROOT)

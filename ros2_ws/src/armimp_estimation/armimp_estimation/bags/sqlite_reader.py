@@ -3,12 +3,11 @@
 import shutil
 import sqlite3
 import tempfile
-from contextlib import closing, suppress
+from contextlib import closing
 from pathlib import Path
 from typing import BinaryIO, Final
 
 from armimp_estimation.atomic_write import open_regular
-from armimp_estimation.bags.metadata_yaml import parse_custom_data
 from armimp_estimation.bags.raw import RECORD_COST, RawMessages, one_line
 
 # Of a damaged file even the text of an error need not be UTF-8.
@@ -36,7 +35,7 @@ def read_sqlite(file: BinaryIO, log: Path, into: RawMessages) -> None:
     log : Path
         Where its write-ahead log is, if it has one.
     into : RawMessages
-        Takes topics, messages, metadata and a note of the cut.
+        Takes topics, messages and a note of the cut.
 
     Raises
     ------
@@ -64,11 +63,6 @@ def _read(path: Path, into: RawMessages) -> None:
                 if not _is_plain(database, table):
                     raise into.refusal(f"not a readable SQLite3 bag: no plain table {table}")
             topics = _topics(database, into)
-            with suppress(*_DAMAGE):
-                if _is_plain(database, "metadata"):  # from version 4 of the schema on
-                    for (text,) in database.execute("SELECT metadata FROM metadata ORDER BY id"):
-                        into.spend(RECORD_COST * len(str(text)))
-                        into.metadata.update(parse_custom_data(str(text)))
             try:
                 _messages(database, topics, into)
             except _DAMAGE as error:

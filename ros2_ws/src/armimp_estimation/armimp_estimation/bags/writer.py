@@ -40,7 +40,13 @@ from mcap.records import (
 from armimp_common.errors import BagError
 from armimp_common.topics import CLOCK, DATA_STREAMS, DIAGNOSTICS, MESSAGE_TYPES, TRIAL
 from armimp_estimation.atomic_write import open_regular
-from armimp_estimation.bags.mcap_reader import BEYOND_LENGTH, MAGIC, MESSAGE, MESSAGE_HEAD
+from armimp_estimation.bags.mcap_reader import (
+    BEYOND_LENGTH,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_HEAD,
+    METADATA_RECORD,
+)
 from armimp_estimation.bags.metadata_yaml import (
     FILE_NAME,
     bag_information,
@@ -54,8 +60,6 @@ from armimp_estimation.bags.reader import BAGS, read_storage
 
 RECORDED: Final = (*DATA_STREAMS, TRIAL, CLOCK, DIAGNOSTICS)
 """Topics of the contract that bags have."""
-METADATA_RECORD: Final = "armimp"
-"""Name of the MCAP metadata record with the metadata, for files that lost their directory."""
 FLUSH_INTERVAL_NS: Final = 50_000_000
 """A chunk is closed when it spans this much log time (ns)."""
 FLUSH_MESSAGES: Final = 256
@@ -260,7 +264,6 @@ class BagWriter:
                     information = bag_information(
                         storage_name(self._path), counts, self._time_range, self._custom
                     )
-                    self._add_metadata("rosbag2", {"serialized_metadata": dump(information)})
                     self._append_summary()
                     # Last, since a bag that has it counts as finished.
                     write_metadata(self._path, information)
