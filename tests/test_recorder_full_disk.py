@@ -111,7 +111,8 @@ def test_wherever_writing_stops_the_file_holds_whole_records_only(
     with pytest.raises(BagError, match="bag: cannot be written: disk full"):
         write_the_rest()
     limited.room = room_at_the_end
-    writer.close()
+    with suppress(BagError):
+        writer.close()
 
     bag = tmp_path / "bag"
     if room_at_the_end == 10**6:

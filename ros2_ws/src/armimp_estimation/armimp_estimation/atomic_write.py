@@ -9,7 +9,6 @@ from typing import BinaryIO, Final
 
 from armimp_common.errors import DataError
 
-_MOST_BYTES: Final = 256 << 20
 _NEVER_SPARSE: Final = 64 << 20
 _SPARSEST: Final = 20
 """Largest ratio of the size of a large file to the bytes that were written to it."""
@@ -91,32 +90,21 @@ def open_regular(path: Path) -> BinaryIO:
         raise
 
 
-def read_text(path: Path, most: int = _MOST_BYTES) -> str:
-    """Read a regular file of UTF-8 text, as `read_bytes` does.
-
-    Raises
-    ------
-    OSError
-        If it cannot be read.
-    UnicodeDecodeError
-        If it is not UTF-8.
-    """
-    return read_bytes(path, most).decode()
-
-
-def read_bytes(path: Path, most: int = _MOST_BYTES) -> bytes:
-    """Read a regular file of at most so many bytes.
+def read_text(path: Path, most: int) -> str:
+    """Read a regular file of UTF-8 text, of at most so many bytes.
 
     Raises
     ------
     OSError
         If it is larger or no regular file, or cannot be read.
+    UnicodeDecodeError
+        If it is not UTF-8.
     """
     with open_regular(path) as file:
         content = file.read(most + 1)  # what /proc says of sizes is nothing to go by
     if len(content) > most:
         raise OSError(0, f"has more than the {most} bytes that are read", str(path))
-    return content
+    return content.decode()
 
 
 def require_text(path: Path) -> None:

@@ -39,9 +39,6 @@ _NEEDED: Final[dict[str, str]] = {
     topics.PERTURBATION: "perturbation",
 }
 
-_SHOWN: Final = 5
-"""Names that a message lists."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BagContent:
@@ -177,7 +174,7 @@ def resolve_topics(
     else:
         rigs = sorted(set.intersection(*(set(matches[topic].values()) for topic in _NEEDED)))
     if len(rigs) > 1:
-        names = _listed([prefix.rstrip("/") or "/" for prefix in rigs])
+        names = one_line(", ".join(prefix.rstrip("/") or "/" for prefix in rigs))
         raise BagError(f"{bag}: holds the topics of several rigs, choose a namespace: {names}")
     found: dict[str, int] = {}
     for topic, prefixes in matches.items():
@@ -185,7 +182,7 @@ def resolve_topics(
         if not chosen and namespace is None:  # those not needed may be elsewhere, if only once
             chosen = list(prefixes)
         if len(chosen) > 1 and (topic in _NEEDED or topic == topics.TRIAL):
-            names = _listed(sorted({recorded[i][0] for i in chosen}))
+            names = one_line(", ".join(sorted({recorded[i][0] for i in chosen})))
             raise BagError(f"{bag}: {topic} is ambiguous: {names}")
         if len(chosen) == 1:
             name, kind = recorded[chosen[0]]
@@ -194,11 +191,6 @@ def resolve_topics(
                 raise BagError(f"{bag}: topic {name} is of type {kind}, not {expected}")
             found[topic] = chosen[0]
     return found
-
-
-def _listed(names: Sequence[str]) -> str:
-    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
-    return ", ".join(names[:_SHOWN]) + more
 
 
 def _candidates(recorded: Sequence[tuple[str, str]], topic: str) -> dict[int, str]:

@@ -137,7 +137,7 @@ class BagWriter:
 
     def __init__(self, path: Path, *, metadata: Mapping[str, str]) -> None:
         self._path = path
-        self._custom = dict(metadata)
+        self._custom: dict[str, str] = {}
         self._schemas, self._channels = _definitions()
         self._chunks: list[ChunkIndex] = []
         self._metadata: list[MetadataIndex] = []
@@ -151,7 +151,6 @@ class BagWriter:
         self._compress = zstandard.ZstdCompressor(level=_LEVEL).compress
         self._position = 0
         self._closed = False
-        self._failed = False
         with self._one_line():
             path.mkdir(parents=True)
             self._file = (path / storage_name(path)).open("xb", buffering=0)
@@ -159,8 +158,8 @@ class BagWriter:
                 with suppress(OSError):  # Not every file system has locks.
                     fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 self._append(HEAD + _encoded(*self._schemas, *self._channels.values()))
-                self._add_metadata(METADATA_RECORD, self._custom)
-            except OSError:
+                self.add_metadata(metadata)
+            except (BagError, OSError):
                 self._file.close()
                 raise
 
@@ -222,9 +221,12 @@ class BagWriter:
         BagError
             If it cannot be written.
         """
-        self._custom.update(values)
         with self._one_line():
-            self._add_metadata(METADATA_RECORD, values)
+            record = _encoded(Metadata(name=METADATA_RECORD, metadata=dict(values)))
+            entry = MetadataIndex(offset=self._position, length=len(record), name=METADATA_RECORD)
+            self._append(record)
+            self._metadata.append(entry)
+            self._custom.update(values)
 
     def flush(self) -> None:
         """Hand everything written so far to the operating system, where a kill cannot reach it.
@@ -248,28 +250,21 @@ class BagWriter:
         Raises
         ------
         BagError
-            If something could not be written, unless `write` or `flush` has said so before.
+            If something could not be written.
         """
         if self._closed:
             return
-        reported = self._failed
         try:
-            try:
-                self.flush()
-            finally:
-                with self._one_line():
-                    counts = {
-                        topic: self._counts[channel.id] for topic, channel in self._channels.items()
-                    }
-                    information = bag_information(
-                        storage_name(self._path), counts, self._time_range, self._custom
-                    )
-                    self._append_summary()
-                    # Last, since a bag that has it counts as finished.
-                    write_metadata(self._path, information)
-        except BagError:
-            if not reported:
-                raise
+            with self._one_line():
+                self._flush()
+                counts = {
+                    topic: self._counts[channel.id] for topic, channel in self._channels.items()
+                }
+                name = storage_name(self._path)
+                information = bag_information(name, counts, self._time_range, self._custom)
+                self._append_summary()
+                # Last, since a bag that has it counts as finished.
+                write_metadata(self._path, information)
         finally:
             self._closed = True
             self._file.close()
@@ -284,12 +279,6 @@ class BagWriter:
         if (channel := self._channels.get(topic)) is None:
             raise BagError(f"{self._path}: topic is not recorded: {topic!r}")
         return channel.id
-
-    def _add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        record = _encoded(Metadata(name=name, metadata=dict(values)))
-        entry = MetadataIndex(offset=self._position, length=len(record), name=name)
-        self._append(record)
-        self._metadata.append(entry)
 
     def _flush(self) -> None:
         if not self._pending:
@@ -393,7 +382,6 @@ class BagWriter:
         except FileExistsError:
             raise BagError(f"{self._path}: exists already, nothing is overwritten") from None
         except (OSError, ValueError, struct.error) as error:
-            self._failed = True
             reason = getattr(error, "strerror", None) or error
             if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
                 reason = "disk full"
