@@ -21,6 +21,7 @@ from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.atomic_write import write_atomically
 from armimp_estimation.report.formats import plain
 from armimp_estimation.report.plots import (
+    CONFIDENCE,
     MOTION,
     TORQUE,
     TRUE,
@@ -30,7 +31,7 @@ from armimp_estimation.report.plots import (
     Stroke,
     bode_chart,
     coherence_chart,
-    joint_colour,
+    joint_strokes,
     printed,
     rows_of,
     strokes,
@@ -88,13 +89,30 @@ def matrix_figure(
     width : float
         Inches.
     """
-    columns = len(charts[0])
+    rows, columns = len(charts), len(charts[0])
     keys: list[Any] = [Line2D([], [], **_drawn(one), label=_tex(one.name)) for one in legend]
     first = charts[0][0]
     if any(line.band(first.rows[line.row - 1][1]) is not None for line in first.lines):
-        keys.append(Patch(color="#c9cdd2", label="95 % confidence"))
-    tallest = max(sum(height for height, _ in one.rows) for row in charts for one in row)
-    figure, grid = _frame((len(charts), columns), width, row_height * tallest, keys)
+        keys.append(Patch(color="#c9cdd2", label=CONFIDENCE.name))
+    # All measures are in inches, so that they hold for any grid.
+    left, right, top, gap = 0.72, 0.1, 0.22, 0.42
+    entries = min(len(keys), 4 if rows * columns > 1 else 8)
+    bottom = 0.48 + 0.17 * math.ceil(len(keys) / entries)
+    tallest = row_height * max(sum(part for part, _ in one.rows) for row in charts for one in row)
+    widest = (width - left - right - gap * (columns - 1)) / columns
+    height = rows * tallest + (rows - 1) * gap + top + bottom
+    figure = Figure(figsize=(width, height))
+    figure.legend(handles=keys, loc="lower center", ncols=entries, frameon=False)
+    grid = figure.add_gridspec(
+        rows,
+        columns,
+        left=left / width,
+        right=1.0 - right / width,
+        top=1.0 - top / height,
+        bottom=bottom / height,
+        wspace=gap / widest,
+        hspace=gap / tallest,
+    )
     for (i, k), title in np.ndenumerate(np.array(titles)):
         chart = charts[i][k]
         heights = [height for height, _ in chart.rows]
@@ -108,7 +126,7 @@ def matrix_figure(
         if k == 0:
             for panel, (_, axis) in zip(panels, chart.rows, strict=True):
                 panel.set_ylabel(axis.title.replace("<br>", "\n"))
-        if i == len(charts) - 1:
+        if i == rows - 1:
             panels[-1].set_xlabel(chart.abscissa.title)
     figure.align_ylabels()
     return figure
@@ -157,8 +175,7 @@ def trace_figure(trials: Sequence[Trial]) -> Figure:
         stop = min(round(_SECONDS * first.rate), rows[0].values.shape[1])
         charts.append(trace_chart(rows, first, 0, stop, stop))
     titles = [f"{_tex(names[one.window.joint])} perturbed" for one in trials]
-    keys = [Stroke(name=name, colour=joint_colour(joint)) for joint, name in enumerate(names)]
-    return matrix_figure([charts], [titles], keys, row_height=0.8)
+    return matrix_figure([charts], [titles], joint_strokes(names), row_height=0.8)
 
 
 def write_figures(directory: Path, result: Result) -> None:
@@ -201,32 +218,6 @@ def save_figure(figure: Figure, path: Path) -> list[Path]:
         save = functools.partial(figure.savefig, dpi=200, metadata=metadata)
         write_atomically(written[-1], save, anew=True)
     return written
-
-
-def _frame(
-    shape: tuple[int, int], width: float, cell_height: float, keys: Sequence[Any]
-) -> tuple[Figure, Any]:
-    """Figure with a grid and a legend; all measures in inches, so that they hold for any grid."""
-    rows, columns = shape
-    left, right, top, tick_labels, legend_row = 0.72, 0.1, 0.22, 0.42, 0.17
-    entries = min(len(keys), 4 if rows * columns > 1 else 8)
-    gap = 0.42
-    cell = (width - left - right - gap * (columns - 1)) / columns
-    bottom = tick_labels + legend_row * math.ceil(len(keys) / entries) + 0.06
-    height = rows * cell_height + (rows - 1) * gap + top + bottom
-    figure = Figure(figsize=(width, height))
-    grid = figure.add_gridspec(
-        rows,
-        columns,
-        left=left / width,
-        right=1.0 - right / width,
-        top=1.0 - top / height,
-        bottom=bottom / height,
-        wspace=gap / cell,
-        hspace=gap / cell_height,
-    )
-    figure.legend(handles=list(keys), loc="lower center", ncols=entries, frameon=False)
-    return figure, grid
 
 
 def _drawn(stroke: Stroke) -> dict[str, Any]:

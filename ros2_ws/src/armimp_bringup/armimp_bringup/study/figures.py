@@ -20,7 +20,6 @@ from armimp_bringup.study.scores import COHERENCE_SCORES, FIT_SCORES, Score, Tab
 from armimp_common.errors import DataError
 from armimp_estimation.figures import TWO_COLUMNS, element_figure, matrix_figure, save_figure
 from armimp_estimation.mbk import MBK
-from armimp_estimation.report.formats import symbol
 from armimp_estimation.report.plots import (
     IMPEDANCE,
     LEVEL_DASHES,
@@ -28,7 +27,6 @@ from armimp_estimation.report.plots import (
     Axis,
     Chart,
     Line,
-    Plot,
     Stroke,
     deviation_percent,
     estimator_tag,
@@ -186,19 +184,6 @@ def level_stroke(friction: int | None = None, resolution: int | None = None) -> 
         colour="--soft" if friction is None else f"--level-{friction}",
         dash="solid" if resolution is None else LEVEL_DASHES[resolution],
         width=1.2,
-    )
-
-
-def overlay_plot(
-    curves: Mapping[Condition, Mapping[str, ImpedanceCurve]], truth: MBK, i: int, k: int
-) -> Plot:
-    """Plot of a page with the chart of `overlay_chart`."""
-    return Plot(
-        identifier=f"overlay-{i + 1}-{k + 1}",
-        caption=symbol("Z", i + 1, k + 1),
-        description=f"Estimates of Z {i + 1} {k + 1} in all conditions over the truth.",
-        views={"": overlay_chart(curves, truth, i, k)},
-        height=470,
     )
 
 

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from armimp_bringup.study import LEVELS, Condition, StudyEntry
-from armimp_bringup.study.figures import levels_chart, overlay_plot
+from armimp_bringup.study.figures import level_stroke, levels_chart, overlay_chart
 from armimp_bringup.study.scores import (
     COHERENCE_SCORES,
     FIT_SCORES,
@@ -28,13 +28,13 @@ from armimp_estimation.report.formats import (
     setting,
     symbol,
 )
-from armimp_estimation.report.page import Content, Section, Table, box, render_page
+from armimp_estimation.report.page import Content, Section, Table, render_page
 from armimp_estimation.report.plots import (
-    LEVEL_DASHES,
-    TRUTH,
+    TRUE,
     Plot,
+    Stroke,
+    element_plots,
     estimator_tag,
-    plot_matrix,
 )
 from armimp_estimation.report.run import advised, assumptions
 from armimp_estimation.summary import ImpedanceCurve, OriginSummary
@@ -227,7 +227,13 @@ class StudyReport:
             "few": n > MOST_JOINTS,
             "choices": list(self._choices(conditions)),
             "switches": list(_switches(conditions)),
-            "plots": plot_matrix(n, lambda i, k: overlay_plot(curves, truth, i, k)),
+            "plots": element_plots(
+                "overlay",
+                n,
+                lambda i, k: overlay_chart(curves, truth, i, k),
+                lambda element, _: f"Estimates of {element} in all conditions over the truth.",
+                470,
+            ),
             "joints": n,
         }
 
@@ -288,9 +294,9 @@ def _thinned(curve: ImpedanceCurve, points: int) -> ImpedanceCurve:
     return replace(curve, f=curve.f[chosen], Z=curve.Z[:, :, chosen])
 
 
-def _switches(conditions: Sequence[Condition]) -> Iterator[Content]:
+def _switches(conditions: Sequence[Condition]) -> Iterator[Stroke]:
     for level in sorted({one.friction for one in conditions}):
-        yield box(f"friction:{level}", f"friction {level}", f"--level-{level}")
+        yield replace(level_stroke(friction=level), tags=[f"friction:{level}"])
     for level in sorted({one.resolution for one in conditions}):
-        yield box(f"resolution:{level}", f"resolution {level}", "--soft", LEVEL_DASHES[level])
-    yield box(TRUTH, "truth", "--ink", "dot")
+        yield replace(level_stroke(resolution=level), tags=[f"resolution:{level}"])
+    yield TRUE

@@ -72,12 +72,6 @@ class Section:
     """By default that of the name ``report/<identifier>.html``."""
 
 
-def box(tag: str, label: str, colour: str, style: str = "solid", width: int = 3) -> Content:
-    """Make a control that switches what carries a tag, or an entry of a key, drawn like lines."""
-    css = {"solid": "solid", "dot": "dotted"}.get(style, "dashed")
-    return {"tag": tag, "label": label, "colour": f"var({colour})", "style": css, "width": width}
-
-
 def _shown(value: object) -> object:
     return value if isinstance(value, Markup) else "" if value is None else plain(value)
 

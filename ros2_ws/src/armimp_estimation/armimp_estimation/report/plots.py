@@ -61,10 +61,6 @@ DASHES = ("solid", "dash", "dashdot", "longdash", "longdashdot", "dot")
 """As plotly names them; dotted is the truth's own, so it comes last."""
 _KNOWN = ("welch_siso", "welch_full", "lpm_full", "direct", "mimo")
 
-BANDS = "bands"
-"""Tag of confidence bands."""
-TRUTH = "truth"
-"""Tag of true curves."""
 IMPEDANCE = "N·m/rad"
 SIDE_BY_SIDE = 3
 """Joints up to which the elements of a matrix are shown beside each other."""
@@ -94,7 +90,8 @@ class Stroke:
     symbol: str = ""
 
 
-TRUE = Stroke(name="truth", colour="--ink", dash="dot", tags=[TRUTH])
+TRUE = Stroke(name="truth", colour="--ink", dash="dot", tags=["truth"])
+CONFIDENCE = Stroke(name="95 % confidence", colour="--rule", tags=["bands"])
 MOTION = Stroke(name="perturbation → angle", colour="--signal-0", width=1.3)
 TORQUE = Stroke(name="perturbation → torque", colour="--signal-1", width=1.3)
 UNRELATED = Stroke(name="unrelated signals stay below", colour="--soft", dash="dot", width=1.0)
@@ -121,9 +118,12 @@ def strokes(names: Iterable[str]) -> dict[str, Stroke]:
     }
 
 
-def joint_colour(joint: int) -> str:
-    """Colour of a joint (0-based), a variable of the style."""
-    return f"--joint-{joint % 7}"
+def joint_strokes(names: Sequence[str]) -> list[Stroke]:
+    """Strokes of joints, by the order of their names."""
+    return [
+        Stroke(name=name, colour=f"--joint-{joint % 7}", width=1.0)
+        for joint, name in enumerate(names)
+    ]
 
 
 def printed(colour: str) -> str:
@@ -228,7 +228,7 @@ class Line:
                     "fillcolor": f"{stroke.colour}/0.2",
                     "line": {"width": 0},
                     "hoverinfo": "skip",
-                    "meta": [*stroke.tags, BANDS],
+                    "meta": [*stroke.tags, *CONFIDENCE.tags],
                 }
             )
         if self.y is None:
@@ -333,14 +333,33 @@ def axis_name(name: str, row: int) -> str:
     return name if row == 1 else f"{name}{row}"
 
 
-def plot_matrix(joints: int, plot: Callable[[int, int], Plot]) -> list[Plot]:
-    """Plots of all elements (0-based), row by row; with many joints one plot to choose from."""
-    plots = {(i, k): plot(i, k) for i in range(joints) for k in range(joints)}
+def element_plots(
+    kind: str,
+    joints: int,
+    chart: Callable[[int, int], Chart],
+    describe: Callable[[str, Chart], str],
+    height: int,
+) -> list[Plot]:
+    """Plots of all elements of Z, row by row; with many joints one plot to choose from.
+
+    Charts are made by the indices of the element (0-based), descriptions by its name; the height is
+    in pixels.
+    """
+    charts = {(i + 1, k + 1): chart(i, k) for i, k in np.ndindex(joints, joints)}
+    plots = [
+        Plot(
+            identifier=f"{kind}-{i}-{k}",
+            caption=symbol("Z", i, k),
+            description=describe(f"Z {i} {k}", one),
+            views={"": one},
+            height=height,
+        )
+        for (i, k), one in charts.items()
+    ]
     if joints <= SIDE_BY_SIDE:
-        return list(plots.values())
-    first = plots[0, 0]
-    views = {f"Z{i + 1}{k + 1}": p.views[""] for (i, k), p in plots.items()}
-    return [replace(first, caption="Element", views=views, height=first.height + 60)]
+        return plots
+    views = {f"Z{i}{k}": one for (i, k), one in charts.items()}
+    return [replace(plots[0], caption="Element", views=views, height=height + 60)]
 
 
 def bode_chart(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, k: int) -> Chart:
@@ -378,19 +397,12 @@ def bode_chart(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, 
     return replace(chart, rows=rows)
 
 
-def bode_plot(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, k: int) -> Plot:
-    """Plot of a page with the chart of `bode_chart`."""
-    chart = bode_chart(curves, truth, i, k)
+def describe_bode(element: str, chart: Chart) -> str:
+    """Describe a chart of `bode_chart`."""
     sizes = chart.values()
-    return Plot(
-        identifier=f"bode-{i + 1}-{k + 1}",
-        caption=symbol("Z", i + 1, k + 1),
-        description=(
-            f"Magnitude and phase of Z {i + 1} {k + 1} over frequency: from {np.nanmin(sizes):.3g} "
-            f"to {np.nanmax(sizes):.3g} N·m/rad, and the distance of the estimates."
-        ),
-        views={"": chart},
-        height=500,
+    return (
+        f"Magnitude and phase of {element} over frequency: from {np.nanmin(sizes):.3g} "
+        f"to {np.nanmax(sizes):.3g} N·m/rad, and the distance of the estimates."
     )
 
 
@@ -415,21 +427,10 @@ def coherence_chart(
     return Chart(abscissa=frequency_axis([common.f]), rows=[(1.0, ordinate)], lines=lines)
 
 
-def coherence_plot(
-    curves: Mapping[str, ImpedanceCurve], i: int, k: int, joint_names: Sequence[str], level: float
-) -> Plot:
-    """Plot of a page with the chart of `coherence_chart`."""
-    chart = coherence_chart(curves, i, k, joint_names, level)
-    lowest = np.nanmin(np.concatenate([one.y for one in chart.lines[:-1] if one.y is not None]))
-    return Plot(
-        identifier=f"coherence-{i + 1}-{k + 1}",
-        caption=symbol("Z", i + 1, k + 1),
-        description=(
-            f"Coherences behind Z {i + 1} {k + 1} over frequency; the lowest is {lowest:.2g}."
-        ),
-        views={"": chart},
-        height=250,
-    )
+def describe_coherence(element: str, chart: Chart) -> str:
+    """Describe a chart of `coherence_chart`."""
+    lowest = min(float(np.nanmin(one.y)) for one in chart.lines[:-1] if one.y is not None)
+    return f"Coherences behind {element} over frequency; the lowest is {lowest:.2g}."
 
 
 def distortion_plot(found: Distortion, trial: int) -> Plot:
@@ -561,11 +562,11 @@ def trace_chart(
 
     Names of the joints and the rate are those of the record.
     """
-    lines = []
+    lines, of_joints = [], joint_strokes(record.joint_names)
     for number, row in enumerate(rows, 1):
         for joint, values in zip(row.joints, row.values, strict=True):
-            name = f"{row.title}, {record.joint_names[joint]}"
-            stroke = Stroke(name=name, colour=joint_colour(joint), width=1.0)
+            own = of_joints[joint]
+            stroke = replace(own, name=f"{row.title}, {own.name}")
             thinned, step = envelope(values[start:stop], buckets)
             time = (start + step * np.arange(thinned.size, dtype=np.float64)) / record.rate
             lines.append(Line(x=time, y=thinned, stroke=stroke, row=number, unit=row.unit))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,17 +25,22 @@ from armimp_estimation.report.formats import (
     setting,
     symbol,
 )
-from armimp_estimation.report.page import Content, Section, Table, box, render_page
+from armimp_estimation.report.page import Content, Section, Table, render_page
 from armimp_estimation.report.plots import (
     BAND,
-    BANDS,
+    CONFIDENCE,
+    MOTION,
     SIDE_BY_SIDE,
-    TRUTH,
-    bode_plot,
-    coherence_plot,
+    TORQUE,
+    TRUE,
+    UNRELATED,
+    bode_chart,
+    coherence_chart,
+    describe_bode,
+    describe_coherence,
     distortion_plot,
-    joint_colour,
-    plot_matrix,
+    element_plots,
+    joint_strokes,
     reference_of,
     strokes,
     trace_plot,
@@ -217,27 +223,20 @@ def _scores(result: Result) -> Content | None:
     return {"realised": [one for one in result.summary.trials if math.isfinite(one.realisation)]}
 
 
-def _switches(names: Iterable[str]) -> list[Content]:
-    return [
-        box(stroke.tags[0], stroke.name, stroke.colour, stroke.dash)
-        for stroke in strokes(names).values()
-    ]
-
-
 def _impedance(result: Result) -> Content | None:
     curves, n = result.curves, result.summary.joints
     if not curves:
         return None
     truth = result.summary.truth
-    switches = [*_switches(curves), box(BANDS, "95 % confidence bands", "--rule", width=9)]
-    if truth is not None:
-        switches.append(box(TRUTH, "truth (simulation)", "--ink", "dot"))
+    switches = [*strokes(curves).values(), CONFIDENCE, *([] if truth is None else [TRUE])]
     reference = reference_of(curves, truth)
     return {
         "switches": switches,
         "reference": reference or "the truth",
         "joints": n,
-        "plots": plot_matrix(n, lambda i, k: bode_plot(curves, truth, i, k)),
+        "plots": element_plots(
+            "bode", n, lambda i, k: bode_chart(curves, truth, i, k), describe_bode, 500
+        ),
     }
 
 
@@ -247,15 +246,19 @@ def _coherence(result: Result) -> Content | None:
         return None
     return {
         "key": [
-            box("", "perturbation → angle of the perturbed joint", "--signal-0"),
-            box("", "perturbation → torque", "--signal-1"),
-            box("", f"unrelated signals stay below {level:.2f} (95 %)", "--soft", "dot", 2),
+            replace(MOTION, name=f"{MOTION.name} of the perturbed joint"),
+            TORQUE,
+            replace(UNRELATED, name=f"{UNRELATED.name} {level:.2f} (95 %)"),
         ],
-        "switches": _switches(curves),
+        "switches": list(strokes(curves).values()),
         "joints": n,
         "averages": result.averages,
-        "plots": plot_matrix(
-            n, lambda i, k: coherence_plot(curves, i, k, result.joint_names, level)
+        "plots": element_plots(
+            "coherence",
+            n,
+            lambda i, k: coherence_chart(curves, i, k, result.joint_names, level),
+            describe_coherence,
+            250,
         ),
     }
 
@@ -291,9 +294,7 @@ def _signals(result: Result) -> Content:
     buckets = _BUCKETS if result.summary.joints <= SIDE_BY_SIDE else _FEW_BUCKETS
     plots = [trace_plot(f"trace-{n}", one, buckets) for n, one in enumerate(shown, 1)]
     return {
-        "key": [
-            box("", name, joint_colour(joint)) for joint, name in enumerate(result.joint_names)
-        ],
+        "key": joint_strokes(result.joint_names),
         "band": f"{BAND:g}",
         "trials": list(zip(shown, plots, strict=True)),
     }
