@@ -20,7 +20,7 @@ from armimp_bringup.terminal import display
 from armimp_common import topics
 from armimp_common.errors import ArmimpError, ConfigurationError
 from armimp_estimation.alignment.assemble import assemble_trials
-from armimp_estimation.alignment.streams import Stream, Streams
+from armimp_estimation.alignment.streams import Streams
 from armimp_estimation.metadata import CALIBRATION_KEYS
 from armimp_estimation.result import Result, conclude
 from research.independent_rig import (
@@ -783,22 +783,15 @@ def streams_of(recordings: list[Recording]) -> Streams:
         topics.TORQUE_SENSORS: "torque",
         topics.PERTURBATION: "perturbation",
     }
-    commands = None
+    streams = Streams(NAMES[: len(recordings)])
+    for topic, name in fields.items():
+        values = np.concatenate([getattr(one, name) for one in recordings], axis=1)
+        streams.stamped[topic].append(joined, values)
     if all(one.command is not None for one in recordings):
         commands = np.concatenate([one.command for one in recordings], axis=1)
         commands = commands[:, recordings[0].command_shift :]
-    return Streams(
-        joint_names=NAMES[: len(recordings)],
-        stamped={
-            topic: Stream(
-                joined, np.concatenate([getattr(one, name) for one in recordings], axis=1)
-            )
-            for topic, name in fields.items()
-        },
-        commands=None
-        if commands is None
-        else Stream(np.zeros(commands.shape[1], np.int64), commands),
-    )
+        streams.commands.append(np.zeros(commands.shape[1], np.int64), commands)
+    return streams
 
 
 def verdict_on(

@@ -22,8 +22,7 @@ from armimp_common.status import (
 from armimp_common.topics import (
     MESSAGE_TYPES,
 )
-from armimp_estimation.alignment.assemble import Trial
-from armimp_estimation.alignment.lost_samples import StreamStatistics
+from armimp_estimation.alignment.assemble import StreamStatistics, Trial
 from armimp_estimation.alignment.trial_windows import TrialWindow
 from armimp_estimation.estimators.registry import estimator_names
 from armimp_estimation.identify import identify

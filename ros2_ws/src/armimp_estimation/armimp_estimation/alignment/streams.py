@@ -35,25 +35,18 @@ class Stream:
 
     Parameters
     ----------
-    stamps : ndarray, shape (N,)
-        Header stamps (ns); of commands, which have none, the numbers that they carry, 0 for none.
-    values : ndarray, shape (n, N)
-        Numbers of the joints, in SI units.
+    joints : int
+        Their number n.
     """
 
-    def __init__(self, stamps: IntArray, values: FloatArray) -> None:
-        self._stamps, self._values = stamps, values
-        self.count = stamps.size
+    def __init__(self, joints: int) -> None:
+        self._stamps, self._values = np.empty(0, np.int64), np.empty((joints, 0))
+        self.count = 0
         """Number N of messages so far."""
         self.malformed = 0
         """Messages with a stamp that were left out because they could not be decoded."""
         self.defect = ""
         """What is wrong with the first that could not be decoded."""
-
-    @classmethod
-    def empty(cls, joints: int) -> Stream:
-        """A stream of n joints without any message."""
-        return cls(np.empty(0, np.int64), np.empty((joints, 0)))
 
     @property
     def stamps(self) -> IntArray:
@@ -108,23 +101,15 @@ class Streams:
     joint_names : sequence of str
         Order of the rows of all values; messages may have any other. Those of sensors may have
         further joints, which are passed over, but for their angles.
-    stamped : mapping of str to Stream, optional
-        Positions (rad), torque readings and perturbation (N·m), by topic of the contract; by
-        default messages are added later.
-    commands : Stream or None
-        Commands (N·m), in the order of `joint_names`.
     """
 
-    def __init__(
-        self,
-        joint_names: Sequence[str],
-        stamped: Mapping[str, Stream] | None = None,
-        commands: Stream | None = None,
-    ) -> None:
+    def __init__(self, joint_names: Sequence[str]) -> None:
         n = len(joint_names)
         self.joint_names = tuple(joint_names)
-        self.stamped = dict(stamped or {topic: Stream.empty(n) for topic in VALUE_FIELD})
-        self.commands = Stream.empty(n) if commands is None else commands
+        self.stamped = {topic: Stream(n) for topic in VALUE_FIELD}
+        """Positions (rad), torque readings and perturbation (N·m), by topic of the contract."""
+        self.commands = Stream(n)
+        """Commands (N·m), in the order of the joints."""
         self.further: dict[str, Stream] = {}
         """Angles of further joints by name, rad; nobody perturbs these, so they must not move."""
         self._no_command = (np.nan,) * n
@@ -182,7 +167,7 @@ class Streams:
         with suppress(MalformedMessageError):
             for name in filter(None, set(joint_names_of(messages[0])).difference(self.joint_names)):
                 decoded = JointStateDecoder((name,), "position", others=True).decode_many(messages)
-                self.further.setdefault(name, Stream.empty(1)).append(*decoded)
+                self.further.setdefault(name, Stream(1)).append(*decoded)
 
 
 def decode_streams(joint_names: Sequence[str], messages: Mapping[str, Sequence[bytes]]) -> Streams:
