@@ -114,8 +114,7 @@ def present(
                     display.phase("drawing figures and report")
                     if not result.trials:
                         result = load_result(directory)
-                    name = directory.absolute().name
-                    _draw(directory, replace(result, name=name, summary=summary))
+                    _draw(directory, replace(result, summary=summary))
             finally:
                 if stopwatch is not None:
                     summary = summary.model_copy(update={"wall": stopwatch.stop()})

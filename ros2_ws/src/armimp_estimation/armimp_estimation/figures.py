@@ -155,7 +155,7 @@ def impedance_figure(summary: Summary, curves: Mapping[str, ImpedanceCurve]) -> 
 
 def coherence_figure(result: Result) -> Figure:
     """Draw the coherences behind every element of Z_h, of a result with curves."""
-    names, level = result.joint_names, result.significance or 0.0
+    names, level = result.summary.joint_names, result.significance or 0.0
     derived = [replace(one, name=f"derived, {one.name}") for one in strokes(result.curves).values()]
     return element_figure(
         len(names),

@@ -136,16 +136,11 @@ class Kind(JsonModel):
 
 
 @cache
-def kinds() -> tuple[Kind, ...]:
-    """All kinds of problems, as ``problems.yaml`` has them; each code belongs to one."""
+def kinds() -> Mapping[ProblemCode, Kind]:
+    """Kind of each code, as ``problems.yaml`` has them."""
     text = files(__package__).joinpath("problems.yaml").read_text(encoding="utf-8")
-    return tuple(Kind.model_validate(one) for one in load_yaml(text, TextLoader))
-
-
-@cache
-def kind_of(code: ProblemCode) -> Kind:
-    """The kind to which a code belongs."""
-    return next(kind for kind in kinds() if code in kind.sentences)
+    found = [Kind.model_validate(one) for one in load_yaml(text, TextLoader)]
+    return {code: kind for kind in found for code in kind.sentences}
 
 
 class Problem(JsonModel):
@@ -170,7 +165,7 @@ class Problem(JsonModel):
         """The problem in words, one line."""
         values = {"estimator": self.estimator, **self.values}
         where = "" if self.trial is None else f"trial {self.trial}: "
-        sentence = kind_of(self.code).sentences[self.code].format(**values)
+        sentence = kinds()[self.code].sentences[self.code].format(**values)
         return where + " ".join(sentence.split())
 
     def __str__(self) -> str:

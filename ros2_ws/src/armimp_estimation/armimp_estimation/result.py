@@ -44,15 +44,8 @@ class Result:
     """Impedance over frequency by name of the estimator; empty if nothing could be estimated."""
     trials: tuple[Trial, ...] = ()
     """Samples and their account, in the order of the perturbed joints."""
-    name: str = ""
-    """Of the result, for titles."""
     notes: tuple[str, ...] = ()
     """What could not be found or is unusual."""
-
-    @property
-    def joint_names(self) -> list[str]:
-        """Names of the n joints."""
-        return self.summary.joint_names
 
     @property
     def averages(self) -> float | None:
@@ -214,7 +207,6 @@ def load_result(directory: Path) -> Result:
         notes += content.notes
         trials += content.trials
     return Result(
-        name=directory.absolute().name,
         summary=summary,
         curves=read_frf(directory / FRF_FILE) if summary.estimators else {},
         trials=tuple(sorted(trials, key=lambda trial: (trial.joint, trial.trial))),

@@ -254,10 +254,10 @@ def test_a_single_bad_score_is_told_of_the_right_element() -> None:
 
 
 def test_each_code_has_one_sentence_that_its_values_fill_and_advice() -> None:
-    sentences = [pair for kind in kinds() for pair in kind.sentences.items()]
-    assert sorted(code for code, _ in sentences) == sorted(ProblemCode)
-    assert all(kind.advice for kind in kinds())
-    for code, text in sentences:
+    assert sorted(kinds()) == sorted(ProblemCode)
+    for code, kind in kinds().items():
+        assert kind.advice
+        text = kind.sentences[code]
         fields = {name: spec for _, name, spec, _ in string.Formatter().parse(text) if name}
         values = {name: 3 if spec == "d" else 1.5 if spec else "x" for name, spec in fields.items()}
         sentence = Problem(code=code, trial=2, values=values).sentence

@@ -131,7 +131,7 @@ def test_the_file_is_written_whole_and_replaces_an_older_one(
 ) -> None:
     (tmp_path / REPORT_FILE).write_text("old")
     path = write_report(tmp_path, result)
-    assert path.read_text(encoding="utf-8") == report_page(result)
+    assert path.read_text(encoding="utf-8") == report_page(result, tmp_path.name)
     assert [file.name for file in tmp_path.iterdir()] == [REPORT_FILE]
     assert path.stat().st_size < 6.5e6
 
@@ -198,7 +198,7 @@ def test_a_bag_that_is_not_there_is_told(directory: Path, tmp_path: Path) -> Non
     words = Page(report_page(result)).words
     assert result.trials == ()
     assert "no time traces: " in words
-    assert f"trial of {result.joint_names[0]} 10000 0" in words
+    assert f"{result.summary.joint_names[0]} perturbed joint angles" in words
 
 
 def hostile_summary(summary: Summary) -> Summary:
@@ -223,8 +223,8 @@ def hostile_summary(summary: Summary) -> Summary:
 
 
 def test_hostile_strings_in_a_summary_stay_text(result: Result) -> None:
-    hostile = replace(result, name=HOSTILE, summary=hostile_summary(result.summary))
-    page = Page(report_page(hostile))
+    hostile = replace(result, summary=hostile_summary(result.summary))
+    page = Page(report_page(hostile, HOSTILE))
 
     assert HOSTILE in page.words
     assert_harmless(page)

@@ -16,7 +16,7 @@ from armimp_estimation.atomic_write import write_text
 from armimp_estimation.distortion import Distortion
 from armimp_estimation.mbk import MBK
 from armimp_estimation.nonlinearity import deviations
-from armimp_estimation.problems import Kind, ProblemCode, Severity, kind_of
+from armimp_estimation.problems import Kind, ProblemCode, Severity, kinds
 from armimp_estimation.report.formats import (
     STREAMS,
     alarming,
@@ -54,9 +54,9 @@ _BUCKETS, _FEW_BUCKETS = 1000, 250
 """Parts of thinned signals; fewer where there are many trials, so that the file stays small."""
 
 
-def report_page(result: Result) -> str:
-    """Return the HTML document of a result, valid or not."""
-    summary, names = result.summary, result.joint_names
+def report_page(result: Result, name: str = "") -> str:
+    """Return the HTML document of a result, valid or not, under the name of the result."""
+    summary, names = result.summary, result.summary.joint_names
     estimated: Content | None = {} if summary.estimators else None
     known = summary.torque_reading
     settings = {
@@ -84,10 +84,11 @@ def report_page(result: Result) -> str:
     ]
     state = "valid" if summary.valid else "not valid"
     return render_page(
-        f"{result.name}: arm impedance, {state}",
+        f"{name}: arm impedance, {state}",
         "report/run_header.html",
         sections,
         result=result,
+        name=name,
         summary=summary,
         names=names,
         elements=list(np.ndindex(summary.joints, summary.joints)),
@@ -112,7 +113,7 @@ def write_report(directory: Path, result: Result) -> Path:
         If it cannot be written.
     """
     path = directory / REPORT_FILE
-    write_text(path, report_page(result))
+    write_text(path, report_page(result, directory.absolute().name))
     return path
 
 
@@ -159,17 +160,17 @@ def advised(problems: Iterable[tuple[ProblemCode, str]]) -> list[tuple[Kind, lis
 
     Kinds are in the order of the first problem of each; numbers and their units stay on one line.
     """
-    kinds: dict[str, tuple[Kind, list[str]]] = {}
+    groups: dict[str, tuple[Kind, list[str]]] = {}
     for code, sentence in problems:
-        kind = kind_of(code)
+        kind = kinds()[code]
         whole = sentence.replace(" %", "\N{NO-BREAK SPACE}%")
-        kinds.setdefault(kind.title, (kind, []))[1].append(whole)
-    return list(kinds.values())
+        groups.setdefault(kind.title, (kind, []))[1].append(whole)
+    return list(groups.values())
 
 
 def _limits_table(result: Result) -> Table:
     """What decides: the worst of each score, where it was found, and its limit."""
-    summary, names = result.summary, result.joint_names
+    summary, names = result.summary, result.summary.joint_names
     first = next(iter(summary.estimators.values()))
     judged = next((one for one in summary.estimators.values() if one.decides), None)
     elements = list(np.ndindex(summary.joints, summary.joints))
@@ -256,7 +257,7 @@ def _coherence(result: Result) -> Content | None:
         "plots": element_plots(
             "coherence",
             n,
-            lambda i, k: coherence_chart(curves, i, k, result.joint_names, level),
+            lambda i, k: coherence_chart(curves, i, k, result.summary.joint_names, level),
             describe_coherence,
             250,
         ),
@@ -294,7 +295,7 @@ def _signals(result: Result) -> Content:
     buckets = _BUCKETS if result.summary.joints <= SIDE_BY_SIDE else _FEW_BUCKETS
     plots = [trace_plot(f"trace-{n}", one, buckets) for n, one in enumerate(shown, 1)]
     return {
-        "key": joint_strokes(result.joint_names),
+        "key": joint_strokes(result.summary.joint_names),
         "band": f"{BAND:g}",
         "trials": list(zip(shown, plots, strict=True)),
     }
