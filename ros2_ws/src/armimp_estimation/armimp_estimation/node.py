@@ -65,10 +65,6 @@ _STRAGGLERS = 5.0
 _SHOWN = 16
 """Number of frequencies at which curves are published; files hold all."""
 RESULT_NAME = f"{topics.ESTIMATOR_NODE}: impedance"
-_MESSAGE_CLASSES = {
-    "sensor_msgs/msg/JointState": JointState,
-    "std_msgs/msg/Float64MultiArray": Float64MultiArray,
-}
 _RECORDED_BESIDE = {topics.CLOCK: Clock, topics.DIAGNOSTICS: DiagnosticArray}
 
 
@@ -111,7 +107,9 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         self._received = self.create_publisher(UInt64, topics.RECEIVED, qos.LATCHED)
         self._stopping = self.create_publisher(DiagnosticStatus, topics.STOPPING, qos.LATCHED)
         fetched = {
-            topic: self.subscribe_unattended(topic, _MESSAGE_CLASSES[topics.MESSAGE_TYPES[topic]])
+            topic: self.subscribe_unattended(
+                topic, Float64MultiArray if topic == topics.COMMANDS else JointState
+            )
             for topic in FETCHED
         }
         self._late = steady_timer(self, _LATE_PERIOD, self._on_late, autostart=False)
@@ -164,7 +162,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
     @reported
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Close the bag and conclude from what there is."""
-        self._stop("the estimator was stopped before all trials were over")
+        self._stop()
         self._reset()
         return super().on_deactivate(state)
 
@@ -178,13 +176,13 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Close the bag and conclude from what there is."""
         if self._active:
-            self._stop("the estimator was shut down before all trials were over")
+            self._stop()
         return TransitionCallbackReturn.SUCCESS
 
     def destroy_node(self) -> None:
         """Close the bag and conclude, should the node end while it is active."""
         if self._active and self.context.ok():
-            self._stop("the estimator was ended before all trials were over")
+            self._stop()
         super().destroy_node()
 
     def _reset(self) -> None:
@@ -207,11 +205,11 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             least_duration=self._settings.least_duration,
         )
 
-    def _stop(self, reason: str) -> None:
+    def _stop(self) -> None:
         self._end_recording()
         if self.result is None:
             # Before the trial is finished, which may be the last one that was awaited.
-            self._note(problem(ProblemCode.RECORDING_STOPPED, reason=reason))
+            self._note(problem(ProblemCode.RECORDING_STOPPED))
         self._finish()
 
     def _end_recording(self) -> None:

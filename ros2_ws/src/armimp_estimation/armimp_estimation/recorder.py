@@ -248,13 +248,13 @@ class TrialRecorder:
                 planned=status.ticks,
                 rate=_RATE,
             )
-        return self._rule.decide(self.samples, self._column_of)
-
-    def _column_of(self, samples: int) -> FittedColumn | None:
-        """Column k as the first so many samples give it, which is shown from now on."""
-        return self._fit(record_so_far(self._streams, self._statuses, samples))
+        return self._rule.decide(
+            self.samples,
+            lambda samples: self._fit(record_so_far(self._streams, self._statuses, samples)),
+        )
 
     def _fit(self, record: TrialRecord | None) -> FittedColumn | None:
+        """Column k as a record gives it, which is shown from now on."""
         self._column = None
         if record is not None and record.samples:
             with suppress(DataError):  # too few samples

@@ -284,10 +284,8 @@ class TestLife:
         getattr(desk.estimator, how)()
         desk.conclude()
 
-        done = {"trigger_deactivate": "stopped", "trigger_shutdown": "shut down"}.get(how, "ended")
         summary = desk.summary
         assert summary.problems[0].code is ProblemCode.RECORDING_STOPPED
-        assert done in summary.problems[0].sentence
         assert not summary.valid
         assert desk.script.conclusions[0].level == bytes([Level.ERROR])
         assert len(desk.bags) == 2

@@ -327,7 +327,7 @@ def _assemble(window: TrialWindow, streams: Streams, bag: str | None, period: fl
         name, known = window.joint_name or window.joint + 1, ", ".join(streams.joint_names)
         found = [problem(ProblemCode.JOINT_UNKNOWN, name=name, known=known)]
     else:
-        commands = _commands(streams)
+        commands = _commands(streams, leading)
         names = streams.joint_names
         segments = tuple(_record(window, joint, names, aligned, commands, run, bag) for run in runs)
         found += _moved_further(streams, segments)
@@ -417,17 +417,13 @@ def _record(
     joint: int,
     joint_names: tuple[str, ...],
     aligned: Mapping[str, AlignedStream],
-    commands: FloatArray | None,
+    commands: FloatArray,
     run: tuple[int, int],
     bag: str | None,
 ) -> TrialRecord:
     start, stop = run
     leading = aligned[PERTURBATION]
-    first = int(np.searchsorted(leading.numbers, start))
-    ordinals = leading.order[first : first + stop - start]
-    command = None
-    if commands is not None and ordinals.max() < commands.shape[1]:
-        command = commands[:, ordinals]
+    command = commands[:, start:stop]
     return TrialRecord(
         trial=window.trial,
         perturbed_joint=joint,
@@ -436,22 +432,24 @@ def _record(
         perturbation=leading.values[:, start:stop],
         position=aligned[JOINT_STATES].values[:, start:stop],
         torque=aligned[TORQUE_SENSORS].values[:, start:stop],
-        start_ns=int(leading.stamps[first]),
+        start_ns=int(leading.stamps[np.searchsorted(leading.numbers, start)]),
         seed=window.seed,
-        command=None if command is None or not np.isfinite(command).all() else command,
+        command=command if np.isfinite(command).all() else None,
         bag=bag,
     )
 
 
-def _commands(streams: Streams) -> FloatArray | None:
-    """Commands by the ordinal number of their perturbation, as far as they can be matched."""
-    commands = streams.commands
+def _commands(streams: Streams, leading: AlignedStream) -> FloatArray:
+    """Commands by control period, as far as they can be matched with their perturbations."""
+    commands, laid = streams.commands, np.full_like(leading.values, np.nan)
     # A recording may be cut between the two messages of a tick.
-    if commands.defect or abs(streams.stamped[PERTURBATION].count - commands.count) > 1:
-        return None
+    if commands.defect or abs(leading.stream.count - commands.count) > 1:
+        return laid
     numbers = commands.stamps
     jumps = (np.diff(numbers) != 1) & ~_begins_anew(numbers) & numbers.any()
-    return commands.values[:, : int(jumps.argmax()) + 1] if jumps.any() else commands.values
+    matched = leading.order < (int(jumps.argmax()) + 1 if jumps.any() else commands.count)
+    laid[:, leading.numbers[matched]] = commands.values[:, leading.order[matched]]
+    return laid
 
 
 class AlignedStream:

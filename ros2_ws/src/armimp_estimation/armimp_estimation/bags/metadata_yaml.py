@@ -75,16 +75,19 @@ def dump(value: object) -> str:
     return text
 
 
-def bag_information(
+def write_metadata(
+    directory: Path,
     file_name: str,
     topics: Mapping[str, int],
     time_range: tuple[int, int],
     custom: Mapping[str, str],
-) -> dict[str, Any]:
-    """Return the content of ``metadata.yaml`` below its root, in the order of rosbag2.
+) -> None:
+    """Write ``metadata.yaml``, with its keys in the order of rosbag2.
 
     Parameters
     ----------
+    directory : Path
+        Of the bag.
     file_name : str
         The storage file within the directory.
     topics : mapping of str to int
@@ -93,11 +96,16 @@ def bag_information(
         Log times of the first and of the last message (ns).
     custom : mapping of str to str
         The ``custom_data``.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
     """
     count = sum(topics.values())
     start = {"nanoseconds_since_epoch": time_range[0]}
     duration = {"nanoseconds": time_range[1] - time_range[0]}
-    return {
+    information = {
         "version": VERSION,
         "storage_identifier": "mcap",
         "duration": dict(duration),
@@ -130,17 +138,7 @@ def bag_information(
         "custom_data": dict(custom),
         "ros_distro": "jazzy",
     }
-
-
-def write_metadata(directory: Path, information: Mapping[str, Any]) -> None:
-    """Write ``metadata.yaml``, replacing an existing one at once.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
-    """
-    text = dump({_ROOT: dict(information)})
+    text = dump({_ROOT: information})
     replace_atomically(directory / FILE_NAME, lambda part: part.write_text(text, encoding="utf-8"))
 
 

@@ -49,7 +49,6 @@ from armimp_estimation.bags.mcap_reader import (
 )
 from armimp_estimation.bags.metadata_yaml import (
     FILE_NAME,
-    bag_information,
     dump,
     message_definition,
     qos_profiles,
@@ -260,11 +259,10 @@ class BagWriter:
                 counts = {
                     topic: self._counts[channel.id] for topic, channel in self._channels.items()
                 }
-                name = storage_name(self._path)
-                information = bag_information(name, counts, self._time_range, self._custom)
                 self._append_summary()
                 # Last, since a bag that has it counts as finished.
-                write_metadata(self._path, information)
+                name = storage_name(self._path)
+                write_metadata(self._path, name, counts, self._time_range, self._custom)
         finally:
             self._closed = True
             self._file.close()
