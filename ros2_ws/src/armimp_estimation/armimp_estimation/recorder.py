@@ -144,8 +144,8 @@ class TrialRecorder:
         """Number of complete samples of the present trial so far."""
         if self._start_ns is None:
             return 0
-        counts = [self._streams.count(topic) - before for topic, before in self._before.items()]
-        counts.append(self._streams.count(COMMANDS) - self._before[PERTURBATION])
+        counts = [self._streams[topic].received - before for topic, before in self._before.items()]
+        counts.append(self._streams[COMMANDS].received - self._before[PERTURBATION])
         return max(min(*counts, self._statuses[-1].ticks), 0)
 
     def add_status(self, status: TrialStatus) -> None:
@@ -314,7 +314,7 @@ class TrialRecorder:
             self._count(VALUE_FIELD, stamps)
             self._log_ns = dict.fromkeys(DATA_STREAMS, stamps[-1])
             for topic in _ORDER:
-                self._streams.add(topic, messages[topic])
+                self._streams[topic].add(messages[topic])
             if self._writer is not None:
                 self._writer.write_block(stamps, {topic: messages[topic] for topic in _ORDER})
             return
@@ -330,7 +330,8 @@ class TrialRecorder:
         if topic == COMMANDS:
             led_ns = self._newest_ns[PERTURBATION]
             stamp_ns = led_ns if led_ns >= 0 else max(*self._newest_ns.values(), 0)
-            belongs = not past or self._streams.count(COMMANDS) < self._streams.count(PERTURBATION)
+            led, answered = self._streams[PERTURBATION], self._streams[COMMANDS]
+            belongs = not past or answered.received < led.received
         else:
             try:
                 stamp_ns = stamp_of(message)
@@ -342,7 +343,7 @@ class TrialRecorder:
         if not belongs:  # but to the next trial
             self._between[topic].append(message)
             return
-        self._streams.add(topic, (message,))
+        self._streams[topic].add((message,))
         # Readers sort by this time, so it must not fall within a stream.
         self._log_ns[topic] = max(stamp_ns, self._log_ns[topic])
         self._write_statuses(self._log_ns[topic])
@@ -383,7 +384,7 @@ class TrialRecorder:
         status = self.status
         if status is None or status.phase not in (Phase.REST, Phase.DONE):
             return
-        answered = self._streams.count(COMMANDS) >= self._before[PERTURBATION] + status.ticks
+        answered = self._streams[COMMANDS].received >= self._before[PERTURBATION] + status.ticks
         if self._is_past(_OVERDUE_NS) or (answered and self._is_past(0, *VALUE_FIELD)):
             self.finish()
 

@@ -321,7 +321,7 @@ def so_far(messages: Mapping[str, list[bytes]], samples: int) -> TrialRecord | N
     """The first so many samples of a trial of the first joint."""
     streams = Streams(ARM_NAMES)
     for topic in DATA_STREAMS:
-        streams.add(topic, messages[topic])
+        streams[topic].add(messages[topic])
     return record_so_far(streams, [decode_trial_status(messages[TRIAL][1])], samples)
 
 

@@ -380,7 +380,8 @@ def _span(window: TrialWindow, aligned: Mapping[str, AlignedStream]) -> int:
 
 def _moved_further(streams: Streams, segments: Sequence[TrialRecord]) -> Iterator[Problem]:
     """Find joints which nobody perturbs, so that no impedance accounts for their motion."""
-    for (name, further), record in product(sorted(streams.further.items()), segments):
+    others = sorted(streams[JOINT_STATES].further.items())
+    for (name, further), record in product(others, segments):
         k, last_ns = record.perturbed_joint, record.start_ns + NS_PER_S * record.duration
         within = (further.stamps >= record.start_ns) & (further.stamps < last_ns)
         moved = float(np.std(further.values[0, within])) if within.any() else 0.0

@@ -35,18 +35,73 @@ class Stream:
 
     Parameters
     ----------
-    joints : int
-        Their number n.
+    topic : str
+        Of the contract.
+    joint_names : sequence of str
+        Order of the rows of all values; messages may have any other. Those of sensors may have
+        further joints, which are passed over, but for their angles.
     """
 
-    def __init__(self, joints: int) -> None:
-        self._stamps, self._values = np.empty(0, np.int64), np.empty((joints, 0))
+    def __init__(self, topic: str, joint_names: Sequence[str]) -> None:
+        n = len(joint_names)
+        self._stamps, self._values = np.empty(0, np.int64), np.empty((n, 0))
+        self._pending: list[bytes] = []
+        self._topic, self._joint_names = topic, tuple(joint_names)
+        self._stamped = topic != COMMANDS
+        self._decoder: JointStateDecoder | CommandDecoder = CommandDecoder(n)
+        if self._stamped:
+            # Joints of a whole robot may be published together, but the perturbed are known.
+            others, field = topic != PERTURBATION, VALUE_FIELD[topic]
+            self._decoder = JointStateDecoder(joint_names, field, others=others)
+        self.further: dict[str, Stream] = {}
+        """Angles of further joints by name, rad; nobody perturbs these, so they must not move."""
         self.count = 0
-        """Number N of messages so far."""
+        """Number N of messages so far that have been decoded."""
         self.malformed = 0
         """Messages with a stamp that were left out because they could not be decoded."""
         self.defect = ""
         """What is wrong with the first that could not be decoded."""
+
+    @property
+    def received(self) -> int:
+        """Number of messages so far, malformed ones included."""
+        return self.count + self.malformed + len(self._pending)
+
+    def add(self, messages: Sequence[bytes]) -> None:
+        """Take serialised messages, in order of arrival."""
+        self._pending += messages
+        if len(self._pending) >= _DECODED_TOGETHER:
+            self.decode()
+
+    def decode(self) -> None:
+        """Decode what has not been decoded yet."""
+        messages, self._pending = self._pending, []
+        if not messages:
+            return
+        try:
+            self.append(*self._decoder.decode_many(messages))
+        except MalformedMessageError:
+            for message in messages:
+                try:
+                    number, values = self._decoder.decode(message)
+                except MalformedMessageError as error:
+                    self.defect = self.defect or str(error)
+                    if self._stamped:
+                        self.malformed += 1
+                        continue
+                    # It keeps its place, since a missing one would shift all those after it.
+                    number, values = command_number(message), (np.nan,) * len(self._values)
+                self.append(np.array([number]), np.array(values)[:, None])
+        if self._topic == JOINT_STATES:
+            self._follow_further(messages)
+
+    def _follow_further(self, messages: Sequence[bytes]) -> None:
+        """Take the angles of further joints, where all messages have those of the first."""
+        with suppress(MalformedMessageError):
+            others = set(joint_names_of(messages[0])).difference(self._joint_names)
+            for name in filter(None, others):
+                decoded = JointStateDecoder((name,), "position", others=True).decode_many(messages)
+                self.further.setdefault(name, Stream(JOINT_STATES, (name,))).append(*decoded)
 
     @property
     def stamps(self) -> IntArray:
@@ -99,75 +154,25 @@ class Streams:
     Parameters
     ----------
     joint_names : sequence of str
-        Order of the rows of all values; messages may have any other. Those of sensors may have
-        further joints, which are passed over, but for their angles.
+        As of :class:`Stream`.
     """
 
     def __init__(self, joint_names: Sequence[str]) -> None:
-        n = len(joint_names)
         self.joint_names = tuple(joint_names)
-        self.stamped = {topic: Stream(n) for topic in VALUE_FIELD}
+        self.stamped = {topic: Stream(topic, joint_names) for topic in VALUE_FIELD}
         """Positions (rad), torque readings and perturbation (N·m), by topic of the contract."""
-        self.commands = Stream(n)
+        self.commands = Stream(COMMANDS, joint_names)
         """Commands (N·m), in the order of the joints."""
-        self.further: dict[str, Stream] = {}
-        """Angles of further joints by name, rad; nobody perturbs these, so they must not move."""
-        self._no_command = (np.nan,) * n
         self._streams = {**self.stamped, COMMANDS: self.commands}
-        self._pending: dict[str, list[bytes]] = {topic: [] for topic in self._streams}
-        self._decoders: dict[str, JointStateDecoder | CommandDecoder] = {
-            # Those of all joints of a robot may be published together, but the perturbed are known.
-            topic: JointStateDecoder(joint_names, field, others=topic != PERTURBATION)
-            for topic, field in VALUE_FIELD.items()
-        }
-        self._decoders[COMMANDS] = CommandDecoder(n)
 
-    def add(self, topic: str, messages: Sequence[bytes]) -> None:
-        """Take serialised messages of a topic of the contract, in order of arrival."""
-        pending = self._pending[topic]
-        pending += messages
-        if len(pending) >= _DECODED_TOGETHER:
-            self._decode(topic)
-
-    def count(self, topic: str) -> int:
-        """Number of messages so far, malformed ones included."""
-        stream = self._streams[topic]
-        return stream.count + stream.malformed + len(self._pending[topic])
+    def __getitem__(self, topic: str) -> Stream:
+        return self._streams[topic]
 
     def decode(self) -> Streams:
         """Decode what has not been decoded yet."""
-        for topic in self._pending:
-            self._decode(topic)
+        for stream in self._streams.values():
+            stream.decode()
         return self
-
-    def _decode(self, topic: str) -> None:
-        messages, self._pending[topic] = self._pending[topic], []
-        if not messages:
-            return
-        stream, decoder = self._streams[topic], self._decoders[topic]
-        try:
-            stream.append(*decoder.decode_many(messages))
-        except MalformedMessageError:
-            for message in messages:
-                try:
-                    number, values = decoder.decode(message)
-                except MalformedMessageError as error:
-                    stream.defect = stream.defect or str(error)
-                    if topic != COMMANDS:
-                        stream.malformed += 1
-                        continue
-                    # It keeps its place, since a missing one would shift all those after it.
-                    number, values = command_number(message), self._no_command
-                stream.append(np.array([number]), np.array(values)[:, None])
-        if topic == JOINT_STATES:
-            self._follow_further(messages)
-
-    def _follow_further(self, messages: Sequence[bytes]) -> None:
-        """Take the angles of further joints, where all messages have those of the first."""
-        with suppress(MalformedMessageError):
-            for name in filter(None, set(joint_names_of(messages[0])).difference(self.joint_names)):
-                decoded = JointStateDecoder((name,), "position", others=True).decode_many(messages)
-                self.further.setdefault(name, Stream(1)).append(*decoded)
 
 
 def decode_streams(joint_names: Sequence[str], messages: Mapping[str, Sequence[bytes]]) -> Streams:
@@ -180,7 +185,7 @@ def decode_streams(joint_names: Sequence[str], messages: Mapping[str, Sequence[b
     """
     streams = Streams(joint_names)
     for topic in (*VALUE_FIELD, COMMANDS):
-        streams.add(topic, messages.get(topic, ()))
+        streams[topic].add(messages.get(topic, ()))
     for topic, stream in streams.decode().stamped.items():
         if not stream.count:
             raise DataError(

@@ -37,8 +37,6 @@ Options: TypeAlias = dict[str, Any]
 """As plotly.js takes them."""
 Band: TypeAlias = tuple[FloatArray, FloatArray]
 """Lower and upper end."""
-Distance: TypeAlias = tuple[FloatArray, FloatArray | None, FloatArray]
-"""Frequencies (Hz), distance, None for the reference, and radius of the 95 % circle (%)."""
 
 _PALETTES: Mapping[str, Sequence[str]] = {
     "estimator": ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00"),
@@ -366,22 +364,32 @@ def bode_chart(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, 
     """Bode plot of ``Z_ik``: every estimate with its 95 % band, the truth, and how far they part.
 
     There is at least one curve, by name of the estimator. The element is 0-based: torque of joint i
-    over angle of joint k.
+    over angle of joint k. Distances are those from the reference, see `reference_of`.
     """
-    grids = [curve.f for curve in curves.values()]
-    parted, ends = distances(curves, truth, i, k)
+    reference = reference_of(curves, truth)
+
+    def centre(f: FloatArray) -> ComplexArray:
+        if truth is not None:
+            return np.asarray(truth.impedance(f)[i, k])
+        other = curves[reference]
+        return np.asarray(np.interp(f, other.f, other.Z[i, k]))
+
     lines: list[Line] = []
+    parted: list[FloatArray] = []
     for name, stroke in strokes(curves).items():
-        z = curves[name].Z[i, k]
-        magnitude, phase = np.abs(z), phase_of(z)
-        bands = bands_of(magnitude, phase, circle_radius(curves[name], i, k))
-        f, off, radius = parted[name]
-        thin, circle = replace(stroke, width=1.1), (np.zeros(f.size), radius)
+        f, z, circle = curves[name].f, curves[name].Z[i, k], circle_radius(curves[name], i, k)
+        magnitude, phase, about = np.abs(z), phase_of(z), centre(f)
+        bands = bands_of(magnitude, phase, circle)
+        off = None if name == reference else deviation_percent(about, z)
+        radius = 100.0 * circle / np.abs(about)
+        thin = replace(stroke, width=1.1)
         lines += [
             Line(x=f, y=magnitude, stroke=stroke, unit=IMPEDANCE, ends=bands[0]),
             Line(x=f, y=phase, stroke=stroke, row=2, unit="°", ends=bands[1]),
-            Line(x=f, y=off, stroke=thin, row=3, unit="%", ends=circle),
+            Line(x=f, y=off, stroke=thin, row=3, unit="%", ends=(np.zeros(f.size), radius)),
         ]
+        parted += [radius] if off is None else [radius, off]
+    grids = [curve.f for curve in curves.values()]
     if truth is not None:
         f = max(grids, key=len)
         true = truth.impedance(f)[i, k]
@@ -389,6 +397,10 @@ def bode_chart(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, 
         lines.append(Line(x=f, y=phase_of(true), stroke=TRUE, row=2, unit="°"))
     chart = Chart(abscissa=frequency_axis(grids), rows=[], lines=lines)
     magnitudes, phases = range_of(chart.values(), log=True), range_of(chart.values(2))
+    values = np.concatenate(parted)
+    values = values[np.isfinite(values) & (values > 0.0)]
+    low, high = np.quantile(values, (0.02, 0.995)) if values.size else (0.01, 60.0)
+    ends = float(min(low, 0.15 * high)), float(1.5 * high)
     rows = [
         (3.0, Axis(title="magnitude (N·m/rad)", ends=magnitudes, log=True)),
         (2.0, Axis(title="phase (°)", ends=phases, hoverformat=".1f")),
@@ -623,32 +635,6 @@ def reference_of(curves: Mapping[str, ImpedanceCurve], truth: MBK | None) -> str
     if truth is not None:
         return ""
     return _REFERENCE if _REFERENCE in curves else next(iter(curves))
-
-
-def distances(
-    curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, k: int
-) -> tuple[dict[str, Distance], tuple[float, float]]:
-    """Distance of every estimate of ``Z_ik`` (0-based) from its reference, see `reference_of`.
-
-    And the ends of a logarithmic axis that shows them, %.
-    """
-    reference = reference_of(curves, truth)
-    lines: dict[str, Distance] = {}
-    found = []
-    for name, curve in curves.items():
-        if truth is not None:
-            centre = truth.impedance(curve.f)[i, k]
-        else:
-            other = curves[reference]
-            centre = np.interp(curve.f, other.f, other.Z[i, k])
-        off = None if name == reference else deviation_percent(centre, curve.Z[i, k])
-        radius = 100.0 * circle_radius(curve, i, k) / np.abs(centre)
-        lines[name] = curve.f, off, radius
-        found += [radius] if off is None else [radius, off]
-    values = np.concatenate(found)
-    values = values[np.isfinite(values) & (values > 0.0)]
-    low, high = np.quantile(values, (0.02, 0.995)) if values.size else (0.01, 60.0)
-    return lines, (float(min(low, 0.15 * high)), float(1.5 * high))
 
 
 def range_of(values: FloatArray, *, log: bool = False) -> tuple[float, float]:
