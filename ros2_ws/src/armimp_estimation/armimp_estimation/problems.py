@@ -53,7 +53,6 @@ class ProblemCode(str, Enum):
     NO_PERTURBATION = "no_perturbation"
     FURTHER_JOINT_MOVED = "further_joint_moved"
     MUCH_EXCLUDED = "much_excluded"
-    CLIPPED_UNKNOWN = "clipped_unknown"
     CUT_SHORT = "cut_short"
     # of the run
     TRIAL_ABORTED = "trial_aborted"

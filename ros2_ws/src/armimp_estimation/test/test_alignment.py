@@ -392,13 +392,6 @@ def test_what_follows_clipped_commands_is_left_out_without_being_asked(
     assert not trial.judged(allow_gaps=False, most_excluded=excluded / TICKS)
 
 
-def test_clipped_at_an_unknown_time_is_a_problem() -> None:
-    *others, last = statuses_of(RECORDING)
-    trial = assemble(RECORDING.by_topic(), [*others, changed(last, clipped=3)])
-    assert only(trial, ProblemCode.CLIPPED_UNKNOWN).values == {"count": 3}
-    assert trial.intact()
-
-
 # --- early ends -------------------------------------------------------------------------------
 
 

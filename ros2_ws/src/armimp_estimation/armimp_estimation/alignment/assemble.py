@@ -333,8 +333,6 @@ def _assemble(window: TrialWindow, streams: Streams, bag: str | None, period: fl
         found += _moved_further(streams, segments)
         if segments and not any(segment.perturbation[joint].any() for segment in segments):
             found.append(problem(ProblemCode.NO_PERTURBATION))
-    if window.clipped and not window.clipped_intervals:
-        found.append(problem(ProblemCode.CLIPPED_UNKNOWN, count=window.clipped))
     if 0 < span < window.ticks and window.fault is None:
         code, note = ProblemCode.CUT_SHORT, Severity.NOTE
         found.append(problem(code, severity=note, count=span, planned=window.ticks))

@@ -52,12 +52,6 @@ class Table:
     """Columns of words, aligned to the left as the first one is; numbers are aligned to the right.
     """
 
-    def __post_init__(self) -> None:
-        for _, rows in self.groups:
-            for row in rows:
-                if len(row) != len(self.columns):
-                    raise ValueError(f"{len(row)} cells in {len(self.columns)} columns: {row!r}")
-
 
 @dataclass(frozen=True)
 class Section:
