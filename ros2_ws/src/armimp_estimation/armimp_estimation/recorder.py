@@ -133,6 +133,7 @@ class TrialRecorder:
         self._rule: StoppingRule | None = None
         self._column: FittedColumn | None = None
         self._coherence: tuple[float, float] | None = None
+        """Band means of γ²(τΔ, θ_k) and γ²(τΔ, τ_k)."""
 
     @property
     def status(self) -> TrialStatus | None:
@@ -229,8 +230,11 @@ class TrialRecorder:
         record = record_so_far(self._streams, self._statuses, self.samples)
         if record is not None:
             with suppress(DataError):  # too few samples
-                welch = segments_for([[record]])
-                self._coherence = mean_coherences(TrialData.of(record, welch=welch))
+                trial = TrialData.of(record, welch=segments_for([[record]]))
+                joint = trial.joint
+                shown = trial.position_channel(joint), trial.torque_channel(joint)
+                motion, torque = (coherence(trial.spectra, 0, one) for one in shown)
+                self._coherence = float(np.mean(motion)), float(np.mean(torque))
             # Round numbers: the Fourier transform of others may take several times as long.
             record = record.part(0, record.samples // _ROUND * _ROUND)
         self._fit(record)
@@ -458,9 +462,9 @@ class StoppingRule:
         self._bound = bound
         self._trial = trial
         self._planned = planned
+        self._first = max(round(least * rate) - NOTICE_TICKS, 1)
         self._every = round(_DECIDED_EVERY * rate)
-        self._announced = False
-        self._due: int | None = self._within(max(round(least * rate) - NOTICE_TICKS, 1))
+        self._due: int | None = 0
 
     def decide(
         self, samples: int, column: Callable[[int], FittedColumn | None]
@@ -479,44 +483,26 @@ class StoppingRule:
         StoppingDecision or None
             The first one of all announces when the next is made.
         """
-        if not self._announced:
-            self._announced = True
-            return self._decision(0, enough=False)
         if self._due is None or samples < self._due:
             return None
-        considered = self._due
-        found = column(considered)
+        considered, self._due = self._due, None
+        found = column(considered) if considered else None
         largest, element = (np.nan, "") if found is None else largest_error(found)
         enough = bool(largest < self._bound)
-        self._due = None
         if not enough:
-            self._due = self._within(considered + max(self._every, considered // _GROWTH))
-        return self._decision(considered, enough=enough, largest=largest, element=element)
-
-    def _within(self, samples: int) -> int | None:
-        """A number of samples at which it is not too late to end the trial before its time."""
-        return samples if samples + NOTICE_TICKS < self._planned else None
-
-    def _decision(
-        self, samples: int, *, enough: bool, largest: float = np.nan, element: str = ""
-    ) -> StoppingDecision:
+            later = considered + max(self._every, considered // _GROWTH)
+            due = later if considered else self._first
+            # Beyond, it is too late to end the trial before its time.
+            self._due = due if due + NOTICE_TICKS < self._planned else None
         return StoppingDecision(
             trial=self._trial,
-            samples=samples,
+            samples=considered,
             enough=enough,
             due=self._due,
             bound=self._bound,
             largest=largest,
             element=element,
         )
-
-
-def mean_coherences(trial: TrialData) -> tuple[float, float]:
-    """Band means of γ²(τΔ, θ_k) and γ²(τΔ, τ_k)."""
-    joint, spectra = trial.joint, trial.spectra
-    shown = trial.position_channel(joint), trial.torque_channel(joint)
-    motion, torque = (float(np.mean(coherence(spectra, 0, one))) for one in shown)
-    return motion, torque
 
 
 def largest_error(column: FittedColumn) -> tuple[float, str]:
