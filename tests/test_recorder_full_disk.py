@@ -149,7 +149,7 @@ def test_when_the_disk_fills_up_in_a_trial_expect_the_run_to_end_and_to_say_so(
 
     assert seen
     # The node has said it of the bag; the run ends with one line.
-    assert "summary.json: cannot be written: No space left on device" in str(error.value)
+    assert "summary.json: cannot be written: disk full" in str(error.value)
     assert "\n" not in str(error.value)
     # The controller has stopped at once: no other trial has begun.
     assert [one.name for one in (disk / "out" / BAGS).iterdir()] == [BAG_1]

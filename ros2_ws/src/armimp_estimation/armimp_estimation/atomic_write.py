@@ -1,5 +1,6 @@
 """Writing files that are never seen half written, and reading only regular files."""
 
+import errno
 import os
 import secrets
 import stat
@@ -14,7 +15,7 @@ _SPARSEST: Final = 20
 """Largest ratio of the size of a large file to the bytes that were written to it."""
 
 
-def replace_atomically(path: Path, write: Callable[[Path], object]) -> None:
+def write_atomically(path: Path, write: Callable[[Path], object], *, anew: bool = False) -> None:
     """Write a file under a new random name beside its place, and move it there.
 
     Nothing that stands there under that name is opened, and no link is followed. A file that is
@@ -25,36 +26,33 @@ def replace_atomically(path: Path, write: Callable[[Path], object]) -> None:
     path : Path
     write : callable
         Writes the file at the path that it is given, which has the same suffix.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
-    """
-    part = path.with_name(f".{secrets.token_hex(8)}{path.suffix}")
-    exclusively = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
-    os.close(os.open(part, exclusively, 0o666))
-    try:
-        write(part)
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
-
-
-def write_atomically(path: Path, write: Callable[[Path], object], *, anew: bool = False) -> None:
-    """Write a file as `replace_atomically` does, with one line for whatever goes wrong.
+    anew : bool
+        Whether to take the place of a file that is there.
 
     Raises
     ------
     DataError
         If the file cannot be written, or exists already and is not to be made `anew`.
     """
+    part = path.with_name(f".{secrets.token_hex(8)}{path.suffix}")
+    exclusively = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     try:
         if path.exists() and not anew:
             raise DataError(f"{path}: exists already")
-        replace_atomically(path, write)
-    except OSError as cause:
-        raise DataError(f"{path}: cannot be written: {cause.strerror}") from cause
+        os.close(os.open(part, exclusively, 0o666))
+        try:
+            write(part)
+            part.replace(path)
+        finally:
+            part.unlink(missing_ok=True)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be written: {reason_of(error)}") from error
+
+
+def reason_of(error: OSError) -> object:
+    """Return why a file cannot be written, in a few words."""
+    full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+    return "disk full" if full else error.strerror or error
 
 
 def write_text(path: Path, content: str) -> None:

@@ -147,11 +147,8 @@ def _window(start_ns: int, statuses: Sequence[TrialStatus], *, ended: bool) -> T
     faults = [fault for status in statuses if (fault := fault_of(status)) is not None]
     aborted = [one for one in faults if one.code is ProblemCode.TRIAL_ABORTED]
     spoiled = [one for one in faults if one.code is ProblemCode.TRIAL_SPOILED]
-    clipped, intervals = 0, ""
-    for status in statuses:
-        if status.clipped or status.clipped_intervals:
-            clipped, intervals = status.clipped, status.clipped_intervals
-    limits = [part.split("-") for part in intervals.split()]
+    clipped = next((status for status in reversed(statuses) if status.clipped), first)
+    limits = [part.split("-") for part in clipped.clipped_intervals.split()]
     return TrialWindow(
         trial=first.trial,
         joint=first.joint,
@@ -161,7 +158,7 @@ def _window(start_ns: int, statuses: Sequence[TrialStatus], *, ended: bool) -> T
         seed=first.seed,
         ended=ended or any(status.phase is not Phase.PERTURB for status in statuses),
         fault=next(iter([*aborted[-1:], *spoiled, *faults[-1:]]), None),
-        clipped=clipped,
+        clipped=clipped.clipped,
         clipped_intervals=tuple((int(start), int(end)) for start, end in limits),
         saved=first.ticks - ticks,
         tare=next((one.tare for one in reversed(statuses) if one.tare), ()),

@@ -13,7 +13,7 @@ from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 from armimp_common.errors import BagError
 from armimp_common.schema import TextLoader, load_yaml
 from armimp_common.topics import MESSAGE_TYPES, QOS
-from armimp_estimation.atomic_write import read_text, replace_atomically
+from armimp_estimation.atomic_write import read_text, write_text
 from armimp_estimation.bags.raw import absolute, one_line
 from armimp_estimation.json_model import first_complaint
 
@@ -99,7 +99,7 @@ def write_metadata(
 
     Raises
     ------
-    OSError
+    DataError
         If the file cannot be written.
     """
     count = sum(topics.values())
@@ -139,7 +139,7 @@ def write_metadata(
         "ros_distro": "jazzy",
     }
     text = dump({_ROOT: information})
-    replace_atomically(directory / FILE_NAME, lambda part: part.write_text(text, encoding="utf-8"))
+    write_text(directory / FILE_NAME, text)
 
 
 def read_metadata(file: Path) -> tuple[list[Path], dict[str, str]]:

@@ -7,7 +7,6 @@ well, so that a killed process loses little. All other records are those of the 
 
 from __future__ import annotations
 
-import errno
 import fcntl
 import shutil
 import struct
@@ -37,9 +36,9 @@ from mcap.records import (
     Statistics,
 )
 
-from armimp_common.errors import BagError
+from armimp_common.errors import BagError, DataError
 from armimp_common.topics import CLOCK, DATA_STREAMS, DIAGNOSTICS, MESSAGE_TYPES, TRIAL
-from armimp_estimation.atomic_write import open_regular
+from armimp_estimation.atomic_write import open_regular, reason_of
 from armimp_estimation.bags.mcap_reader import (
     BEYOND_LENGTH,
     MAGIC,
@@ -379,10 +378,12 @@ class BagWriter:
                 return
         except FileExistsError:
             raise BagError(f"{self._path}: exists already, nothing is overwritten") from None
-        except (OSError, ValueError, struct.error) as error:
-            reason = getattr(error, "strerror", None) or error
-            if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-                reason = "disk full"
+        except DataError as error:
+            raise BagError(str(error)) from None
+        except OSError as error:
+            reason = reason_of(error)
+        except (ValueError, struct.error) as error:
+            reason = error
         raise BagError(f"{self._path}: cannot be written: {reason}")
 
 
