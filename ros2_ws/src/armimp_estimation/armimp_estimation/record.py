@@ -1,6 +1,5 @@
 """The record of one trial as arrays: what every estimator starts from."""
 
-import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -54,10 +53,6 @@ class TrialRecord:
         where = f"trial {self.trial}"
         if n == 0 or len(set(self.joint_names)) != n:
             raise DataError(f"{where}: joint names must be distinct, got {self.joint_names!r}")
-        if not 0 <= self.perturbed_joint < n:
-            raise DataError(f"{where}: no joint {self.perturbed_joint + 1} among {n} joints")
-        if not (math.isfinite(self.rate) and self.rate > 0.0):
-            raise DataError(f"{where}: sampling rate must be positive, got {self.rate!r} Hz")
         signals = ["perturbation", "position", "torque"]
         if self.command is not None:
             signals.append("command")

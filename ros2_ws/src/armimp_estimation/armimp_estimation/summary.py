@@ -371,10 +371,8 @@ def write_frf(path: Path, curves: Mapping[str, ImpedanceCurve]) -> None:
     Raises
     ------
     DataError
-        If there is no estimate, or the file exists already or cannot be written.
+        If the file exists already or cannot be written.
     """
-    if not curves:
-        raise DataError(f"{path}: no estimate to write")
     first = next(iter(curves.values()))
     arrays: dict[str, NDArray[Any] | None] = {
         "f": first.f,
