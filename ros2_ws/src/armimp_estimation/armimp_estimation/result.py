@@ -129,7 +129,9 @@ def conclude(
         except DataError as error:
             found.append(Problem.of(error))
     seed = known.seed if known.seed is not None or not trials else trials[0].window.seed
-    trials = sorted(trials, key=lambda trial: (trial.joint, trial.trial))
+    # Of a joint that there is not, a problem tells; it has no place in tables and figures.
+    trials = [trial for trial in trials if trial.joint < len(joint_names)]
+    trials.sort(key=lambda trial: (trial.joint, trial.trial))
     summary = Summary.of(
         identification,
         joint_names=joint_names,

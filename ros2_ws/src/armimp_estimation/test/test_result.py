@@ -117,6 +117,16 @@ def test_when_there_is_not_one_trial_for_each_joint_expect_a_result_without_esti
     assert result.summary.truth is not None
 
 
+def test_a_trial_of_a_joint_that_there_is_not_is_told_and_has_no_place_in_the_report() -> None:
+    unknown = problem(ProblemCode.JOINT_UNKNOWN, name="7", known="shoulder, elbow")
+    window = replace(LIVE[1].window, joint=6)
+    strange = replace(LIVE[1], segments=(), window=window, problems=(unknown,))
+    result = result_of([LIVE[0], strange])
+    assert not result.summary.valid
+    assert [one.k for one in result.summary.trials] == [1]
+    assert "Trial 1: shoulder perturbed" in report_page(result)
+
+
 def test_known_problems_make_a_result_invalid_and_come_first() -> None:
     summary = result_of(problems=[NOISE]).summary
     assert (summary.valid, summary.problems, summary.faults) == (False, [NOISE], [NOISE])
