@@ -173,22 +173,19 @@ def _limits_table(result: Result) -> Table:
     summary, names = result.summary, result.summary.joint_names
     first = next(iter(summary.estimators.values()))
     judged = next((one for one in summary.estimators.values() if one.decides), None)
-    elements = list(np.ndindex(summary.joints, summary.joints))
-    coherences: dict[object, float] = {
-        f"angle, {name} perturbed": first.coherence_motion[k] for k, name in enumerate(names)
-    }
-    locks = {place: 100.0 * ratio for place, ratio in _locks(summary).items()}
+    coherences: dict[object, float] = {}
     bounds: dict[object, float] = {}
     lacks: dict[object, float] = {}
-    for i, k in elements:
-        if i == k:
-            place = f"torque of {names[i]}, {names[k]} perturbed"
-            coherences[place] = first.coherence_torque[i][k]
-        if judged is not None:
-            lacks[symbol("Z", i + 1, k + 1)] = judged.lack_of_fit[i][k]
+    for k, name in enumerate(names):
+        coherences[f"angle, {name} perturbed"] = first.coherence_motion[k]
+        coherences[f"torque of {name}, {name} perturbed"] = first.coherence_torque[k][k]
+    locks = {place: 100.0 * ratio for place, ratio in _locks(summary).items()}
     for trial in summary.trials if summary.joints > 1 else ():
         for i, bound in enumerate(trial.bias_bound):
             bounds[symbol("Z", i + 1, trial.k)] = 100.0 * bound
+    if judged is not None:
+        for i, k in np.ndindex(summary.joints, summary.joints):
+            lacks[symbol("Z", i + 1, k + 1)] = judged.lack_of_fit[i][k]
     rows: list[list[object]] = []
     scores: tuple[tuple[str, dict[object, float], float | None, str, float], ...] = (
         ("motion of held joints (%)", locks, 100.0 * LOCK_RATIO, ".2f", 1.0),
