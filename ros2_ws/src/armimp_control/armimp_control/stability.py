@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -58,92 +58,61 @@ class RigDynamics(Schema):
         return self
 
     @property
-    def none(self) -> bool:
-        """Whether commands, drives and readings are prompt."""
+    def prompt(self) -> bool:
+        """Whether commands act, and torques are read, at once."""
         return not (
             self.command_delay or self.actuator_lag or self.torque_delay or self.torque_cutoff
         )
 
-    def sampled(self, period: float) -> SampledDynamics:
-        """The same from tick to tick, for a command that is held over the period (s)."""
-        a, b, reads = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0))
-        lag, cutoff = self.actuator_lag, self.torque_cutoff
-        if cutoff > 0.0:
-            # Where there is no low-pass, nobody has to wait for this import.
-            from scipy.signal import butter, zpk2ss
-
-            zpk = butter(self.torque_order, 2.0 * np.pi * cutoff, analog=True, output="zpk")
-            a, b, reads, _ = zpk2ss(*zpk)
-        if lag > 0.0:
-            # The drive comes first; its state is its torque.
-            a = np.block([[-np.eye(1) / lag, np.zeros((1, len(a)))], [b, a]])
-            reads = np.concatenate([np.zeros((1, 1)), reads], axis=1) if cutoff > 0.0 else np.eye(1)
-            b = np.zeros((len(a), 1))
-            b[0] = 1.0 / lag
-        whole = int(np.floor(self.torque_delay / period + 1e-9))
-        phase = 1.0 - min(max(self.torque_delay / period - whole, 0.0), 1.0)
-        transition, from_command = _over(a, b, period)
-        part, part_command = _over(a, b, phase * period)
-        if len(reads[0]):
-            from_state, direct = (reads @ part)[0], float((reads @ part_command)[0, 0])
-        else:
-            from_state, direct = np.zeros(0), 1.0
-        return SampledDynamics(
-            transition=transition,
-            from_command=from_command[:, 0],
-            reading_from_state=from_state,
-            reading_from_command=direct,
-            delay=whole,
-            drive_lags=lag > 0.0,
-            **_moved_by(lag, period),
+    def __str__(self) -> str:
+        """In words, for an error that they may be the reason of."""
+        return (
+            f"commands that act {self.command_delay} periods late, torques read "
+            f"{1e3 * self.torque_delay:g} ms late, a low-pass at {self.torque_cutoff:g} Hz "
+            f"(0: none) and drives that lag by {1e3 * self.actuator_lag:g} ms"
         )
 
+    def sampled(self, period: float) -> SampledDynamics:
+        """The same from tick to tick, for a command that is held over the period (s)."""
+        # Only this check and the observer have to wait for the import.
+        from scipy.linalg import expm
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SampledDynamics:
-    """From tick to tick, for a command u: states x of drive and low-pass, and what is read."""
+        poles, lags = self.torque_order if self.torque_cutoff else 0, int(self.actuator_lag > 0.0)
+        size = 3 + lags + poles
+        # Way, speed, torque of the drive if it lags, low-pass, and the command, which is held.
+        system, reads = np.zeros((size, size)), np.zeros(size)
+        torque, low_pass = 2 if lags else -1, slice(2 + lags, 2 + lags + poles)
+        system[0, 1] = system[1, torque] = 1.0
+        if lags:
+            system[2, [2, -1]] = -1.0 / self.actuator_lag, 1.0 / self.actuator_lag
+        if poles:
+            from scipy.signal import butter, zpk2ss
 
-    transition: FloatArray
-    from_command: FloatArray
-    """(q, q), (q,) of ``x ← transition · x + from_command · u``."""
-    reading_from_state: FloatArray
-    reading_from_command: float
-    """(q,) and one number: the reading, as torque of the drive, from x before and u during the
-    last period."""
+            a, b, c, _ = zpk2ss(*butter(poles, 1.0, analog=True, output="zpk"))
+            speed = 2.0 * np.pi * self.torque_cutoff
+            system[low_pass, low_pass], system[low_pass, torque] = speed * a, speed * b[:, 0]
+            reads[low_pass] = c[0]
+        else:
+            reads[torque] = 1.0
+        whole = int(np.floor(self.torque_delay / period + 1e-9))
+        phase = 1.0 - min(max(self.torque_delay / period - whole, 0.0), 1.0)
+        reading = reads @ expm(system * (phase * period))
+        return SampledDynamics(expm(system * period)[:-1, 2:], reading[2:], whole)
+
+
+PROMPT: Final = RigDynamics()
+
+
+class SampledDynamics(NamedTuple):
+    """From tick to tick, for q states of drive and low-pass x and a command u, of each joint."""
+
+    over: FloatArray
+    """(2 + q, q + 1) what (x, u) make of a period: way (s²) and speed (s) per unit of torque /
+    inertia, and the states after it."""
+    reading: FloatArray
+    """(q + 1,) torque of the drive as it is read, from x before and u during the last period."""
     delay: int
     """Ticks that it comes later."""
-    drive_lags: bool
-    """Whether the first state is the torque of the drive."""
-    speed: tuple[float, float]
-    way: tuple[float, float]
-    """What velocity (s) and angle (s²) gain per unit of torque / inertia of the drive at the start
-    of a period, and of the command in it."""
-
-    @property
-    def states(self) -> int:
-        """Number q of the states of drive and low-pass."""
-        return len(self.transition)
-
-
-def _over(a: FloatArray, b: FloatArray, time: float) -> tuple[FloatArray, FloatArray]:
-    """Transition of a linear system over a time (s) with constant input."""
-    q = len(a)
-    if not q:
-        return a, b
-    from scipy.linalg import expm
-
-    system = np.zeros((q + 1, q + 1))
-    system[:q, :q], system[:q, q:] = a * time, b * time
-    over = expm(system)
-    return over[:q, :q], over[:q, q:]
-
-
-def _moved_by(lag: float, period: float) -> dict[str, tuple[float, float]]:
-    if lag == 0.0:
-        return {"speed": (0.0, period), "way": (0.0, 0.5 * period**2)}
-    left = -lag * np.expm1(-period / lag)
-    way = lag * (period - left)
-    return {"speed": (left, period - left), "way": (way, 0.5 * period**2 - way)}
 
 
 def check_stability(
@@ -151,7 +120,7 @@ def check_stability(
     *,
     robot_inertia: FloatArray,
     arm_inertia: FloatArray,
-    dynamics: RigDynamics | None = None,
+    dynamics: RigDynamics = PROMPT,
 ) -> tuple[str, ...]:
     """Check the sampled loop with every joint perturbed in turn, and with all locked.
 
@@ -177,20 +146,22 @@ def check_stability(
     ConfigurationError
         If the loop is unstable or the inertia makes no sense; the message carries the value.
     """
-    _check_inertia(config.joints, robot_inertia, arm_inertia)
-    gains = "M̄" if isinstance(config, ImbicConfig) else "gains"
-    known = dynamics or RigDynamics()
-    later = known.model_copy(update={"torque_delay": known.torque_delay + config.period})
-    later_command = known.model_copy(update={"command_delay": known.command_delay + 1})
+    total = robot_inertia + arm_inertia
+    smallest = float(np.linalg.eigvalsh(0.5 * (total + total.T))[0])
+    if not smallest > 0.0:
+        raise ConfigurationError(
+            "controller: M_r + M_h must have a positive definite symmetric part, "
+            f"its smallest eigenvalue is {smallest:.3g} kg·m²"
+        )
 
-    def radius_of(k: int, assumed: RigDynamics, gain: float = 1.0, arm: float = 1.0) -> float:
+    def radius_of(k: int, gain: float = 1.0, arm: float = 1.0, **changed: float) -> float:
         return spectral_radius(
             config,
             perturbed=k,
             robot_inertia=robot_inertia,
             arm_inertia=arm * arm_inertia,
             gain=gain,
-            dynamics=assumed,
+            dynamics=dynamics.model_copy(update=changed),
         )
 
     roles = {k: f"joint {k + 1} is perturbed" for k in range(config.joints)}
@@ -200,24 +171,25 @@ def check_stability(
         ARM_RANGE: f" with an arm {ARM_RANGE:g} times as heavy",
         1.0 / ARM_RANGE: f" with an arm {ARM_RANGE:g} times as light",
     }
+    with_dynamics = "" if dynamics.prompt else f", with {dynamics}"
     for k, role in roles.items():
         for arm, described in arms.items():
-            radius = radius_of(k, known, arm=arm)
+            radius = radius_of(k, arm=arm)
             if not radius < 1.0 + _GROWTH:
                 raise ConfigurationError(
                     f"controller: unstable when sampled: while {role}, motion grows by a factor of "
-                    f"{radius:.4g} per tick{described}" + _with(known)
+                    f"{radius:.4g} per tick{described}{with_dynamics}"
                 )
     warnings = []
-    changes = {
-        f"{gains} larger by {WARNING_GAIN - 1.0:.0%}": (known, WARNING_GAIN),
-        f"torques read {1e3 * config.period:g} ms later": (later, 1.0),
-        f"commands that act {1e3 * config.period:g} ms later": (later_command, 1.0),
+    gains = "M̄" if isinstance(config, ImbicConfig) else "gains"
+    later = f"{1e3 * config.period:g} ms later"
+    changes: dict[str, dict[str, Any]] = {
+        f"{gains} larger by {WARNING_GAIN - 1.0:.0%}": {"gain": WARNING_GAIN},
+        f"torques read {later}": {"torque_delay": dynamics.torque_delay + config.period},
+        f"commands that act {later}": {"command_delay": dynamics.command_delay + 1},
     }
-    for change, (assumed, gain) in changes.items():
-        swings = [
-            role for k, role in roles.items() if not radius_of(k, assumed, gain) < 1.0 + _GROWTH
-        ]
+    for change, how in changes.items():
+        swings = [role for k, role in roles.items() if not radius_of(k, **how) < 1.0 + _GROWTH]
         if swings:
             warnings.append(f"with {change} the loop would be unstable while {', '.join(swings)}")
     return tuple(warnings)
@@ -230,7 +202,7 @@ def spectral_radius(
     robot_inertia: FloatArray,
     arm_inertia: FloatArray,
     gain: float = 1.0,
-    dynamics: RigDynamics | None = None,
+    dynamics: RigDynamics = PROMPT,
 ) -> float:
     """Largest factor by which a deviation from rest can grow from tick to tick.
 
@@ -247,22 +219,20 @@ def spectral_radius(
     dynamics : of drives and transducers; by default they are prompt
     """
     n, period = config.joints, config.period
-    rig = (dynamics or RigDynamics()).sampled(period)
-    # A prompt reading is that of the last command, which is part of the state anyway.
-    late = rig.delay + 1 if dynamics is not None and not dynamics.none else 0
-    delay = 0 if dynamics is None else dynamics.command_delay
+    rig, delay = dynamics.sampled(period), dynamics.command_delay
     role, model = config.role(perturbed), config.model(perturbed)
     # Those that may act, and that which the observer believes to have acted.
     observed = int(role[LATE, 0])
     sent = max(delay, observed + 1)
-    count = 6 + sent + rig.states + late
+    lagging = len(rig.reading) - 1
+    count = 6 + sent + lagging + rig.delay + 1
     per_inertia = np.linalg.inv(robot_inertia + arm_inertia)
     # Everything is linear in the state: each of these (n, count·n) gives one vector of it.
     vectors = np.eye(count * n).reshape(count, n, count * n)
     # Of the past: two angles, or what the observer makes of it.
     theta, velocity, *past, ideal = vectors[:6]
-    commands, states, readings = np.split(vectors[6:], [sent, sent + rig.states])
-    load = arm_inertia @ per_inertia @ (readings[-1] if late else commands[0])
+    commands, states, readings = np.split(vectors[6:], [sent, sent + lagging])
+    load = arm_inertia @ per_inertia @ readings[-1]
     if config.kind == IMBIC_OBSERVER:
         angle, measured, known = past
         acceleration = known + model[INVERSE] @ (commands[observed] - load)
@@ -289,46 +259,17 @@ def spectral_radius(
         torque = -gain * (damping @ measured + stiffness @ theta)
         ideal = np.zeros_like(ideal)
     acting = commands[delay - 1] if delay else torque
-    drive = states[0] if rig.drive_lags else np.zeros_like(theta)
-    newest = np.tensordot(rig.reading_from_state, states, 1) + rig.reading_from_command * acting
+    driven = np.stack([*states, acting])
+    way, speed, *states_after = np.tensordot(rig.over, driven, 1)
     following = (
-        theta + period * velocity + per_inertia @ (rig.way[0] * drive + rig.way[1] * acting),
-        velocity + per_inertia @ (rig.speed[0] * drive + rig.speed[1] * acting),
+        theta + period * velocity + per_inertia @ way,
+        velocity + per_inertia @ speed,
         *past,
         ideal,
         torque,
         *commands[:-1],
-        *(
-            np.tensordot(row, states, 1) + share * acting
-            for row, share in zip(rig.transition, rig.from_command, strict=True)
-        ),
-        *([newest, *readings[:-1]] if late else []),
+        *states_after,
+        np.tensordot(rig.reading, driven, 1),
+        *readings[:-1],
     )
     return float(np.max(np.abs(np.linalg.eigvals(np.concatenate(following)))))
-
-
-def _with(dynamics: RigDynamics) -> str:
-    """The dynamics in words, for an error that they may be the reason of."""
-    if dynamics.none:
-        return ""
-    return (
-        f", with commands that act {dynamics.command_delay} periods late, torques read "
-        f"{1e3 * dynamics.torque_delay:g} ms late, a low-pass at "
-        f"{dynamics.torque_cutoff:g} Hz (0: none) and drives that lag by "
-        f"{1e3 * dynamics.actuator_lag:g} ms"
-    )
-
-
-def _check_inertia(n: int, robot_inertia: FloatArray, arm_inertia: FloatArray) -> None:
-    for name, matrix in (("M_r", robot_inertia), ("M_h", arm_inertia)):
-        if matrix.shape != (n, n) or not np.all(np.isfinite(matrix)):
-            raise ConfigurationError(
-                f"controller: {name} needs {n}×{n} finite values: {matrix.tolist()}"
-            )
-    total = robot_inertia + arm_inertia
-    smallest = float(np.linalg.eigvalsh(0.5 * (total + total.T))[0])
-    if not smallest > 0.0:
-        raise ConfigurationError(
-            "controller: M_r + M_h must have a positive definite symmetric part, "
-            f"its smallest eigenvalue is {smallest:.3g} kg·m²"
-        )
