@@ -29,13 +29,7 @@ _COLOURS = {"steel": "0.35 0.38 0.42 1", "motor": "0.15 0.15 0.17 1", "skin": "0
 
 
 def robot_description(joints: int) -> str:
-    """Return the URDF of the preset rig with this number of joints.
-
-    Raises
-    ------
-    ConfigurationError
-        If there is no preset for it.
-    """
+    """Return the URDF of the preset rig with this number of joints, 1 to 7."""
     chain = presets.robot(joints)
     names = presets.JOINT_NAMES[joints]
     root = ET.Element("robot", name=f"armimp_{joints}_joints")

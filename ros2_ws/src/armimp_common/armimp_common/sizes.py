@@ -2,8 +2,6 @@
 
 from typing import Final
 
-from armimp_common.errors import ConfigurationError
-
 JOINT_SIZES: Final[dict[int, tuple[float, ...]]] = {
     1: (0.6,),
     2: (1.0, 0.6),
@@ -21,13 +19,3 @@ torques are in proportion to, is s_i = (M_ii/M_11)^(3/5) with the inertia M = M_
 robot and arm. For the elbow of the paper that gives 0.614 (two joints); its Table III has 0.6,
 which stands here.
 """
-
-
-def joint_sizes(what: str, joints: int) -> tuple[float, ...]:
-    """Return the sizes of `joints` joints; ConfigurationError if there is no such preset of it."""
-    if joints not in JOINT_SIZES:
-        raise ConfigurationError(
-            f"there is no preset of {what} for {joints} joints, only for "
-            f"{min(JOINT_SIZES)} to {max(JOINT_SIZES)}"
-        )
-    return JOINT_SIZES[joints]

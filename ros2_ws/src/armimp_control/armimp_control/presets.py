@@ -9,8 +9,7 @@ from typing import Final, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.errors import ConfigurationError
-from armimp_common.sizes import joint_sizes
+from armimp_common.sizes import JOINT_SIZES
 from armimp_common.topics import PERIOD
 from armimp_control.perturbation import PerturbationKind, PerturbationParameters
 from armimp_control.safety_limiter import SafetyParameters
@@ -69,22 +68,15 @@ _PEAK = 3.0  # N·m of a shoulder at level 1; the levels are multiples (Table II
 def perturbation(
     level: int, joints: int, kind: PerturbationKind = "noise"
 ) -> PerturbationParameters:
-    """Perturbation at a level from 1 to 3.
+    """Perturbation at a level from 1 to 3, for 1 to 7 joints.
 
     Shoulder and elbow have that of Table III: 3 and 1.8, 6 and 3.6, 9 and 5.4 N·m. Assumption: the
     peak of any joint is in proportion to its size, see :data:`armimp_common.sizes.JOINT_SIZES`.
-
-    Raises
-    ------
-    ConfigurationError
-        If there is no such level, or no preset for that number of joints.
     """
-    if level not in LEVELS:
-        raise ConfigurationError(f"perturbation level must be one of {LEVELS}, got {level}")
     # Rounded, so that the peaks of Table III are exact.
     return PerturbationParameters(
         kind=kind,
-        peak=tuple(level * round(_PEAK * size, 6) for size in joint_sizes("perturbation", joints)),
+        peak=tuple(level * round(_PEAK * size, 6) for size in JOINT_SIZES[joints]),
     )
 
 
@@ -117,7 +109,7 @@ def safety(
     peak : largest of the perturbation, N·m
     internal_model : observer or tde
     """
-    sizes = joint_sizes("safety limits", joints)
+    sizes = JOINT_SIZES[joints]
     if internal_model == "observer":
         torque = round(3.0 * peak, 6)
         rate, power = torque / PERIOD, 80.0
@@ -155,5 +147,5 @@ def unknown_torque(joints: int) -> tuple[NDArray[np.float64], NDArray[np.float64
     so, hardly changes. Both are in proportion to the size of the joint, see
     :data:`armimp_common.sizes.JOINT_SIZES`.
     """
-    sizes = np.array(joint_sizes("observer", joints))
+    sizes = np.array(JOINT_SIZES[joints])
     return 0.4 * sizes, 0.02 * sizes

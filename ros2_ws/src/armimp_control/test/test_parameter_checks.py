@@ -80,12 +80,6 @@ def test_peaks_are_those_of_table_three(level: int, peak: tuple[float, ...]) -> 
     assert (config.cutoff, config.order) == (15.0, 8)
 
 
-@pytest.mark.parametrize("joints", [0, 8])
-def test_number_of_joints_without_a_preset_is_refused(joints: int) -> None:
-    with pytest.raises(ConfigurationError, match=f"no preset of perturbation for {joints} joints"):
-        presets.perturbation(1, joints)
-
-
 @pytest.mark.parametrize("n", [1, 3, 7])
 def test_law_for_other_numbers_of_joints_follows_the_robot(n: int) -> None:
     root = np.random.default_rng(n).normal(size=(n, n))

@@ -7,8 +7,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.errors import ConfigurationError
-from armimp_common.sizes import joint_sizes
+from armimp_common.sizes import JOINT_SIZES
 from armimp_sim.model.arm import CuffParameters, HumanArm
 from armimp_sim.model.friction import LuGre
 from armimp_sim.model.robot import ActuatorParameters, PlanarChain
@@ -93,13 +92,7 @@ def human_arm(joints: int) -> HumanArm:
 
     Assumptions: for three joints a wrist is added; four to seven are an even chain, see
     :func:`_rods`.
-
-    Raises
-    ------
-    ConfigurationError
-        If there is no preset for that number of joints.
     """
-    joint_sizes("arm", joints)
     return _ARMS[joints] if joints in _ARMS else _even_arm(joints)
 
 
@@ -107,13 +100,7 @@ def robot(joints: int) -> PlanarChain:
     """The exoskeleton. Assumption, constrained by an endpoint mass of about 1 kg.
 
     One joint is the second of two; four to seven are an even chain, see :func:`_rods`.
-
-    Raises
-    ------
-    ConfigurationError
-        If there is no preset for that number of joints.
     """
-    joint_sizes("robot", joints)
     return _ROBOTS[joints] if joints in _ROBOTS else _even_robot(joints)
 
 
@@ -122,27 +109,16 @@ def friction(level: int, joints: int) -> LuGre:
 
     Shoulder and elbow have the same. The friction of any other joint is in proportion to its size,
     as drives are: see :data:`armimp_common.sizes.JOINT_SIZES`.
-
-    Raises
-    ------
-    ConfigurationError
-        If there is no such level, or no preset for that number of joints.
     """
-    law = _FRICTION[_checked("friction", level)]
-    sizes = joint_sizes("friction", joints)
+    law = _FRICTION[level]
+    sizes = JOINT_SIZES[joints]
     named = zip(JOINT_NAMES[joints], sizes, strict=True)
     return law.scaled([1.0 if name in _PAPER_JOINTS else size for name, size in named])
 
 
 def sensors(level: int, sampling: Sampling = Sampling.BEFORE_UPDATE) -> SensorParameters:
-    """Encoder and torque resolution at a level from 0 (unquantised) to 3 (Table II).
-
-    Raises
-    ------
-    ConfigurationError
-        If there is no such level.
-    """
-    counts = _ENCODER_COUNTS[_checked("resolution", level)]
+    """Encoder and torque resolution at a level from 0 (unquantised) to 3 (Table II)."""
+    counts = _ENCODER_COUNTS[level]
     return SensorParameters(
         sampling=sampling,
         position=ReadingParameters(resolution=2.0 * np.pi / counts if counts else 0.0),
@@ -155,8 +131,7 @@ def realistic(joints: int) -> dict[str, Any]:
 
     All of it is assumption. With four joints and more, cuff and person suit the smallest joint.
     """
-    smallest = min(joint_sizes("rig", joints))
-    size = 1.0 if joints <= 3 else smallest
+    size = 1.0 if joints <= 3 else min(JOINT_SIZES[joints])
     return {
         # A servo drive, and one cycle of a field bus.
         "actuators": ActuatorParameters(bandwidth=200.0, delay=0.001),
@@ -168,16 +143,10 @@ def realistic(joints: int) -> dict[str, Any]:
     }
 
 
-def _checked(name: str, level: int) -> int:
-    if level not in LEVELS:
-        raise ConfigurationError(f"{name} level must be one of {LEVELS}, got {level}")
-    return level
-
-
 def _even_arm(joints: int) -> HumanArm:
     """The arm with 4 to 7 joints."""
     posture = _posture(joints)
-    size = np.array(joint_sizes("arm", joints))
+    size = np.array(JOINT_SIZES[joints])
     mean_size = np.sqrt(np.outer(size, size))
     distance = np.arange(joints) - np.arange(joints)[:, None]
     coupling = np.where(distance > 0, *_STIFFNESS_COUPLING)
