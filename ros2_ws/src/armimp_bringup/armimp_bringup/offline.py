@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.parameters import NodeParameters, node_parameters
+from armimp_common.arrays import FloatArray, IntArray
 from armimp_common.compiled import compiled_entry
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_common.status import Phase
@@ -40,12 +40,12 @@ from armimp_sim.voluntary import reading_noise, voluntary_torque
 def _run_segment(
     batch: Batch,
     real: RealRig | None,
-    laws: NDArray[np.int64],
-    controllers: NDArray[np.float64],
-    tau_delta: NDArray[np.float64],
-    voluntary: NDArray[np.float64],
-    noise: NDArray[np.float64],
-    record: NDArray[np.float64],
+    laws: IntArray,
+    controllers: FloatArray,
+    tau_delta: FloatArray,
+    voluntary: FloatArray,
+    noise: FloatArray,
+    record: FloatArray,
 ) -> float:
     """Run the ticks of a segment, and return the worst h·σ0|v|/g(v), NaN if a lane went astray.
 
@@ -78,13 +78,13 @@ def _run_segment(
     return worst
 
 
-Signals = Callable[[Segment], tuple[NDArray[np.float64], int | None]]
+Signals = Callable[[Segment], tuple[FloatArray, int | None]]
 """Gives τ_Δ (ticks, lanes, n) of a segment, N·m, and the joint that yields; None for all joints."""
 
 
 def _perturbations(
     laws: Sequence[ControllerParameters], segment: Segment
-) -> tuple[NDArray[np.float64], int]:
+) -> tuple[FloatArray, int]:
     tau_delta = np.zeros((segment.ticks, len(laws), len(laws[0].joints)))
     if segment.phase is Phase.PERTURB:
         for lane, one in enumerate(laws):
@@ -99,7 +99,7 @@ def _perturbations(
     return tau_delta, segment.joint
 
 
-def _tare(parameters: ControllerParameters, torque: NDArray[np.float64]) -> tuple[float, ...]:
+def _tare(parameters: ControllerParameters, torque: FloatArray) -> tuple[float, ...]:
     """Tare (n,) from the readings (n, ticks) of a rig at rest, N·m."""
     found = parameters.tare.of(torque)
     if refusal := parameters.tare.refusal(found, parameters.joints):

@@ -19,8 +19,8 @@ from operator import itemgetter
 from typing import Any, Final, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray, IntArray
 from armimp_common.errors import ConfigurationError, MalformedMessageError
 from armimp_common.status import Phase, TrialStatus
 from armimp_common.topics import NS_PER_S, ValueField
@@ -28,7 +28,7 @@ from armimp_common.topics import NS_PER_S, ValueField
 Buffer: TypeAlias = bytes | bytearray | memoryview
 Span: TypeAlias = tuple[int, int]
 """Start and end of some bytes of a message, counted from its first byte."""
-_Columns: TypeAlias = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
+_Columns: TypeAlias = tuple[IntArray, IntArray, FloatArray]
 
 _LITTLE: Final = b"\0\1\0\0"
 _HEADER_SIZE: Final = 4
@@ -235,9 +235,7 @@ class _Decoder(ABC):
         items = layout.unpack(data)
         return self._number(items[0], items[1]), layout.values(items)
 
-    def decode_many(
-        self, messages: Sequence[Buffer]
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    def decode_many(self, messages: Sequence[Buffer]) -> tuple[IntArray, FloatArray]:
         """As `decode` of many messages: stamps or numbers (N,), and C-contiguous values (n, N).
 
         The message of a `MalformedMessageError` names the index.
@@ -285,7 +283,7 @@ class JointStateEncoder:
         self._after = bytes(8) if field == "position" else b""
         self._pack = struct.Struct(f"<4siI{len(before)}s{count}d{len(self._after)}s").pack
 
-    def encode(self, stamp_ns: int, values: Sequence[float] | NDArray[np.float64]) -> bytes:
+    def encode(self, stamp_ns: int, values: Sequence[float] | FloatArray) -> bytes:
         """Encode (n,) numbers in the order of the names, with a stamp (ns).
 
         Raises
@@ -398,7 +396,7 @@ class CommandEncoder:
         # Doubles start on a multiple of 8.
         self._pack = struct.Struct(f"<4sIII4x{n}d").pack
 
-    def encode(self, values: Sequence[float] | NDArray[np.float64], number: int = 0) -> bytes:
+    def encode(self, values: Sequence[float] | FloatArray, number: int = 0) -> bytes:
         """Encode (n,) joint torques (N·m), with the number of the command or 0 for none.
 
         Raises

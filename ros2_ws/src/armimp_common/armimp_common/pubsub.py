@@ -7,8 +7,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 from weakref import WeakSet
 
-import numpy as np
-from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
@@ -17,6 +15,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String, UInt64
 
 from armimp_common import cdr, qos, topics
+from armimp_common.arrays import FloatArray
 from armimp_common.errors import GraphError, MalformedMessageError
 from armimp_common.heartbeat import HeartbeatMonitor
 from armimp_common.topics import ValueField
@@ -67,7 +66,7 @@ class JointStatePublisher(RawPublisher):
         super().__init__(node, topic, JointState, profile)
         self._encode = cdr.JointStateEncoder(names, field).encode
 
-    def publish(self, stamp_ns: int, values: Sequence[float] | NDArray[np.float64]) -> bytes:
+    def publish(self, stamp_ns: int, values: Sequence[float] | FloatArray) -> bytes:
         """Publish (n,) values with this stamp (ns), and return the bytes sent.
 
         Raises
@@ -88,7 +87,7 @@ class CommandPublisher(RawPublisher):
         self._encode = cdr.CommandEncoder(n).encode
         self._number = 0
 
-    def publish(self, values: Sequence[float] | NDArray[np.float64]) -> bytes:
+    def publish(self, values: Sequence[float] | FloatArray) -> bytes:
         """Publish (n,) torques (N·m), and return the bytes sent.
 
         Raises

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
+from armimp_common.arrays import FloatArray
 from armimp_common.errors import ConfigurationError
 
 Scalar: TypeAlias = bool | int | float | str
@@ -201,7 +202,7 @@ def _plain(name: str, value: object) -> object:
     raise ConfigurationError(f"parameter '{name}' = {_shown(value)}: has no type of parameters")
 
 
-def vector(name: str, values: Sequence[float], n: int) -> NDArray[np.float64]:
+def vector(name: str, values: Sequence[float], n: int) -> FloatArray:
     """Return the values of a parameter with one for each of `n` joints, (n,).
 
     Raises
@@ -226,7 +227,7 @@ def each(name: str, values: Sequence[Any], n: int) -> NDArray[Any]:
     return np.resize(np.array(values), n)
 
 
-def matrix(name: str, values: Sequence[float], n: int) -> NDArray[np.float64]:
+def matrix(name: str, values: Sequence[float], n: int) -> FloatArray:
     """Return the values of a parameter that is a matrix row by row, (n, n).
 
     Raises

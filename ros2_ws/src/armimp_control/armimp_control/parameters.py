@@ -6,9 +6,9 @@ from operator import attrgetter
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from armimp_common.arrays import FloatArray
 from armimp_common.realtime import SchedulingParameters
 from armimp_common.schema import PositiveVector, Schema, Vector, each, matrix, vector
 from armimp_common.topics import PERIOD
@@ -87,9 +87,9 @@ class ControllerParameters(Schema):
         cls,
         *,
         joints: tuple[str, ...],
-        posture: NDArray[np.float64],
-        robot_inertia: NDArray[np.float64],
-        arm_inertia: NDArray[np.float64],
+        posture: FloatArray,
+        robot_inertia: FloatArray,
+        arm_inertia: FloatArray,
         perturbation: int = 3,
         perturbation_kind: PerturbationKind = "noise",
         duration: float = 50.0,
@@ -215,15 +215,15 @@ class ControllerParameters(Schema):
             dynamics=self.known,
         )
 
-    def _vector(self, name: str) -> NDArray[np.float64]:
+    def _vector(self, name: str) -> FloatArray:
         return vector(name, attrgetter(name)(self), len(self.joints))
 
-    def _each(self, name: str) -> NDArray[np.float64]:
+    def _each(self, name: str) -> FloatArray:
         return each(name, attrgetter(name)(self), len(self.joints))
 
-    def _matrix(self, name: str) -> NDArray[np.float64]:
+    def _matrix(self, name: str) -> FloatArray:
         return matrix(name, attrgetter(name)(self), len(self.joints))
 
 
-def _flat(values: NDArray[np.float64]) -> Vector:
+def _flat(values: FloatArray) -> Vector:
     return tuple(float(value) for value in values.ravel())

@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from armimp_common.arrays import ComplexArray
+from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.compiled import compiled_entry
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import NonNegativeVector, PositiveVector, Schema
 from armimp_common.topics import RATE
 
-Array = NDArray[np.float64]
 _STREAM = 1  # keeps these random streams apart from that of the voluntary torque
 _LINES = 7  # and that of the lines of a multisine, which all trials have in common
 
@@ -54,13 +53,13 @@ class JointPrior:
     target: tuple[float, float, float]
     """Of the target impedance, with which the robot yields."""
 
-    def response(self, f: Array) -> ComplexArray:
+    def response(self, f: FloatArray) -> ComplexArray:
         """Angle over perturbation at frequencies (Hz), rad/(N·m)."""
         M, B, K = np.add(self.arm, self.target)
         s = 2j * np.pi * f
         return np.asarray(1.0 / ((M * s + B) * s + K))
 
-    def rms_angle(self, f: Array, power: Array) -> float:
+    def rms_angle(self, f: FloatArray, power: FloatArray) -> float:
         """Rms of the angle that torque of some power (N·m)² at each frequency makes, rad."""
         return float(np.sqrt(np.sum(power * np.abs(self.response(f)) ** 2)))
 
@@ -101,7 +100,7 @@ def perturbation(
     ticks: int,
     seed: int,
     prior: JointPrior | None = None,
-) -> Array:
+) -> FloatArray:
     """Signal τ_Δ of one trial; the same for the same arguments.
 
     A multisine goes on for as long as the trial lasts, from where it is nearest to zero.
@@ -150,7 +149,7 @@ def perturbation(
         f = np.asarray(np.fft.rfftfreq(signal.size, 1.0 / RATE), dtype=np.float64)
         power = 2.0 * np.abs(np.fft.rfft(signal) / signal.size) ** 2
         signal *= min(1.0, limit / prior.rms_angle(f, power))
-    repeated: Array = np.resize(signal, ticks)
+    repeated: FloatArray = np.resize(signal, ticks)
     return repeated
 
 
@@ -163,7 +162,7 @@ def _optimal(
     peak: float,
     angle: float,
     cutoff: float,
-) -> Array:
+) -> FloatArray:
     """One period of a multisine that tells most of the prior, scaled to its peak."""
     f = np.asarray(lines * (RATE / period), dtype=np.float64)
     torque = peak / _EXPECTED_CREST
@@ -177,7 +176,7 @@ def _optimal(
     return signal
 
 
-def disturbance(f: Array, cutoff: float) -> Array:
+def disturbance(f: FloatArray, cutoff: float) -> FloatArray:
     """Spectral density of what a person does, up to a factor: low-pass noise of second order.
 
     Beside tremor, sensors and the friction of a robot it doesn't go on to fall.
@@ -185,11 +184,11 @@ def disturbance(f: Array, cutoff: float) -> Array:
     return np.asarray(1.0 / (1.0 + (f / cutoff) ** 4) + _EVERYWHERE)
 
 
-def _covariance(slopes: ComplexArray, weights: Array) -> Array:
+def _covariance(slopes: ComplexArray, weights: FloatArray) -> FloatArray:
     return np.linalg.inv(((slopes * weights) @ slopes.conj().T).real)
 
 
-def _slopes(f: Array, prior: JointPrior, cutoff: float) -> tuple[ComplexArray, Array]:
+def _slopes(f: FloatArray, prior: JointPrior, cutoff: float) -> tuple[ComplexArray, FloatArray]:
     """Derivatives of Z by ln M, ln B and ln K, (3, n), and what the power of each line tells."""
     s = 2j * np.pi * f
     slopes = np.array(prior.arm)[:, None] * np.stack([s**2, s, np.ones_like(s)])
@@ -198,8 +197,8 @@ def _slopes(f: Array, prior: JointPrior, cutoff: float) -> tuple[ComplexArray, A
 
 
 def optimal_power(
-    f: Array, prior: JointPrior, *, torque: float, angle: float, cutoff: float, spread: float
-) -> Array:
+    f: FloatArray, prior: JointPrior, *, torque: float, angle: float, cutoff: float, spread: float
+) -> FloatArray:
     """Powers of the lines for which the worst relative error of M, B and K is least.
 
     While joint k is perturbed and the others are locked, its angle answers the perturbation by
@@ -284,8 +283,8 @@ def multisine_lines(
 
 
 def multisine(
-    lines: NDArray[np.intp], power: Array, period: int, random: np.random.Generator
-) -> Array:
+    lines: NDArray[np.intp], power: FloatArray, period: int, random: np.random.Generator
+) -> FloatArray:
     """One period of a multisine with a low crest factor.
 
     The phases begin at random; then, in turn, all beyond a level is clipped, and the amplitudes are
@@ -326,16 +325,16 @@ def multisine(
     spectrum = np.zeros(period // 2 + 1, dtype=np.complex128)
     spectrum[lines] = 0.5 * period * amplitudes * best
     signal = np.fft.irfft(spectrum, period)
-    begun: Array = np.roll(signal, -int(np.argmin(np.abs(signal))))
+    begun: FloatArray = np.roll(signal, -int(np.argmin(np.abs(signal))))
     return begun
 
 
-def crest_factor(signal: Array) -> float:
+def crest_factor(signal: FloatArray) -> float:
     """Largest absolute value over the rms."""
     return float(np.max(np.abs(signal)) / np.sqrt(np.mean(signal**2)))
 
 
-def butterworth(order: int, cutoff: float, rate: float) -> Array:
+def butterworth(order: int, cutoff: float, rate: float) -> FloatArray:
     """Second-order sections, as of ``scipy.signal.butter(order, cutoff, fs=rate, output="sos")``.
 
     To the bit. Importing `scipy.signal` takes longer than everything else that a run imports, and
@@ -376,7 +375,7 @@ def butterworth(order: int, cutoff: float, rate: float) -> Array:
 
 
 @compiled_entry
-def filtered(sections: Array, signal: Array) -> Array:
+def filtered(sections: FloatArray, signal: FloatArray) -> FloatArray:
     """Signal behind a filter that was at rest, as of ``scipy.signal.sosfilt``.
 
     Parameters

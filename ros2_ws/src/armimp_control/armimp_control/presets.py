@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray
 from armimp_common.sizes import JOINT_SIZES
 from armimp_common.topics import PERIOD
 from armimp_control.perturbation import PerturbationKind, PerturbationParameters
@@ -124,9 +124,7 @@ def safety(
     )
 
 
-def target(
-    robot_inertia: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def target(robot_inertia: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Diagonals (n,) of M_rd, B_rd and K_rd for a robot of M_r(θ_0) (n, n); SI units. Assumptions.
 
     For two joints they are those of the study's rig. For other numbers M_rd = 0.56·diag(M_r(θ_0)),
@@ -139,7 +137,7 @@ def target(
     return inertia, 10.0 * inertia, 100.0 * inertia
 
 
-def unknown_torque(joints: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def unknown_torque(joints: int) -> tuple[FloatArray, FloatArray]:
     """Rms change within a period that the observer expects, perturbed and locked, (n,) each, N·m.
 
     Assumptions, chosen by ``make research ARGS=controller``. Friction at a joint that reverses

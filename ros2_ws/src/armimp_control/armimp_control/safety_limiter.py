@@ -36,9 +36,9 @@ import math
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from armimp_common.arrays import FloatArray
 from armimp_common.compiled import compiled_entry, inlined
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import PositiveVector, Schema, each
@@ -146,7 +146,7 @@ class SafetyParameters(Schema):
         """Ticks in which a stop brings the torque to zero, from the control period L, s."""
         return max(math.floor(self.ramp_time / period + 1e-9), 1)
 
-    def rules(self, posture: NDArray[np.float64], period: float) -> NDArray[np.float64]:
+    def rules(self, posture: FloatArray, period: float) -> FloatArray:
         """What compiled code needs, (RULE_ROWS, n).
 
         Parameters
@@ -177,9 +177,7 @@ class SafetyParameters(Schema):
         return rows
 
 
-def fault_of(
-    journal: NDArray[np.float64], place: int, rules: NDArray[np.float64]
-) -> tuple[Cause, str]:
+def fault_of(journal: FloatArray, place: int, rules: FloatArray) -> tuple[Cause, str]:
     """A fault as a code, and in words with its joint (from 1), the value and the limit.
 
     Parameters
@@ -242,14 +240,14 @@ class SaturationCounter:
 
 
 @inlined
-def _note(journal: NDArray[np.float64], place: int, cause: int, joint: int, value: float) -> None:
+def _note(journal: FloatArray, place: int, cause: int, joint: int, value: float) -> None:
     journal[place] = cause
     journal[place + 1] = joint
     journal[place + 2] = value
 
 
 @inlined
-def _stop(journal: NDArray[np.float64], ticks: float, cause: int, joint: int, value: float) -> None:
+def _stop(journal: FloatArray, ticks: float, cause: int, joint: int, value: float) -> None:
     """Let no command through any more; the first cause stays, and a ramp never gets longer."""
     if journal[STOPPED] == 0.0:
         journal[STOPPED] = 1.0
@@ -260,14 +258,14 @@ def _stop(journal: NDArray[np.float64], ticks: float, cause: int, joint: int, va
 
 
 @inlined
-def copy_values(values: NDArray[np.float64], to: NDArray[np.float64]) -> None:
+def copy_values(values: FloatArray, to: FloatArray) -> None:
     """Copy (n,) values. A slice assignment would take 2.5 s more to compile, for its errors."""
     for i in range(values.size):
         to[i] = values[i]
 
 
 @inlined
-def _first_bad(values: NDArray[np.float64]) -> int:
+def _first_bad(values: FloatArray) -> int:
     """Index of the first value that is not finite; -1 if there is none."""
     for i in range(values.size):
         if not abs(values[i]) < np.inf:
@@ -277,11 +275,7 @@ def _first_bad(values: NDArray[np.float64]) -> int:
 
 @inlined
 def _remember(
-    theta: NDArray[np.float64],
-    rules: NDArray[np.float64],
-    period: float,
-    memory: NDArray[np.float64],
-    journal: NDArray[np.float64],
+    theta: FloatArray, rules: FloatArray, period: float, memory: FloatArray, journal: FloatArray
 ) -> None:
     """Work out excursions and velocities of a finite sample, and keep it."""
     samples = int(journal[SAMPLES])
@@ -296,13 +290,13 @@ def _remember(
 
 @inlined
 def check_sample(
-    theta: NDArray[np.float64],
-    tau_h: NDArray[np.float64],
-    tau_delta: NDArray[np.float64],
-    rules: NDArray[np.float64],
+    theta: FloatArray,
+    tau_h: FloatArray,
+    tau_delta: FloatArray,
+    rules: FloatArray,
     period: float,
-    memory: NDArray[np.float64],
-    journal: NDArray[np.float64],
+    memory: FloatArray,
+    journal: FloatArray,
 ) -> bool:
     """Check a sample before anything of it is used.
 
@@ -338,22 +332,14 @@ def check_sample(
 
 
 @inlined
-def _clip(
-    command: NDArray[np.float64],
-    i: int,
-    value: float,
-    number: int,
-    journal: NDArray[np.float64],
-) -> None:
+def _clip(command: FloatArray, i: int, value: float, number: int, journal: FloatArray) -> None:
     if command[i] != value:
         command[i] = value
         journal[CLIPPED + number] += 1.0
 
 
 @inlined
-def _within_torque(
-    command: NDArray[np.float64], rules: NDArray[np.float64], journal: NDArray[np.float64]
-) -> int:
+def _within_torque(command: FloatArray, rules: FloatArray, journal: FloatArray) -> int:
     """Give all joints less in proportion, if one is asked for more than its limit.
 
     Returns the joint with which that means a stop; else -1.
@@ -376,10 +362,7 @@ def _within_torque(
 
 @inlined
 def _limit(
-    command: NDArray[np.float64],
-    rules: NDArray[np.float64],
-    memory: NDArray[np.float64],
-    journal: NDArray[np.float64],
+    command: FloatArray, rules: FloatArray, memory: FloatArray, journal: FloatArray
 ) -> tuple[int, int, float]:
     """Bring a finite command within the limits.
 
@@ -413,12 +396,7 @@ def _limit(
 
 
 @inlined
-def _ramp(
-    command: NDArray[np.float64],
-    rules: NDArray[np.float64],
-    memory: NDArray[np.float64],
-    journal: NDArray[np.float64],
-) -> None:
+def _ramp(command: FloatArray, rules: FloatArray, memory: FloatArray, journal: FloatArray) -> None:
     """One tick of the way down to zero: a straight line, or less where the power says so."""
     remaining = journal[REMAINING]
     share = (remaining - 1.0) / remaining if remaining > 1.0 else 0.0
@@ -432,10 +410,7 @@ def _ramp(
 
 @inlined
 def limit_command(
-    command: NDArray[np.float64],
-    rules: NDArray[np.float64],
-    memory: NDArray[np.float64],
-    journal: NDArray[np.float64],
+    command: FloatArray, rules: FloatArray, memory: FloatArray, journal: FloatArray
 ) -> int:
     """Limit a command before it is sent; :func:`check_sample` has checked its sample.
 
@@ -472,9 +447,7 @@ def limit_command(
 
 
 @compiled_entry
-def stop_commands(
-    ticks: int, fault: bool, memory: NDArray[np.float64], journal: NDArray[np.float64]
-) -> None:
+def stop_commands(ticks: int, fault: bool, memory: FloatArray, journal: FloatArray) -> None:
     """Let no command through any more, for a reason that the caller knows.
 
     Parameters
@@ -493,11 +466,7 @@ def stop_commands(
 
 @compiled_entry
 def continue_ramp(
-    ticks: int,
-    command: NDArray[np.float64],
-    rules: NDArray[np.float64],
-    memory: NDArray[np.float64],
-    journal: NDArray[np.float64],
+    ticks: int, command: FloatArray, rules: FloatArray, memory: FloatArray, journal: FloatArray
 ) -> None:
     """Go on with the ramp after a stop where no samples come.
 

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from armimp_common.arrays import FloatArray
 from armimp_common.schema import Schema
 from armimp_common.status import Phase
 from armimp_common.topics import PERIOD
@@ -58,7 +58,7 @@ class TareParameters(Schema):
         """Ticks of waiting and reading together, 0 without a tare."""
         return round((self.wait + self.duration) / PERIOD) if self.duration else 0
 
-    def of(self, torque: NDArray[np.float64]) -> Tare:
+    def of(self, torque: FloatArray) -> Tare:
         """Tare from the torques (n, ticks) since all joints are held, N·m.
 
         The readings after the wait are cut into four parts of equal length. Of each the mean is

@@ -8,8 +8,8 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray
 from armimp_common.status import NOTICE_TICKS, Cause, Phase, StoppingDecision, TrialStatus
 from armimp_common.topics import PERIOD, PERIOD_NS, clock_step
 from armimp_control.laws.law import Controller
@@ -60,7 +60,7 @@ class TrialSequencer:
         self._due: int | None = None
         self._start_ns: int | None = None
         self._next_ns: int | None = None  # stamp that is expected
-        self._signal: NDArray[np.float64] = np.zeros(0)
+        self._signal: FloatArray = np.zeros(0)
         # In lockstep made when its trial begins, as memory is worth more there than time.
         prepared = range(n) if parameters.mode == "realtime" else ()
         self._signals = {joint: self._make_signal(joint) for joint in prepared}
@@ -240,7 +240,7 @@ class TrialSequencer:
         made = self._signals.get(settle.joint)
         self._signal = self._make_signal(settle.joint) if made is None else made
 
-    def _make_signal(self, joint: int) -> NDArray[np.float64]:
+    def _make_signal(self, joint: int) -> FloatArray:
         return perturbation(
             self._parameters.perturbation,
             joint=joint,

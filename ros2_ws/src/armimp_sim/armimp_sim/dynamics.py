@@ -15,8 +15,8 @@ state θ, v, z; input τ, d; parameters; work space.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray
 from armimp_common.compiled import compiled, compiled_entry
 from armimp_sim.model.friction import bristle_force, lugre
 from armimp_sim.simd import Tag, fill, load, sine_cosine, store
@@ -54,12 +54,12 @@ def width_for(lanes: int) -> int:
 
 
 @compiled
-def _get(w: NDArray[np.float64], block: int, row: int, width: Tag) -> float:
+def _get(w: FloatArray, block: int, row: int, width: Tag) -> float:
     return load(w, block * w.shape[1] + row * len(width), width)
 
 
 @compiled
-def _put(w: NDArray[np.float64], block: int, row: int, width: Tag, value: float) -> None:
+def _put(w: FloatArray, block: int, row: int, width: Tag, value: float) -> None:
     store(w, block * w.shape[1] + row * len(width), value)
 
 
@@ -69,7 +69,7 @@ def _matrix_row(which: int, i: int, j: int, n: int) -> int:
 
 
 @compiled
-def _kinematics(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
+def _kinematics(w: FloatArray, block: int, joints: Tag, width: Tag) -> None:
     """Sines and cosines of the absolute link angles, and squared absolute rates."""
     n = len(joints)
     # The dynamics depend on angle differences only: the first link may stand at zero.
@@ -88,7 +88,7 @@ def _kinematics(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> 
 
 
 @compiled
-def _bristle_force(w: NDArray[np.float64], block: int, i: int, n: int, width: Tag) -> float:
+def _bristle_force(w: FloatArray, block: int, i: int, n: int, width: Tag) -> float:
     """LuGre's g(v) of joint i."""
     return bristle_force(
         _get(w, block, VELOCITY * n + i, width),
@@ -99,7 +99,7 @@ def _bristle_force(w: NDArray[np.float64], block: int, i: int, n: int, width: Ta
 
 
 @compiled
-def _friction(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
+def _friction(w: FloatArray, block: int, joints: Tag, width: Tag) -> None:
     """Slope of the bristle deflection, and −F into the right-hand side."""
     n = len(joints)
     for i in range(n):
@@ -116,7 +116,7 @@ def _friction(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> No
 
 
 @compiled
-def _arm(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
+def _arm(w: FloatArray, block: int, joints: Tag, width: Tag) -> None:
     """Take B_h θ̇ + K_h (θ − θ_0) + d from the right-hand side."""
     n = len(joints)
     for i in range(n):
@@ -132,7 +132,7 @@ def _arm(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
 
 
 @compiled
-def _links(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
+def _links(w: FloatArray, block: int, joints: Tag, width: Tag) -> None:
     """Inertia and centripetal torque of the chain in absolute link angles φ.
 
     There the kinetic energy is ½ Σ_ab A_ab cos(φ_a − φ_b) φ̇_a φ̇_b with constant A. Since
@@ -153,7 +153,7 @@ def _links(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
 
 
 @compiled
-def _drive(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
+def _drive(w: FloatArray, block: int, joints: Tag, width: Tag) -> None:
     """Add τ − C θ̇ to the right-hand side."""
     n = len(joints)
     outwards = fill(0.0, width)
@@ -164,7 +164,7 @@ def _drive(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
 
 
 @compiled
-def _masses(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
+def _masses(w: FloatArray, block: int, joints: Tag, width: Tag) -> None:
     """M_r(θ) + M_h from the inertia of the links: sums over columns, then over rows."""
     n = len(joints)
     first, arm = _matrix_row(_MASS, 0, 0, n), _matrix_row(INERTIA, 0, 0, n)
@@ -178,13 +178,13 @@ def _masses(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None
 
 
 @compiled
-def _accumulate(w: NDArray[np.float64], block: int, row: int, other: int, width: Tag) -> None:
+def _accumulate(w: FloatArray, block: int, row: int, other: int, width: Tag) -> None:
     """Add one quantity to another."""
     _put(w, block, row, width, _get(w, block, row, width) + _get(w, block, other, width))
 
 
 @compiled
-def _solve(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
+def _solve(w: FloatArray, block: int, joints: Tag, width: Tag) -> None:
     """θ̈ = (M_r + M_h)⁻¹ rhs by elimination.
 
     No pivoting: configuration checks that the symmetric part is positive definite, for which
@@ -215,7 +215,7 @@ def _solve(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
 
 
 @compiled
-def _slopes(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
+def _slopes(w: FloatArray, block: int, joints: Tag, width: Tag) -> None:
     """Time derivatives of v and z at the present state (that of θ is v itself)."""
     _kinematics(w, block, joints, width)
     _friction(w, block, joints, width)
@@ -227,7 +227,7 @@ def _slopes(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None
 
 
 @compiled
-def rk4_step(w: NDArray[np.float64], block: int, joints: Tag, width: Tag, h: float) -> None:
+def rk4_step(w: FloatArray, block: int, joints: Tag, width: Tag, h: float) -> None:
     """One classical Runge–Kutta step of length h with constant command."""
     n = len(joints)
     for row in range(3 * n):
@@ -253,7 +253,7 @@ def rk4_step(w: NDArray[np.float64], block: int, joints: Tag, width: Tag, h: flo
 
 
 @compiled
-def sample_block(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
+def sample_block(w: FloatArray, block: int, joints: Tag, width: Tag) -> None:
     """TORQUE = M_h θ̈ + B_h θ̇ + K_h (θ − θ_0) + d in one block, as :func:`sample_now`."""
     n = len(joints)
     _slopes(w, block, joints, width)
@@ -272,14 +272,14 @@ def sample_block(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) ->
 
 
 @compiled_entry
-def sample_now(w: NDArray[np.float64], joints: Tag, width: Tag) -> None:
+def sample_now(w: FloatArray, joints: Tag, width: Tag) -> None:
     """Torque on the arm at this instant, N·m, under the command still in force, into TORQUE."""
     for block in range(w.shape[0]):
         sample_block(w, block, joints, width)
 
 
 @compiled_entry
-def advance(w: NDArray[np.float64], joints: Tag, width: Tag, steps: int, h: float) -> None:
+def advance(w: FloatArray, joints: Tag, width: Tag, steps: int, h: float) -> None:
     """Advance all lanes by ``steps`` RK4 steps of ``h`` seconds, then sample the torque.
 
     Parameters
@@ -306,7 +306,7 @@ def place(lane: int, row: int, width: int) -> tuple[int, int]:
 
 
 @compiled_entry
-def stiffness_ratio(w: NDArray[np.float64], joints: Tag, width: Tag, h: float) -> float:
+def stiffness_ratio(w: FloatArray, joints: Tag, width: Tag, h: float) -> float:
     """Largest h·σ0|v|/g(v) of all joints and lanes, for the step-stability check.
 
     Parameters

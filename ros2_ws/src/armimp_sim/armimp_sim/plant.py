@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray
 from armimp_common.compiled import compiled_entry
 from armimp_common.errors import ArmimpError, ConfigurationError
 from armimp_common.topics import PERIOD
@@ -28,7 +28,7 @@ class IntegrationError(ArmimpError):
 class Batch(NamedTuple):
     """A batch of plants as compiled code takes it."""
 
-    w: NDArray[np.float64]
+    w: FloatArray
     joints: Tag
     width: Tag
     """As in :mod:`armimp_sim.dynamics`."""
@@ -37,10 +37,10 @@ class Batch(NamedTuple):
     """Number and length (s) of the RK4 steps of a period."""
     interval_mean: bool
     """Whether torque is the mean over the period."""
-    resolutions: NDArray[np.float64]
+    resolutions: FloatArray
     """(lanes, 2) of encoders, rad, and torque transducers, N·m."""
-    position: NDArray[np.float64]
-    torque: NDArray[np.float64]
+    position: FloatArray
+    torque: FloatArray
     """(lanes, n) readings, rad and N·m."""
 
 
@@ -105,10 +105,7 @@ class Plant:
         self._sample()
 
     def tick(
-        self,
-        command: NDArray[np.float64],
-        voluntary: NDArray[np.float64],
-        noise: NDArray[np.float64] | None = None,
+        self, command: FloatArray, voluntary: FloatArray, noise: FloatArray | None = None
     ) -> None:
         """Hold the inputs for one period, then read the sensors.
 
@@ -136,12 +133,12 @@ class Plant:
             raise ValueError(f"plant: noise {noise.shape} must be {self._noise.shape}")
         check_ratio(tick(self.batch, self.real, command, voluntary, noise), self.batch.step)
 
-    def state(self) -> NDArray[np.float64]:
+    def state(self) -> FloatArray:
         """Exact (θ, v, z) of every lane: (lanes, 3, n), 2n with a soft cuff. A copy."""
         n, lanes = len(self.batch.joints), len(self.position)
         return np.array([self._of_lane(lane)[: 3 * n].reshape(3, n) for lane in range(lanes)])
 
-    def set_state(self, state: NDArray[np.float64]) -> None:
+    def set_state(self, state: FloatArray) -> None:
         """Put the plants into the given state, and read the sensors anew.
 
         Filters have seen the present torque for long, drives have no torque, drifts begin.
@@ -152,10 +149,10 @@ class Plant:
             now[...] = first
         self._sample()
 
-    def _of_lane(self, lane: int) -> NDArray[np.float64]:
+    def _of_lane(self, lane: int) -> FloatArray:
         """All quantities of one lane, a view."""
         blocks, width = len(self.batch.w), len(self.batch.width)
-        of_lane: NDArray[np.float64] = self.batch.w.reshape(blocks, -1, width)[
+        of_lane: FloatArray = self.batch.w.reshape(blocks, -1, width)[
             lane // width, :, lane % width
         ]
         return of_lane
@@ -200,7 +197,7 @@ def check_ratio(ratio: float, step: float) -> None:
     )
 
 
-def _pack(config: SimulatorParameters) -> NDArray[np.float64]:
+def _pack(config: SimulatorParameters) -> FloatArray:
     """All rows of one lane, at rest in the posture."""
     n = config.arm.joints
     inertia, damping, stiffness, chain = config.coordinates()
@@ -242,9 +239,9 @@ def read(batch: Batch) -> None:
 def tick(
     batch: Batch,
     real: RealRig | None,
-    command: NDArray[np.float64],
-    voluntary: NDArray[np.float64],
-    noise: NDArray[np.float64],
+    command: FloatArray,
+    voluntary: FloatArray,
+    noise: FloatArray,
 ) -> float:
     """One period of all lanes: hold the inputs, integrate, read.
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray
 from armimp_common.sizes import JOINT_SIZES
 from armimp_sim.model.arm import CuffParameters, HumanArm
 from armimp_sim.model.friction import LuGre
@@ -15,7 +15,7 @@ from armimp_sim.model.sensors import ReadingParameters, Sampling, SensorParamete
 from armimp_sim.voluntary import VoluntaryParameters
 
 
-def _flat(values: NDArray[np.float64]) -> tuple[float, ...]:
+def _flat(values: FloatArray) -> tuple[float, ...]:
     return tuple(values.ravel().tolist())
 
 
@@ -173,7 +173,7 @@ def _even_robot(joints: int) -> PlanarChain:
     )
 
 
-def _posture(joints: int) -> NDArray[np.float64]:
+def _posture(joints: int) -> FloatArray:
     rest = joints - 1
     return np.radians([_FIRST] + [_BEND / rest] * rest)
 

@@ -14,16 +14,14 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray, IntArray
 from armimp_common.compiled import compiled, compiled_entry
 from armimp_sim import dynamics
 from armimp_sim.model.arm import ReflexParameters
 from armimp_sim.model.sensors import ORDERS, ReadingParameters, quantise
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.simd import Tag
-
-Floats = NDArray[np.float64]
 
 ANGLE, TORQUE, REFLEX = 0, 1, 2
 """Kinds of channels."""
@@ -58,21 +56,21 @@ _GROWTH = _CHANNELS + 3 * _CHANNEL
 class RealRig(NamedTuple):
     """L lanes with n joints as compiled code takes them: what they are, and what they remember."""
 
-    rows: Floats
+    rows: FloatArray
     """(L, n, …) what is needed at every step; columns are above."""
-    commands: Floats
+    commands: FloatArray
     """(L, n, periods) of the last periods, N·m."""
-    past: Floats
+    past: FloatArray
     """(L, n, 3, steps) of each channel, in the units of the signal."""
-    clock: NDArray[np.int64]
+    clock: IntArray
     """(1,) steps taken."""
-    mix: Floats
+    mix: FloatArray
     """(L, 2, n, n) gain with cross-talk of the readings of angles and torques."""
-    added: Floats
+    added: FloatArray
     """(L, 2, n, 2) offset and drift, rad or N·m, and that per second."""
-    chain: Floats
+    chain: FloatArray
     """(L, 2, 5) amplitude and angular frequency of hum, half the hysteresis, limit, resolution."""
-    played: Floats
+    played: FloatArray
     """(L, 2, n) readings as far as hysteresis lets them follow."""
 
 
@@ -101,12 +99,12 @@ def real_rig(configs: Sequence[SimulatorParameters], step: float) -> RealRig | N
     )
 
 
-def _mix(reading: ReadingParameters, n: int) -> Floats:
-    shares: Floats = np.where(np.eye(n) > 0.0, 1.0, reading.cross_talk)
+def _mix(reading: ReadingParameters, n: int) -> FloatArray:
+    shares: FloatArray = np.where(np.eye(n) > 0.0, 1.0, reading.cross_talk)
     return np.resize(reading.gain, n)[:, None] * shares
 
 
-def _added(reading: ReadingParameters, n: int) -> Floats:
+def _added(reading: ReadingParameters, n: int) -> FloatArray:
     return np.stack([np.resize(reading.offset, n), np.resize(reading.drift, n)], axis=1)
 
 
@@ -115,7 +113,7 @@ def _chain(reading: ReadingParameters) -> tuple[float, ...]:
     return reading.hum, speed, band, reading.limit or np.inf, reading.resolution
 
 
-def _fill(rows: Floats, config: SimulatorParameters, step: float) -> None:
+def _fill(rows: FloatArray, config: SimulatorParameters, step: float) -> None:
     """Put what a rig is into the rows of its joints."""
     drive, reflex, muscle = config.actuators, config.reflex, config.muscle
     over = step / drive.lag if drive.lag else np.inf
@@ -149,7 +147,7 @@ def _fill(rows: Floats, config: SimulatorParameters, step: float) -> None:
         rows[:, at + _LOW_PASS : at + _LOW_PASS + low_pass.size] = low_pass.ravel()
 
 
-def _butterworth(reading: ReadingParameters, step: float) -> Floats:
+def _butterworth(reading: ReadingParameters, step: float) -> FloatArray:
     if not reading.cutoff:
         return np.zeros((0, _WIDE))
     # Where there is no low-pass, nobody has to wait for this import.
@@ -160,7 +158,7 @@ def _butterworth(reading: ReadingParameters, step: float) -> Floats:
     return _stepwise(a, b, c, step)
 
 
-def _muscle(reflex: ReflexParameters, step: float) -> Floats:
+def _muscle(reflex: ReflexParameters, step: float) -> FloatArray:
     """ω²/(s² + 2ζωs + ω²)."""
     if reflex.none:
         return np.zeros((0, _WIDE))
@@ -169,7 +167,7 @@ def _muscle(reflex: ReflexParameters, step: float) -> Floats:
     return _stepwise(a, np.array([[0.0], [square]]), np.array([[1.0, 0.0]]), step)
 
 
-def _stepwise(a: Floats, b: Floats, c: Floats, step: float) -> Floats:
+def _stepwise(a: FloatArray, b: FloatArray, c: FloatArray, step: float) -> FloatArray:
     """Rows of the states of a linear system for a signal that is linear over a step, s."""
     from scipy.linalg import expm
 
@@ -189,19 +187,19 @@ def _stepwise(a: Floats, b: Floats, c: Floats, step: float) -> Floats:
 
 
 @compiled
-def _lanes(block: int, width: Tag, rows: Floats) -> tuple[int, int]:
+def _lanes(block: int, width: Tag, rows: FloatArray) -> tuple[int, int]:
     """First lane of a block, and the one after its last."""
     first = block * len(width)
     return first, min(first + len(width), rows.shape[0])
 
 
 @compiled
-def _angle(w: Floats, lane: int, i: int, joints: Tag, width: Tag) -> float:
+def _angle(w: FloatArray, lane: int, i: int, joints: Tag, width: Tag) -> float:
     return float(w[dynamics.place(lane, dynamics.THETA * len(joints) + i, len(width))])
 
 
 @compiled
-def _stretch(w: Floats, lane: int, i: int, joints: Tag, width: Tag) -> float:
+def _stretch(w: FloatArray, lane: int, i: int, joints: Tag, width: Tag) -> float:
     """Angle of coordinate i from the posture."""
     posture = w[dynamics.place(lane, dynamics.POSTURE * len(joints) + i, len(width))]
     return float(_angle(w, lane, i, joints, width) - posture)
@@ -209,7 +207,7 @@ def _stretch(w: Floats, lane: int, i: int, joints: Tag, width: Tag) -> float:
 
 @compiled
 def _drive(
-    w: Floats, lane: int, i: int, joints: Tag, width: Tag, row: Floats, torque: float
+    w: FloatArray, lane: int, i: int, joints: Tag, width: Tag, row: FloatArray, torque: float
 ) -> None:
     """Put the torque of a current loop on its joint, with ripple and cogging."""
     if row[_RIPPLE] > 0.0 or row[_COGGING] > 0.0:
@@ -221,12 +219,12 @@ def _drive(
 
 @compiled
 def _effort(
-    w: Floats,
+    w: FloatArray,
     lane: int,
     joints: Tag,
     width: Tag,
-    rows: Floats,
-    past: Floats,
+    rows: FloatArray,
+    past: FloatArray,
     now: int,
     seconds: float,
 ) -> None:
@@ -248,12 +246,12 @@ def _effort(
 
 @compiled
 def _load(
-    w: Floats,
+    w: FloatArray,
     block: int,
     joints: Tag,
     width: Tag,
-    rows: Floats,
-    past: Floats,
+    rows: FloatArray,
+    past: FloatArray,
     now: int,
     h: float,
 ) -> None:
@@ -269,7 +267,7 @@ def _load(
 
 @compiled
 def _signal(
-    w: Floats, lane: int, kind: int, i: int, joints: Tag, width: Tag, rows: Floats
+    w: FloatArray, lane: int, kind: int, i: int, joints: Tag, width: Tag, rows: FloatArray
 ) -> float:
     """What enters a channel at this instant."""
     n, m = len(joints), len(width)
@@ -284,7 +282,7 @@ def _signal(
 
 
 @compiled
-def _pass(row: Floats, past: Floats, kind: int, at: int, signal: float, mean: bool) -> None:
+def _pass(row: FloatArray, past: FloatArray, kind: int, at: int, signal: float, mean: bool) -> None:
     """Let a channel go on by a step, at the end of which is the signal; the past may be of means.
 
     `past` is that of the joint, (3, steps).
@@ -312,7 +310,7 @@ def _pass(row: Floats, past: Floats, kind: int, at: int, signal: float, mean: bo
 
 
 @compiled_entry
-def settle(w: Floats, joints: Tag, width: Tag, rig: RealRig, h: float) -> None:
+def settle(w: FloatArray, joints: Tag, width: Tag, rig: RealRig, h: float) -> None:
     """Sample a rig that has stood still for long, with the torque of its drives as it is.
 
     Parameters
@@ -341,7 +339,13 @@ def settle(w: Floats, joints: Tag, width: Tag, rig: RealRig, h: float) -> None:
 
 @compiled
 def _take_inputs(
-    w: Floats, block: int, joints: Tag, width: Tag, rows: Floats, commands: Floats, tick: int
+    w: FloatArray,
+    block: int,
+    joints: Tag,
+    width: Tag,
+    rows: FloatArray,
+    commands: FloatArray,
+    tick: int,
 ) -> None:
     """Take commands and voluntary torques of the present period."""
     n, m = rows.shape[1], len(width)
@@ -358,13 +362,13 @@ def _take_inputs(
 
 @compiled
 def _begin(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
-    w: Floats,
+    w: FloatArray,
     block: int,
     joints: Tag,
     width: Tag,
-    rows: Floats,
-    commands: Floats,
-    past: Floats,
+    rows: FloatArray,
+    commands: FloatArray,
+    past: FloatArray,
     steps: int,
     now: int,
     h: float,
@@ -392,7 +396,7 @@ def _begin(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
 
 
 @compiled
-def _follow(w: Floats, block: int, joints: Tag, width: Tag, rows: Floats) -> None:
+def _follow(w: FloatArray, block: int, joints: Tag, width: Tag, rows: FloatArray) -> None:
     """Drives go on by a step; COMMAND is the mean of their torque over it."""
     first, last = _lanes(block, width, rows)
     for lane in range(first, last):
@@ -405,12 +409,12 @@ def _follow(w: Floats, block: int, joints: Tag, width: Tag, rows: Floats) -> Non
 
 @compiled
 def _end(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
-    w: Floats,
+    w: FloatArray,
     block: int,
     joints: Tag,
     width: Tag,
-    rows: Floats,
-    past: Floats,
+    rows: FloatArray,
+    past: FloatArray,
     now: int,
     h: float,
     mean: bool,
@@ -438,7 +442,7 @@ def _end(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
 
 @compiled_entry
 def advance(
-    w: Floats, joints: Tag, width: Tag, steps: int, h: float, interval_mean: bool, rig: RealRig
+    w: FloatArray, joints: Tag, width: Tag, steps: int, h: float, interval_mean: bool, rig: RealRig
 ) -> None:
     """As :func:`armimp_sim.dynamics.advance`, for a real rig.
 
@@ -462,7 +466,7 @@ def advance(
 
 @compiled_entry
 def read(
-    rig: RealRig, count: int, h: float, noise: Floats, position: Floats, torque: Floats
+    rig: RealRig, count: int, h: float, noise: FloatArray, position: FloatArray, torque: FloatArray
 ) -> None:
     """Readings of the present sample.
 
@@ -501,7 +505,7 @@ def read(
 
 
 @compiled
-def _mean(past: Floats, newest: int, count: int) -> float:
+def _mean(past: FloatArray, newest: int, count: int) -> float:
     """Mean of the last values of a channel up to one of them."""
     total = 0.0
     for back in range(count):

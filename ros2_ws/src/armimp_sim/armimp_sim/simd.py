@@ -20,9 +20,8 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
-from numpy import float64
-from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray
 from armimp_common.compiled import compiled
 
 Tag = tuple[float, ...]
@@ -191,9 +190,9 @@ def _power_of_two_typed(_typing: Any, kind: Any) -> Any:
     return kind(kind), codegen
 
 
-load = cast("Callable[[NDArray[float64], int, Tag], float]", intrinsic(_load_typed))
+load = cast("Callable[[FloatArray, int, Tag], float]", intrinsic(_load_typed))
 """Numbers of a C-contiguous array from a flat index on, as many as the tag has elements."""
-store = cast("Callable[[NDArray[float64], int, float], None]", intrinsic(_store_typed))
+store = cast("Callable[[FloatArray, int, float], None]", intrinsic(_store_typed))
 """Put the numbers of a value into a C-contiguous array from a flat index on."""
 fill = cast("Callable[[float, Tag], float]", intrinsic(_fill_typed))
 """One float in every lane."""

@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray
 from armimp_common.protection import WATCHDOG_PERIODS, CommandWatch, TorqueLatch, first_bad
 from armimp_common.realtime import Pacer, TimingMeter, wake_up_exactly
 from armimp_common.status import TimingFigures
@@ -49,8 +49,8 @@ class SimulatedRig(TorqueLatch):
         joints = len(parameters.joints)
         super().__init__(joints)
         self._plant = Plant([parameters])
-        self.position: NDArray[np.float64] = self._plant.position[0]
-        self.torque: NDArray[np.float64] = self._plant.torque[0]
+        self.position: FloatArray = self._plant.position[0]
+        self.torque: FloatArray = self._plant.torque[0]
         seed = parameters.seed
         self._voluntary = voluntary_torque(parameters.voluntary, joints=joints, seed=seed)
         self._noise = reading_noise(parameters.sensors, joints=joints, seed=seed)

@@ -6,9 +6,9 @@ import functools
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from armimp_common.arrays import FloatArray
 from armimp_common.schema import Schema
 from armimp_common.topics import RATE
 from armimp_sim.model.sensors import SensorParameters
@@ -52,20 +52,20 @@ class VoluntaryParameters(Schema):
 
 
 @functools.lru_cache(maxsize=16)
-def band_filter(edges: tuple[float, ...]) -> tuple[NDArray[np.float64], float]:
+def band_filter(edges: tuple[float, ...]) -> tuple[FloatArray, float]:
     """Second-order sections, and the rms with which white noise of rms 1 leaves them (Parseval)."""
     # Where nobody asks for this torque, nobody waits for the import, which takes 0.6 s.
     from scipy import signal
 
     kind, at = ("low", edges[0]) if len(edges) == 1 else ("band", edges)
-    sos: NDArray[np.float64] = signal.butter(2, at, kind, fs=RATE, output="sos")
+    sos: FloatArray = signal.butter(2, at, kind, fs=RATE, output="sos")
     _, response = signal.freqz_sos(sos, worN=1 << 18)
     return sos, float(np.sqrt(np.mean(np.abs(response) ** 2)))
 
 
 def _blocks(
     rms: Sequence[float], *, seed: int, stream: int, edges: tuple[float, ...] = ()
-) -> Iterator[NDArray[np.float64]]:
+) -> Iterator[FloatArray]:
     """Gaussian noise with these rms in its columns, block after block; white without edges (Hz)."""
     strength = np.array(rms)
     random = np.random.default_rng(np.random.SeedSequence([seed, stream]))
@@ -91,13 +91,11 @@ class Noise:
     shape : of the array
     """
 
-    def __init__(
-        self, sources: Sequence[Iterator[NDArray[np.float64]]], shape: tuple[int, ...]
-    ) -> None:
+    def __init__(self, sources: Sequence[Iterator[FloatArray]], shape: tuple[int, ...]) -> None:
         self._sources, self._shape = sources, shape
         self._left = np.zeros((0, *shape))
 
-    def take(self, ticks: int) -> NDArray[np.float64]:
+    def take(self, ticks: int) -> FloatArray:
         """Values (ticks, *shape) of the next ticks; independent of how the stream is cut."""
         if not self._sources:
             return np.zeros((ticks, *self._shape))

@@ -8,8 +8,8 @@ from enum import Enum
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray
 from armimp_common.topics import JOINT_STATES, TORQUE_SENSORS, VALUE_FIELD
 
 SENSOR_TOPICS = (JOINT_STATES, TORQUE_SENSORS)
@@ -83,8 +83,8 @@ class Push(NamedTuple):
 
     joint: int  # from 0
     torque: float  # N·m
-    moved: NDArray[np.float64]  # mean change of each angle in its second half (n,), rad
-    still: NDArray[np.float64]  # change of each angle that is no motion (n,), rad
+    moved: FloatArray  # mean change of each angle in its second half (n,), rad
+    still: FloatArray  # change of each angle that is no motion (n,), rad
     delay: int | None  # samples until the reading of torque answered; None if it did not
     change: float = 0.0  # by how much it then did, N·m
     back: float = 0.0  # by how much the joint went back after the push, rad
@@ -134,9 +134,7 @@ class Record:
     moves: Moves = field(default_factory=Moves)
 
 
-def readings(
-    joints: Sequence[str], topic: str, messages: Sequence[Message | None]
-) -> NDArray[np.float64]:
+def readings(joints: Sequence[str], topic: str, messages: Sequence[Message | None]) -> FloatArray:
     """Return the readings (n, N) of a stream by expected joint, of whole messages only.
 
     A message is whole if it has the expected joints, in any order, and as many values.
@@ -148,17 +146,12 @@ def readings(
         values: tuple[float, ...] = getattr(message, VALUE_FIELD[topic])
         if len(values) == len(joints):
             columns.append([values[message.names.index(joint)] for joint in joints])
-    found: NDArray[np.float64] = np.array(columns).reshape(-1, len(joints)).T
+    found: FloatArray = np.array(columns).reshape(-1, len(joints)).T
     return found
 
 
 def measure(
-    joint: int,
-    torque: float,
-    angles: NDArray[np.float64],
-    torques: NDArray[np.float64],
-    begin: int,
-    end: int,
+    joint: int, torque: float, angles: FloatArray, torques: FloatArray, begin: int, end: int
 ) -> Push:
     """See what a torque did.
 
@@ -187,11 +180,11 @@ def measure(
     )
 
 
-def _noise(values: NDArray[np.float64], rest: slice) -> NDArray[np.float64]:
+def _noise(values: FloatArray, rest: slice) -> FloatArray:
     """Change (n,) of readings (n, N) that is no noise: five sigma at rest, and over one count."""
     changes = np.abs(np.diff(np.sort(values, axis=1), axis=1))
     count = np.array([np.min(row[row > 1e-9], initial=np.inf) for row in changes])
     # Unquantised readings have steps of any size; those of noise are below five sigma anyway.
     count = np.where(np.isfinite(count), count, 0.0)
-    noise: NDArray[np.float64] = np.maximum(_SIGMAS * np.std(values[:, rest], axis=1), 1.5 * count)
+    noise: FloatArray = np.maximum(_SIGMAS * np.std(values[:, rest], axis=1), 1.5 * count)
     return noise

@@ -14,7 +14,6 @@ from functools import partial
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armimp_bringup.config import CheckOptions
 from armimp_bringup.driver_check import (
@@ -32,6 +31,7 @@ from armimp_bringup.driver_check.conversation import Conversation, MotionGuard, 
 from armimp_bringup.graph import GraphContext
 from armimp_bringup.terminal import Display
 from armimp_common import topics
+from armimp_common.arrays import FloatArray
 from armimp_common.errors import GraphError
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.process import stop_on_signals
@@ -389,7 +389,7 @@ class Checker:
             if angles.shape[1] == 2 * _SETTLE and np.max(np.ptp(angles, axis=1)) < _STILL:
                 return
 
-    def _whole(self, topic: str, first: int, end: int) -> NDArray[np.float64]:
+    def _whole(self, topic: str, first: int, end: int) -> FloatArray:
         """Return the readings (n, N) of these samples, all of which have to be whole."""
         part = self._node.kept[topic][first:end]
         values = readings(self._joints, topic, part)

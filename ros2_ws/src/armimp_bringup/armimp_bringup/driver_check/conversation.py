@@ -15,7 +15,6 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
@@ -27,6 +26,7 @@ from std_srvs.srv import Trigger
 from armimp_bringup.driver_check import SENSOR_TOPICS, Call, Endpoint, Message, Role, readings
 from armimp_bringup.graph import GraphContext
 from armimp_common import qos, topics
+from armimp_common.arrays import FloatArray
 from armimp_common.errors import InterruptionError
 from armimp_common.executor import Spinner
 from armimp_common.pubsub import CommandPublisher, subscribe_raw
@@ -61,7 +61,7 @@ class MotionGuard:
 
     def __init__(self, joints: Sequence[str], most: float) -> None:
         self._joints, self._most = tuple(joints), most
-        self._first: NDArray[np.float64] | None = None
+        self._first: FloatArray | None = None
         self.largest = 0.0  # rad, how far a joint has gone so far
         self.objection = ""  # why there must not be any torque any more
 

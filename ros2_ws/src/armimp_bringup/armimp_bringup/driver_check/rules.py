@@ -7,7 +7,6 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armimp_bringup.driver_check import (
     SENSOR_TOPICS,
@@ -20,6 +19,7 @@ from armimp_bringup.driver_check import (
     readings,
 )
 from armimp_common import topics
+from armimp_common.arrays import FloatArray
 from armimp_common.realtime import LATE_NS
 from armimp_common.topics import COMMANDS, JOINT_STATES, NS_PER_S, PERIOD_NS, RATE, VALUE_FIELD
 
@@ -299,7 +299,7 @@ def _judge_pushes(record: Record) -> Iterator[Finding]:
     yield _judged("torque: delay", good, figure, _DELAY_LIMIT)
 
 
-def _mixed_up(record: Record, ways: NDArray[np.float64]) -> tuple[list[str], list[str]]:
+def _mixed_up(record: Record, ways: FloatArray) -> tuple[list[str], list[str]]:
     """What is mixed up among the joints, and which of them did not move, though nothing else did.
 
     A passive rig cannot turn two torques into motion that does no work. `ways` are −1 for joints

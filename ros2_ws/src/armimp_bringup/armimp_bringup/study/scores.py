@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from armimp_bringup.study import Condition, StudyEntry
+from armimp_common.arrays import BoolArray, FloatArray
 from armimp_estimation.json_model import Number
 from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.report.formats import setting
 
-FloatArray = NDArray[np.float64]
 Table: TypeAlias = NDArray[np.void]
 
 LETTERS: Final = ("M", "B", "K")
@@ -127,7 +127,7 @@ def torque_in_counts(entry: StudyEntry, truth: MBK, f: FloatArray) -> FloatArray
     return np.asarray(gain * peak / count)
 
 
-def resolved(entry: StudyEntry, truth: MBK) -> NDArray[np.bool_]:
+def resolved(entry: StudyEntry, truth: MBK) -> BoolArray:
     """Elements that are judged: with more than three joints, those of more than five counts."""
     counts = torque_in_counts(entry, truth, FREQUENCIES) if entry.joints > 3 else None
     if counts is None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from armimp_common.arrays import BoolArray, FloatArray
 from armimp_common.schema import PositiveVector, Schema, Vector
 from armimp_common.topics import PERIOD, RATE
 
@@ -93,11 +93,11 @@ class TargetLaw:
         return len(self.target.posture)
 
     @property
-    def target_posture(self) -> NDArray[np.float64]:
+    def target_posture(self) -> FloatArray:
         """(n,) θ_rd, rad."""
         return np.array(self.target.posture)
 
-    def locked(self, perturbed: int | None) -> NDArray[np.bool_]:
+    def locked(self, perturbed: int | None) -> BoolArray:
         """Which joints (n,) are locked, see :meth:`armimp_control.laws.imbic.ImbicConfig.role`."""
         every = np.arange(self.joints)
         return np.asarray(every != (every if perturbed is None else perturbed))

@@ -43,8 +43,8 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import BoolArray, FloatArray
 from armimp_common.compiled import inlined
 from armimp_control.laws import (
     ANGLE,
@@ -91,16 +91,14 @@ class Observer:
 
     resolution: float
     """δ, rad."""
-    perturbed: NDArray[np.float64]
-    locked: NDArray[np.float64]
+    perturbed: FloatArray
+    locked: FloatArray
     """(n,) rms change within a period of the unknown torque of each joint while it is perturbed and
     while it is locked, N·m."""
     delay: int = 0
     """D, periods by which commands act later than right after the sample that they answer."""
 
-    def gains(
-        self, inverse: NDArray[np.float64], locked: NDArray[np.bool_], period: float
-    ) -> NDArray[np.float64]:
+    def gains(self, inverse: FloatArray, locked: BoolArray, period: float) -> FloatArray:
         """G_θ, G_v (1/s) and G_d (1/s²), together (3, n, n).
 
         Parameters
@@ -129,7 +127,7 @@ class Observer:
         covariance = solve_discrete_are(transition.T, reads.T, walk, rounding)
         innovation = reads @ covariance @ reads.T + rounding
         solved = np.linalg.solve(innovation, reads @ covariance)
-        gains: NDArray[np.float64] = solved.T.reshape(3, n, n)
+        gains: FloatArray = solved.T.reshape(3, n, n)
         gains[2] = -inverse @ gains[2]
         return gains
 
@@ -138,22 +136,20 @@ class Observer:
 class ImbicConfig(TargetLaw):
     """Target impedance and internal model."""
 
-    model_inertia: NDArray[np.float64]
+    model_inertia: FloatArray
     """(n, n) M̄, kg·m²."""
     gamma: float = 100.0
     """Γ, rad/s."""
     observer: Observer | None = None
     """The internal model; None for time-delay estimation."""
-    _models: dict[int | None, NDArray[np.float64]] = field(
-        default_factory=dict, init=False, repr=False
-    )
+    _models: dict[int | None, FloatArray] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def kind(self) -> int:
         """Which law it is in compiled code."""
         return IMBIC if self.observer is None else IMBIC_OBSERVER
 
-    def model(self, perturbed: int | None) -> NDArray[np.float64]:
+    def model(self, perturbed: int | None) -> FloatArray:
         """Internal model (MODEL_ROWS, n, n) in the same trial as :meth:`role`; don't change it.
 
         Gains take some ten control periods to be worked out, so they are kept.
@@ -168,7 +164,7 @@ class ImbicConfig(TargetLaw):
             self._models[perturbed] = rows
         return self._models[perturbed]
 
-    def role(self, perturbed: int | None) -> NDArray[np.float64]:
+    def role(self, perturbed: int | None) -> FloatArray:
         """Law parameters (ROLE_ROWS, n) while joint ``perturbed`` (0-based) yields, others lock.
 
         With None all joints yield, with NO_JOINT all lock. Rows: share of τ_h' sensed (1 or 0),
@@ -202,13 +198,13 @@ class ImbicConfig(TargetLaw):
 
 @inlined
 def _observe(
-    theta: NDArray[np.float64],
-    tau_h: NDArray[np.float64],
-    role: NDArray[np.float64],
-    model: NDArray[np.float64],
+    theta: FloatArray,
+    tau_h: FloatArray,
+    role: FloatArray,
+    model: FloatArray,
     period: float,
-    memory: NDArray[np.float64],
-    command: NDArray[np.float64],
+    memory: FloatArray,
+    command: FloatArray,
 ) -> None:
     """Let ANGLE, VELOCITY and DISTURBANCE be those of this sample; ``command`` is overwritten."""
     n, late = theta.size, int(role[LATE, 0])
@@ -234,16 +230,16 @@ def _observe(
 @inlined
 def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     observer: bool,
-    theta: NDArray[np.float64],
-    tau_h: NDArray[np.float64],
-    tau_delta: NDArray[np.float64],
-    role: NDArray[np.float64],
-    target: NDArray[np.float64],
-    model: NDArray[np.float64],
+    theta: FloatArray,
+    tau_h: FloatArray,
+    tau_delta: FloatArray,
+    role: FloatArray,
+    target: FloatArray,
+    model: FloatArray,
     gamma: float,
     period: float,
-    memory: NDArray[np.float64],
-    command: NDArray[np.float64],
+    memory: FloatArray,
+    command: FloatArray,
 ) -> None:
     """One tick of the law, before the safety limiter.
 
@@ -303,12 +299,7 @@ def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
 
 
 @inlined
-def forgo(
-    command: NDArray[np.float64],
-    model: NDArray[np.float64],
-    period: float,
-    memory: NDArray[np.float64],
-) -> None:
+def forgo(command: FloatArray, model: FloatArray, period: float, memory: FloatArray) -> None:
     """Take from the ideal velocity what a clipped command can't bring about.
 
     Otherwise it would go on without limit while commands are clipped, and throw the joint about

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray
 from armimp_common.compiled import compiled, compiled_entry, inlined
 from armimp_common.status import Cause
 from armimp_control.laws import (
@@ -45,12 +45,19 @@ from armimp_control.safety_limiter import (
 LawConfig: TypeAlias = ImbicConfig | PdConfig
 
 
-Arrays: TypeAlias = NDArray[np.float64]
-
-
 def _unpacked(
-    w: Arrays, n: int
-) -> tuple[Arrays, Arrays, Arrays, Arrays, Arrays, Arrays, Arrays, Arrays, Arrays]:
+    w: FloatArray, n: int
+) -> tuple[
+    FloatArray,
+    FloatArray,
+    FloatArray,
+    FloatArray,
+    FloatArray,
+    FloatArray,
+    FloatArray,
+    FloatArray,
+    FloatArray,
+]:
     """Views of what a controller works on.
 
     They are sample; command and target posture; role; rules, memory of the law and of the limiter;
@@ -87,7 +94,7 @@ _views = inlined(_unpacked)
 
 
 @compiled
-def packed_tick(law: int, n: int, w: Arrays) -> int:
+def packed_tick(law: int, n: int, w: FloatArray) -> int:
     """One tick of a law, with the safety limiter before and after it.
 
     Parameters
@@ -135,7 +142,7 @@ def packed_tick(law: int, n: int, w: Arrays) -> int:
 
 
 @compiled_entry
-def _tick(law: int, n: int, w: Arrays) -> int:
+def _tick(law: int, n: int, w: FloatArray) -> int:
     """:func:`packed_tick` for Python: each array that is passed takes as long as the law."""
     return packed_tick(law, n, w)
 
@@ -143,7 +150,7 @@ def _tick(law: int, n: int, w: Arrays) -> int:
 class Controller:
     """A law and its safety limiter with their memory, for use tick by tick.
 
-    Arrays given back are reused; copy what must last. A limiter that has stopped stays so.
+    FloatArray given back are reused; copy what must last. A limiter that has stopped stays so.
 
     Parameters
     ----------
@@ -162,7 +169,7 @@ class Controller:
     """
 
     def __init__(
-        self, config: LawConfig, *, safety: SafetyParameters, storage: Arrays | None = None
+        self, config: LawConfig, *, safety: SafetyParameters, storage: FloatArray | None = None
     ) -> None:
         self.config = config
         n = config.joints
@@ -243,12 +250,7 @@ class Controller:
         """Go on with the ramp after a stop by some ticks, where no samples come."""
         continue_ramp(ticks, self.command, self.rules, self._limiter, self._journal)
 
-    def tick(
-        self,
-        theta: NDArray[np.float64],
-        tau_h: NDArray[np.float64],
-        tau_delta: NDArray[np.float64],
-    ) -> int:
+    def tick(self, theta: FloatArray, tau_h: FloatArray, tau_delta: FloatArray) -> int:
         """Compute :attr:`command` from a sample; parameters and result as of :func:`packed_tick`.
 
         Raises

@@ -22,8 +22,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray
 from armimp_common.compiled import inlined
 from armimp_control.laws import (
     DAMPING,
@@ -42,7 +42,7 @@ from armimp_control.laws import (
 class PdConfig(TargetLaw):
     """Gains of plain PD locking."""
 
-    inertia: NDArray[np.float64]
+    inertia: FloatArray
     """(n,) M that the gains of locked joints are made for, kg·m²."""
     frequency: float = 25.0
     """Natural frequency ω of a locked joint, rad/s."""
@@ -52,11 +52,11 @@ class PdConfig(TargetLaw):
     kind: ClassVar[int] = PD
     gamma: ClassVar[float] = 0.0
 
-    def model(self, _perturbed: int | None) -> NDArray[np.float64]:
+    def model(self, _perturbed: int | None) -> FloatArray:
         """There is no internal model: (MODEL_ROWS, n, n) zeros."""
         return np.zeros((MODEL_ROWS, self.joints, self.joints))
 
-    def role(self, perturbed: int | None) -> NDArray[np.float64]:
+    def role(self, perturbed: int | None) -> FloatArray:
         """Law parameters (ROLE_ROWS, n) while joint ``perturbed`` (0-based) yields, others lock.
 
         With None all joints yield, with NO_JOINT all lock. Rows as of
@@ -73,13 +73,13 @@ class PdConfig(TargetLaw):
 
 @inlined
 def pd(
-    theta: NDArray[np.float64],
-    tau_delta: NDArray[np.float64],
-    role: NDArray[np.float64],
-    target: NDArray[np.float64],
+    theta: FloatArray,
+    tau_delta: FloatArray,
+    role: FloatArray,
+    target: FloatArray,
     period: float,
-    memory: NDArray[np.float64],
-    command: NDArray[np.float64],
+    memory: FloatArray,
+    command: FloatArray,
 ) -> None:
     """One tick of the law, before the safety limiter.
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from armimp_common.arrays import FloatArray
 from armimp_common.schema import Schema, Vector
 
 
@@ -39,26 +39,26 @@ class HumanArm(Schema):
         return len(self.posture)
 
     @property
-    def theta_0(self) -> NDArray[np.float64]:
+    def theta_0(self) -> FloatArray:
         """(n,) θ_0, rad."""
         return np.array(self.posture)
 
     @property
-    def M(self) -> NDArray[np.float64]:
+    def M(self) -> FloatArray:
         """(n, n) M_h, kg·m²."""
         return self._matrix(self.inertia)
 
     @property
-    def B(self) -> NDArray[np.float64]:
+    def B(self) -> FloatArray:
         """(n, n) B_h, N·m·s/rad."""
         return self._matrix(self.damping)
 
     @property
-    def K(self) -> NDArray[np.float64]:
+    def K(self) -> FloatArray:
         """(n, n) K_h, N·m/rad."""
         return self._matrix(self.stiffness)
 
-    def _matrix(self, values: Vector) -> NDArray[np.float64]:
+    def _matrix(self, values: Vector) -> FloatArray:
         return np.array(values).reshape(self.joints, self.joints)
 
 

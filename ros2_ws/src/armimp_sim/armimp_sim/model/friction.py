@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import model_validator
 
+from armimp_common.arrays import FloatArray
 from armimp_common.compiled import compiled
 from armimp_common.schema import NonNegativeVector, PositiveVector, Schema, each
 from armimp_sim.simd import exp_minus
@@ -49,7 +49,7 @@ class LuGre(Schema):
             raise ValueError(f"sigma_0 {self.sigma_0} needs a positive coulomb, got {self.coulomb}")
         return self
 
-    def of_joints(self, n: int) -> dict[str, NDArray[np.float64]]:
+    def of_joints(self, n: int) -> dict[str, FloatArray]:
         """Values (n,) of `n` joints by name.
 
         Raises

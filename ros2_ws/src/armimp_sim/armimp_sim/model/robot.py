@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
+from armimp_common.arrays import FloatArray
 from armimp_common.schema import NonNegativeVector, PositiveVector, Schema
 
 _SLOWEST = 2.0  # Hz; no drive has less
@@ -48,7 +48,7 @@ class PlanarChain(Schema):
         """Number of joints n."""
         return len(self.lengths)
 
-    def coefficients(self) -> NDArray[np.float64]:
+    def coefficients(self) -> FloatArray:
         """A (n, n), kg·m²: kinetic energy is ½ Σ_ab A_ab cos(φ_a − φ_b) φ̇_a φ̇_b.
 
         The angles φ of the links are absolute: φ_a = θ_1 + … + θ_a.
@@ -63,14 +63,14 @@ class PlanarChain(Schema):
                 a[i, j] = a[j, i] = lengths[i] * first_moment[j]
         return a
 
-    def mass_matrix(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+    def mass_matrix(self, theta: FloatArray) -> FloatArray:
         """M_r(θ) (n, n), kg·m², at the joint angles ``theta`` (n,), rad."""
         phi = np.cumsum(theta)
         absolute = self.coefficients() * np.cos(phi[:, None] - phi[None, :])
         return _suffix_sums(_suffix_sums(absolute, 0), 1)
 
 
-def _suffix_sums(values: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+def _suffix_sums(values: FloatArray, axis: int) -> FloatArray:
     return np.flip(np.cumsum(np.flip(values, axis), axis), axis)
 
 
