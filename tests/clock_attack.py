@@ -38,7 +38,7 @@ class AttackingRig(node.ArmSimNode):
             self._log.write(f"{time.monotonic()!r} {what}\n")
 
     def _send(self) -> None:
-        tick = 0 if self.limiter is None else self.limiter.tick
+        tick = self.limiter.tick if self.configured else 0
         if tick == self._step_tick:
             with Path(os.environ["WALL_CLOCK"]).open("r+b") as file:
                 file.write(struct.pack("q", int(os.environ["CLOCK_STEP"])))
@@ -48,9 +48,9 @@ class AttackingRig(node.ArmSimNode):
             assert self._simulator is not None
             self._simulator.stop()
 
-    def _on_command(self, command: tuple[float, ...]) -> None:
+    def on_command(self, command: tuple[float, ...]) -> None:
         self._note("torque" if any(command) else "zero")
-        super()._on_command(command)
+        super().on_command(command)
 
 
 if __name__ == "__main__":

@@ -143,11 +143,11 @@ class Listening(ArmSimNode):
     heard: ClassVar[list[tuple[float, ...]]] = []
     pushed: ClassVar[threading.Event]
 
-    def _on_command(self, command: tuple[float, ...]) -> None:
+    def on_command(self, command: tuple[float, ...]) -> None:
         self.heard.append(command)
         if any(command):
             self.pushed.set()
-        super()._on_command(command)
+        super().on_command(command)
 
 
 @pytest.mark.slow

@@ -22,6 +22,7 @@ from armimp_common.lifecycle import reported
 from armimp_common.protection import Protection
 from armimp_common.pubsub import subscribe_counts
 from armimp_common.realtime import wake_up_exactly
+from armimp_common.status import TimingFigures
 from armimp_common.topics import PERIOD_NS
 from armimp_driver_template.conversion import Drives, Encoders, Sensors, Wiring
 from armimp_driver_template.device import Device, Frame
@@ -65,7 +66,7 @@ class ExoDriver(ProtectedDriver[DriverParameters]):
         self._transducers = Sensors("transducer", parameters.transducer, joints)
         self._drives = Drives(parameters.drive, joints)
         protection = Protection(joints, parameters.limits)
-        self.set_up(protection, parameters.joints, self.on_command, self._on_malformed)
+        self.set_up(protection, parameters.joints)
         self._flow = FlowControl()
         received = subscribe_counts(self, topics.RECEIVED, self._flow.acknowledge)
         self.own(received, steady_timer(self, _REPORT_PERIOD, self.report))
@@ -123,11 +124,11 @@ class ExoDriver(ProtectedDriver[DriverParameters]):
         try:
             self._device.send(raw)
         except Exception as error:  # noqa: BLE001 (of whatever kind: the drives are out of hand)
-            assert self.limiter is not None
             self.limiter.latch(f"the device takes no commands: {error}")
 
-    def _on_malformed(self, error: ArmimpError) -> None:
-        self.latch(f"malformed command: {error}")
+    def on_malformed(self, error: ArmimpError) -> None:
+        """Free the drives; in lockstep the device waits for an answer."""
+        super().on_malformed(error)
         if self.active and not self._device.paced:
             self.drive((0.0,) * len(self._settings.joints))
 
@@ -143,10 +144,9 @@ class ExoDriver(ProtectedDriver[DriverParameters]):
         return self._lock
 
     # Step 8: reports, of a fault at once and then until the reset; of timing where it means much.
-    @property
-    def timed(self) -> bool:
-        """Whether the device sets the pace."""
-        return self.active and self._device.paced
+    def timing(self) -> TimingFigures | None:
+        """Timing, where the device sets the pace."""
+        return super().timing() if self._device.paced else None
 
     # Step 9: the way back. No transition leaves torque behind.
     def rest(self) -> None:
@@ -156,7 +156,6 @@ class ExoDriver(ProtectedDriver[DriverParameters]):
         if self._thread is not None:
             self._thread.join(2.0)
             self._thread = None
-            assert self.limiter is not None
             with self._lock:
                 self.limiter.rest()
                 self.drive(self.limiter.applied)

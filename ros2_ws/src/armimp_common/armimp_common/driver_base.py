@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any, Generic, TypeVar
 
@@ -66,37 +66,33 @@ class FlowControl:
 
     Attributes
     ----------
+    recorded : whether there is a recorder that has not taken leave
     silent : whether the heartbeat of the recorder is missing, so that the next sample has to wait
     """
 
     def __init__(self) -> None:
-        self._sent = self._base = self._received = 0
-        self._recorder = False
-        self.silent = False
+        self._under_way = self._received = 0
+        self.recorded = self.silent = False
 
     def count_sent(self) -> None:
         """Take note that one more sample is under way."""
-        self._sent += 1
+        self._under_way += 1
 
     def acknowledge(self, received: int) -> None:
         """Take a count from the recorder."""
         if received == 0:
-            self._base = self._sent
+            self._under_way = 0
         elif received < self._received < topics.RECORDER_GONE:
             return  # of somebody else: a recorder does not forget what it has received
-        self._recorder = received != topics.RECORDER_GONE
+        else:
+            self._under_way -= received - self._received
+        self.recorded = received != topics.RECORDER_GONE
         self._received = received
-
-    @property
-    def recorded(self) -> bool:
-        """Whether there is a recorder that has not taken leave."""
-        return self._recorder
 
     @property
     def full(self) -> bool:
         """Whether the next sample has to wait."""
-        under_way = self._sent - self._base - self._received
-        return self._recorder and (self.silent or under_way >= MOST_UNDER_WAY)
+        return self.recorded and (self.silent or self._under_way >= MOST_UNDER_WAY)
 
 
 LimiterT = TypeVar("LimiterT", bound=TorqueLatch)
@@ -106,8 +102,9 @@ ModelT = TypeVar("ModelT", bound=BaseModel)
 class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
     """A lifecycle node in the place of the rig; subclasses say where torque goes.
 
-    `on_configure` calls :meth:`set_up`, `on_activate` sets `active` once commands are obeyed,
-    and :meth:`rest` undoes that. What is made in between is given to :meth:`own`.
+    Commands go to :meth:`on_command`. `on_configure` calls :meth:`set_up`, `on_activate` sets
+    `active` once commands are obeyed, and :meth:`rest` undoes that. What is made in between is
+    given to :meth:`own`.
 
     Parameters
     ----------
@@ -118,7 +115,8 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
     ----------
     active : whether commands are obeyed
     declared : the parameters
-    limiter : None while the node is not configured
+    configured : whether the rig is known, and its topics are there
+    limiter : what decides which torque acts, once configured
     controller : heartbeat of the one who commands
     joint_states, torque_sensors, commands, diagnostics : topics that every rig has, once configured
     reported_fault : the fault that was reported last
@@ -127,8 +125,8 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
     def __init__(self, parameters: ModelT, busy: str, **kwargs: Any) -> None:
         super().__init__(topics.SIM_NODE, **kwargs)
         self.reported_fault = ""
-        self.active = self._stopped = False
-        self.limiter: LimiterT | None = None
+        self.active = self.configured = self._stopped = False
+        self.limiter: LimiterT
         self._sequence = CommandSequence()
         self._accused = False
         self._commanders = 0
@@ -141,13 +139,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
             self, type(parameters), parameters, locked=lambda: busy if self.active else None
         )
 
-    def set_up(
-        self,
-        limiter: LimiterT,
-        joints: Sequence[str],
-        on_command: Callable[[tuple[float, ...]], None],
-        on_malformed: Callable[[ArmimpError], None],
-    ) -> None:
+    def set_up(self, limiter: LimiterT, joints: Sequence[str]) -> None:
         """Make the topics that every rig has; an emergency stop of before still holds."""
         if self._stopped:
             limiter.latch(_STOPPED)
@@ -157,22 +149,26 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         self.diagnostics = self.create_publisher(
             DiagnosticArray, topics.DIAGNOSTICS, qos.DIAGNOSTICS
         )
-
-        def on_numbered(number: int, command: tuple[float, ...]) -> None:
-            self._on_number(number)
-            on_command(command)
-
         self.commands = subscribe_commands(
-            self, topics.COMMANDS, len(joints), on_numbered, on_malformed
+            self, topics.COMMANDS, len(joints), self._on_numbered, self.on_malformed
         )
         self.own(self.joint_states.publisher, self.torque_sensors.publisher, self.diagnostics)
         self.own(self.commands, steady_timer(self, _CHECK_PERIOD, self.check))
+        self.configured = True
 
-    # What a subclass defines; all but the first have a meaning already.
+    # What a subclass defines; all but the first two have a meaning already.
+
+    @abstractmethod
+    def on_command(self, command: tuple[float, ...]) -> None:
+        """Take a command (n,), N·m."""
 
     @abstractmethod
     def rest(self) -> None:
         """Leave no torque behind, and obey no further commands; harmless if repeated."""
+
+    def on_malformed(self, error: ArmimpError) -> None:
+        """Take a message that is no command: a fault."""
+        self.latch(f"malformed command: {error}")
 
     def torque_was_taken(self) -> None:
         """Pass the loss of torque on to the drives, when a fault is latched in an active node."""
@@ -185,7 +181,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         GraphError
             If torque would come back with a jerk.
         """
-        if self.limiter is not None:
+        if self.configured:
             self.limiter.reset()
 
     @property
@@ -220,15 +216,14 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
 
     def accuse(self, reason: str) -> None:
         """Latch a fault of whoever commands, with the names of all who do."""
-        limiter = self.limiter
-        if limiter is None or limiter.fault:
+        if not self.configured or self.limiter.fault:
             return
         when = self.stamp_ns() / topics.NS_PER_S
         accusation = f"{topics.COMMANDS}: {reason} at {when:.3f} s"
         self.latch(accusation)
         self._names.clear()
         self._commanders = 0
-        self._accused = limiter.fault == accusation
+        self._accused = self.limiter.fault == accusation
         self._name_publishers()
         self.report_news()
 
@@ -237,7 +232,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
 
         Torque has gone, and the middleware may learn later whose a publisher is.
         """
-        if not self._accused or self.limiter is None:
+        if not self._accused:
             return
         topic = self.commands.topic_name
         known = [
@@ -263,39 +258,34 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         self._name_publishers(last=True)
         self.report_news()
 
-    def _guard(self) -> dict[str, str]:
-        """Return, for reports, how a command of somebody else would be noticed."""
-        if self._sequence.numbered is None:
-            return {}
-        by = "numbers and publishers" if self._sequence.numbered else "publishers alone"
-        return {"commands_told_apart_by": by}
-
-    def _on_number(self, number: int) -> None:
+    def _on_numbered(self, number: int, command: tuple[float, ...]) -> None:
         if not self.active:
             self._sequence.restart()
         elif reason := self._sequence.check(number):
             self.accuse(reason)
+        self.on_command(command)
 
     # Faults: one latch for all of them.
 
     def latch(self, reason: str) -> None:
         """Take torque away; a node that is not active gives none, and needs no fault."""
-        limiter = self.limiter
-        if limiter is None or not (self.active or self._stopped):
+        if not self.configured or not (self.active or self._stopped):
             return
         with self.locked:
-            limiter.latch(reason)
+            self.limiter.latch(reason)
             if self.active:
                 self.torque_was_taken()
 
     def report(self) -> None:
         """Publish on ``/diagnostics`` how things are."""
-        limiter = self.limiter
-        if limiter is None or not self.context.ok():
+        if not self.configured or not self.context.ok():
             return
         with self.locked:
-            stamp_ns, fault, figures = self.stamp_ns(), limiter.fault, self.timing()
-            values = {**self.values(), "applied": limiter.applied, **self._guard()}
+            stamp_ns, fault, figures = self.stamp_ns(), self.limiter.fault, self.timing()
+            values = {**self.values(), "applied": self.limiter.applied}
+        if self._sequence.numbered is not None:
+            by = "numbers and publishers" if self._sequence.numbered else "publishers alone"
+            values["commands_told_apart_by"] = by
         self.reported_fault = fault
         words = fault or ("running" if self.active else "stopped")
         level = Level.ERROR if fault else Level.OK
@@ -306,7 +296,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
 
     def report_news(self) -> None:
         """Report a fault that has not been reported yet, or its end."""
-        if self.limiter is not None and self.limiter.fault != self.reported_fault:
+        if self.configured and self.limiter.fault != self.reported_fault:
             self.report()
 
     def _on_controller(self, controller: HeartbeatMonitor) -> None:
@@ -350,8 +340,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Forget the rig, so that new parameters can be used; only an emergency stop remains."""
         self.disown()
-        self.limiter = None
-        self._accused = False
+        self.configured = self._accused = False
         return TransitionCallbackReturn.SUCCESS
 
     @reported
@@ -370,9 +359,8 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
 class ProtectedDriver(DriverBase[Protection, ModelT], ABC, Generic[ModelT]):
     """A driver whose commands pass its own :class:`Protection` before the drives get them.
 
-    `on_configure` gives :meth:`on_command` to :meth:`set_up`, `on_activate` calls
-    :meth:`wait_for_controller`; each sample goes through :meth:`check_sample` and
-    :meth:`publish_sample`.
+    `on_activate` calls :meth:`wait_for_controller`; each sample goes through :meth:`check_sample`
+    and :meth:`publish_sample`.
     """
 
     @abstractmethod
@@ -407,15 +395,13 @@ class ProtectedDriver(DriverBase[Protection, ModelT], ABC, Generic[ModelT]):
 
     def check_sample(self, angles: Sequence[float], periods: int) -> None:
         """Check the angles (n,), rad, of a sample that so many periods led to; 0 in lockstep."""
-        protection = self.limiter
-        assert protection is not None
-        protection.sample(angles)
+        self.limiter.sample(angles)
         for _ in range(periods):
-            if protection.period():
+            if self.limiter.period():
                 self._meter.missed()
         # Only what the driver changes by itself; commands go out as they come.
-        if periods and protection.fault:
-            self.drive(protection.applied)
+        if periods and self.limiter.fault:
+            self.drive(self.limiter.applied)
 
     def publish_sample(
         self, stamp_ns: int, angles: Sequence[float], torques: Sequence[float]
@@ -434,24 +420,17 @@ class ProtectedDriver(DriverBase[Protection, ModelT], ABC, Generic[ModelT]):
 
     def on_command(self, command: tuple[float, ...]) -> None:
         """Pass a command (n,), N·m, on to the drives as far as it may be obeyed."""
-        protection = self.limiter
-        if not self.active or protection is None:
+        if not self.active:
             return
         self._meter.answered(time.monotonic_ns() - self._sent_ns)
         with self.locked:
-            protection.command(command)
-            self.drive(protection.applied)
+            self.limiter.command(command)
+            self.drive(self.limiter.applied)
 
     def torque_was_taken(self) -> None:
         """Give the drives what is left of the torque."""
-        if self.limiter is not None:
-            self.drive(self.limiter.applied)
-
-    @property
-    def timed(self) -> bool:
-        """Whether the timing means anything: in real time, while the node is active."""
-        return self.active
+        self.drive(self.limiter.applied)
 
     def timing(self) -> TimingFigures | None:
-        """Return how regular samples and commands are, while that means anything."""
-        return self._meter.figures() if self.timed else None
+        """Return how regular samples and commands are, while the node is active."""
+        return self._meter.figures() if self.active else None

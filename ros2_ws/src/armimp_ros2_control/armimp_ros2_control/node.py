@@ -12,7 +12,7 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
 from armimp_common.driver_base import ProtectedDriver
-from armimp_common.errors import ArmimpError, MalformedMessageError
+from armimp_common.errors import MalformedMessageError
 from armimp_common.executor import run_node, steady_timer
 from armimp_common.lifecycle import reported
 from armimp_common.protection import Protection
@@ -46,7 +46,7 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
         names = parameters.joints
         self._readings = Readings(parameters)
         protection = Protection(len(names), parameters.limits)
-        self.set_up(protection, names, self.on_command, self._on_malformed)
+        self.set_up(protection, names)
         self._efforts = CommandPublisher(self, EFFORTS, len(names))
         self._states = self._listen()
         self._checks = 0
@@ -82,8 +82,7 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
         return subscribe_raw(self, STATES, JointState, on_state)
 
     def _on_state(self, data: bytes) -> None:
-        protection = self.limiter
-        if not self.active or protection is None:
+        if not self.active:
             return
         self._heard += 1
         try:
@@ -97,12 +96,9 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
         for name, value in zip(self._settings.names_there(), torques, strict=True):
             if math.isnan(value):
                 # What a broadcaster says where there is no such interface, too.
-                protection.latch(f"{STATES}: the effort of {name!r} is not a number")
+                self.limiter.latch(f"{STATES}: the effort of {name!r} is not a number")
         self.check_sample(angles, steps)
         self.publish_sample(stamp_ns, angles, torques)
-
-    def _on_malformed(self, error: ArmimpError) -> None:
-        self.latch(f"malformed command: {error}")
 
     def drive(self, torque: Sequence[float]) -> None:
         """Command torques of the joints (n,), N·m, in the directions of the robot."""
@@ -116,18 +112,15 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
             self.restart_clock()
 
     def _check_silence(self) -> None:
-        protection = self.limiter
-        if protection is None:
-            return
         self._checks += 1
         # Those that piled up while this process was held up are heard before the next check.
         if self.active and self._heard:
             if self._heard == self._heard_before:
-                protection.latch(f"{STATES}: nothing for {1e3 * _SILENCE_PERIOD:g} ms")
+                self.limiter.latch(f"{STATES}: nothing for {1e3 * _SILENCE_PERIOD:g} ms")
             self._heard_before = self._heard
-        if self.active and protection.fault:
+        if self.active and self.limiter.fault:
             # The reader over there listens by best effort: once might be too seldom.
-            self.drive(protection.applied)
+            self.drive(self.limiter.applied)
         if self._checks % _REPORT_CHECKS == 0:
             self.report()
         else:
@@ -150,7 +143,6 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
         if not self.active:
             return
         self.active = False
-        assert self.limiter is not None
         self.limiter.rest()
         if self.context.ok():
             self.torque_was_taken()

@@ -46,7 +46,7 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
         """Build the rig and its topics from the parameters."""
         parameters = self._settings = self.declared.load()
         rig = SimulatedRig(parameters)
-        self.set_up(rig, parameters.joints, self._on_command, self._on_malformed)
+        self.set_up(rig, parameters.joints)
         self._clock_publisher = self.create_publisher(Clock, topics.CLOCK, qos.CLOCK)
         self._flow = FlowControl()
         self._flow.silent = self._recorder.presence in (Presence.STALLED, Presence.SILENT)
@@ -68,7 +68,6 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
         )
         self.active = True
         self._holding = False
-        assert self.limiter is not None
         if self.limiter.fault:
             self.report()
         if self._settings.mode == "realtime":
@@ -95,11 +94,11 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
 
     def stamp_ns(self) -> int:
         """Simulated time, ns."""
-        return 0 if self.limiter is None else self.limiter.stamp_ns
+        return self.limiter.stamp_ns
 
     def values(self) -> dict[str, Any]:
         """The number of the sample."""
-        self._told_tick = 0 if self.limiter is None else self.limiter.tick
+        self._told_tick = self.limiter.tick
         return {"tick": self._told_tick}
 
     def obey_again(self) -> None:
@@ -118,43 +117,45 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
                 self._report_timing(self._simulator)
             self._simulator = None
         self._scheduling.give_back()
-        if active and self.limiter is not None:
+        if active:
             self.limiter.rest()
             self.report()
 
-    def _on_command(self, command: tuple[float, ...]) -> None:
-        rig = self.limiter
-        if not self.active or rig is None:
+    def on_command(self, command: tuple[float, ...]) -> None:
+        """Let the rig take the step that the command asks for, now or at the next sample."""
+        if not self.active:
             return
         if self._simulator is not None:
             self._simulator.command(command)
-            if rig.tick - self._told_timing >= _TIMING_TICKS:
+            if self.limiter.tick - self._told_timing >= _TIMING_TICKS:
                 # Now, since nothing else is due until the next sample.
                 self._report_timing(self._simulator)
             return
-        self._step(rig, command)
+        self._step(command)
 
-    def _step(self, rig: SimulatedRig, command: tuple[float, ...]) -> None:
+    def _step(self, command: tuple[float, ...]) -> None:
         """Take the step that a command asks for, in lockstep."""
         if self._holding:
             # The sample which the next command will answer was not even sent.
             if any(command):
                 self.accuse("a command that answers no sample")
             return
-        rig.step(command)
-        if rig.fault:
+        self.limiter.step(command)
+        if self.limiter.fault:
             self.report_news()
-        self._publish_or_hold()
+        self._holding = self._flow.full
+        if not self._holding:
+            self._publish()
 
-    def _on_malformed(self, error: ArmimpError) -> None:
-        rig = self.limiter
-        if not self.active or rig is None:
+    def on_malformed(self, error: ArmimpError) -> None:
+        """Go on without torque."""
+        if not self.active:
             return
         if self._simulator is not None:
             self._simulator.refuse(f"malformed command: {error}")
             return
-        self.latch(f"malformed command: {error}")
-        self._step(rig, (0.0,) * rig.position.size)
+        super().on_malformed(error)
+        self._step((0.0,) * self.limiter.position.size)
 
     def _on_recorder(self, recorder: HeartbeatMonitor) -> None:
         """Wait for a recorder that is silent: it may only be stopped. There is no trial without."""
@@ -166,18 +167,17 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
         self._go_on()
 
     def _on_fault_timer(self) -> None:
-        if self.limiter is not None and self.limiter.fault:
+        if self.limiter.fault:
             self.report()
 
     def check(self) -> None:
         """Report also what has happened in the thread, which must not lose time on reports."""
         super().check()
-        paced, rig = self._simulator, self.limiter
-        if paced is None or rig is None:
+        if self._simulator is None:
             return
-        if paced.error is not None:
-            raise paced.error
-        if rig.tick - self._told_tick >= _DIAGNOSTICS_TICKS:
+        if self._simulator.error is not None:
+            raise self._simulator.error
+        if self.limiter.tick - self._told_tick >= _DIAGNOSTICS_TICKS:
             self.report()
 
     def _on_received(self, samples: int) -> None:
@@ -189,34 +189,22 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
             self._holding = False
             self._publish()
 
-    def _publish_or_hold(self) -> None:
-        if self._flow.full:
-            self._holding = True
-        else:
-            self._publish()
-
     def _publish(self) -> None:
-        rig = self.limiter
-        assert rig is not None
         self._flow.count_sent()
         self._send()
-        if rig.tick % _DIAGNOSTICS_TICKS == 0:
+        if self.limiter.tick % _DIAGNOSTICS_TICKS == 0:
             self.report()
 
     def _send(self) -> None:
-        rig = self.limiter
-        assert rig is not None
-        stamp_ns = rig.stamp_ns
+        rig, stamp_ns = self.limiter, self.limiter.stamp_ns
         self.joint_states.publish(stamp_ns, rig.position)
         self.torque_sensors.publish(stamp_ns, rig.torque)
         if rig.tick % _CLOCK_TICKS == 0:
             self._clock_publisher.publish(Clock(clock=to_time(stamp_ns)))
 
     def _report_timing(self, paced: RealtimeSimulator) -> None:
-        rig = self.limiter
-        assert rig is not None
         with paced.lock:
-            stamp_ns, self._told_timing = rig.stamp_ns, rig.tick
+            stamp_ns, self._told_timing = self.limiter.stamp_ns, self.limiter.tick
             figures = paced.figures()
         self.diagnostics.publish(make_array(stamp_ns, [status_message(figures)]))
 

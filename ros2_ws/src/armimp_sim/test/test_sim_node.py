@@ -38,7 +38,6 @@ class World(ScriptedController):
 
     @property
     def applied(self) -> tuple[float, ...]:
-        assert self.simulator.limiter is not None
         return self.simulator.limiter.applied
 
     def send(self, commands: Sequence[Sequence[float]]) -> None:
@@ -221,6 +220,22 @@ def answering(node: Node, spinner: Spinner) -> ScriptedController:
 def simulator(launch: Launch) -> ArmSimNode:
     made: ArmSimNode = launch(ArmSimNode, SimulatorParameters.preset(), REALTIME)
     return made
+
+
+def test_when_commands_stay_away_expect_a_fault_no_torque_and_samples_that_go_on(
+    simulator: ArmSimNode, answering: ScriptedController
+) -> None:
+    answering.answer = (3.0, -3.0)
+    answering.bring_up(simulator)
+    answering.await_samples(20)
+
+    answering.answer = None
+    answering.await_fault()
+    answering.await_samples(answering.count + 1200)
+
+    # Which watchdog is the first one depends on how the machine held up the commands before.
+    assert {message for message, _ in answering.faults} == {simulator.limiter.fault}
+    assert answering.faults[-1][1] == "0.0 0.0"
 
 
 def test_what_goes_wrong_in_the_pacing_thread_ends_the_node(
