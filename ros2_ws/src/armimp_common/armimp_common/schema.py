@@ -31,7 +31,6 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
-from armimp_common.arrays import FloatArray
 from armimp_common.errors import ConfigurationError
 
 Scalar: TypeAlias = bool | int | float | str
@@ -202,17 +201,19 @@ def _plain(name: str, value: object) -> object:
     raise ConfigurationError(f"parameter '{name}' = {_shown(value)}: has no type of parameters")
 
 
-def vector(name: str, values: Sequence[float], n: int) -> FloatArray:
-    """Return the values of a parameter with one for each of `n` joints, (n,).
+def require_length(name: str, values: Sequence[Any], n: int, *lengths: int) -> None:
+    """Check that a parameter has one of these numbers of values, of a rig with `n` joints.
 
     Raises
     ------
     ConfigurationError
-        If there are not so many.
+        If it has not.
     """
-    if len(values) != n:
-        raise ConfigurationError(f"parameter '{name}' has {len(values)} values for {n} joints")
-    return np.array(values)
+    if len(values) not in lengths:
+        raise ConfigurationError(
+            f"parameter '{name}' has {len(values)} values for {n} joints, needs "
+            f"{' or '.join(map(str, lengths))}"
+        )
 
 
 def each(name: str, values: Sequence[Any], n: int) -> NDArray[Any]:
@@ -220,26 +221,8 @@ def each(name: str, values: Sequence[Any], n: int) -> NDArray[Any]:
 
     ConfigurationError if there are not so many.
     """
-    if len(values) not in {1, n}:
-        raise ConfigurationError(
-            f"parameter '{name}' has {len(values)} values for {n} joints, needs 1 or {n}"
-        )
+    require_length(name, values, n, 1, n)
     return np.resize(np.array(values), n)
-
-
-def matrix(name: str, values: Sequence[float], n: int) -> FloatArray:
-    """Return the values of a parameter that is a matrix row by row, (n, n).
-
-    Raises
-    ------
-    ConfigurationError
-        If there are not so many.
-    """
-    if len(values) != n * n:
-        raise ConfigurationError(
-            f"parameter '{name}' has {len(values)} values, needs {n * n} for {n} joints"
-        )
-    return np.array(values).reshape(n, n)
 
 
 def check_names(names: Iterable[str], known: Iterable[str]) -> None:

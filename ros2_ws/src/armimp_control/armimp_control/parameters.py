@@ -10,7 +10,7 @@ from pydantic import Field
 
 from armimp_common.arrays import FloatArray
 from armimp_common.realtime import SchedulingParameters
-from armimp_common.schema import PositiveVector, Schema, Vector, each, matrix, vector
+from armimp_common.schema import PositiveVector, Schema, Vector, each, require_length
 from armimp_common.topics import PERIOD
 from armimp_control import presets
 from armimp_control.laws import TargetParameters
@@ -201,10 +201,11 @@ class ControllerParameters(Schema):
         ConfigurationError
             If not; the message carries the offending value.
         """
-        for name in ("posture", "inertia", "damping", "stiffness"):
-            self._vector(f"target.{name}")
+        n = len(self.joints)
+        for name in ("target.posture", "target.inertia", "target.damping", "target.stiffness"):
+            require_length(name, attrgetter(name)(self), n, n)
         law = self.law_config()
-        self._vector("perturbation.peak")
+        require_length("perturbation.peak", self.perturbation.peak, n, n)
         self._each("perturbation.angle_limit")
         self.priors()
         self.safety.rules(law.target_posture, PERIOD)
@@ -215,14 +216,13 @@ class ControllerParameters(Schema):
             dynamics=self.known,
         )
 
-    def _vector(self, name: str) -> FloatArray:
-        return vector(name, attrgetter(name)(self), len(self.joints))
-
     def _each(self, name: str) -> FloatArray:
         return each(name, attrgetter(name)(self), len(self.joints))
 
     def _matrix(self, name: str) -> FloatArray:
-        return matrix(name, attrgetter(name)(self), len(self.joints))
+        values, n = attrgetter(name)(self), len(self.joints)
+        require_length(name, values, n, n * n)
+        return np.array(values).reshape(n, n)
 
 
 def _flat(values: FloatArray) -> Vector:

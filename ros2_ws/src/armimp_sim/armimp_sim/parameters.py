@@ -12,7 +12,7 @@ from armimp_common.arrays import FloatArray
 from armimp_common.errors import ConfigurationError
 from armimp_common.protection import WATCHDOG_PERIODS
 from armimp_common.realtime import SchedulingParameters
-from armimp_common.schema import Schema
+from armimp_common.schema import Schema, require_length
 from armimp_common.topics import PERIOD
 from armimp_sim import presets
 from armimp_sim.model.arm import CuffParameters, HumanArm, MuscleParameters, ReflexParameters
@@ -141,14 +141,11 @@ class SimulatorParameters(Schema):
         """
         n = len(self.joints)
         for name in ("arm.posture", "robot.lengths"):
-            if len(values := attrgetter(name)(self)) != n:
-                raise ConfigurationError(f"'{name}' has {len(values)} values, needs {n}")
+            require_length(name, attrgetter(name)(self), n, n)
         for group in ("sensors.position", "sensors.torque", "reflex", "muscle"):
             for name, values in attrgetter(group)(self):
-                if isinstance(values, tuple) and len(values) not in (1, n):
-                    raise ConfigurationError(
-                        f"'{group}.{name}' has {len(values)} values, needs 1 or {n}"
-                    )
+                if isinstance(values, tuple):
+                    require_length(f"{group}.{name}", values, n, 1, n)
         mass = self.mass_matrix()
         smallest = float(np.linalg.eigvalsh(0.5 * (mass + mass.T))[0])
         if not smallest > 0.0:
