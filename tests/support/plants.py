@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.topics import PERIOD
-from armimp_sim import presets
+from armimp_sim import dynamics, presets
 from armimp_sim.model.arm import HumanArm
 from armimp_sim.model.friction import LuGre
 from armimp_sim.model.robot import PlanarChain
 from armimp_sim.model.sensors import SensorParameters
 from armimp_sim.parameters import SimulatorParameters
-from armimp_sim.plant import Plant
+from armimp_sim.plant import Plant, read
 from armimp_sim.simulator import SimulatedRig
 
 Array = NDArray[np.float64]
@@ -36,6 +36,14 @@ def changed(plant: SimulatorParameters, **changes: Any) -> SimulatorParameters:
 def stepwise(plant: SimulatorParameters) -> Plant:
     """A plant that is sampled after every step of the integration."""
     return Plant([changed(plant, substeps=1)], PERIOD / plant.substeps)
+
+
+def set_state(plant: Plant, state: Array) -> None:
+    """Put an ideal plant of one lane into the state (θ, v, z), (3, n), and read its sensors."""
+    batch = plant.batch
+    batch.w[0, : state.size] = state.ravel()
+    dynamics.sample_now(batch.w, batch.joints, batch.width)
+    read(batch)
 
 
 def study_plant(friction: int = 0, **changes: Any) -> SimulatorParameters:

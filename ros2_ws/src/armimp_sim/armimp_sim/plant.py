@@ -97,12 +97,18 @@ class Plant:
             torque=self.torque,
         )
         self.real = real_rig.real_rig(configs, self.batch.step)
-        self._at_first = None if self.real is None else [one.copy() for one in self.real]
         self._noise = np.zeros((lanes, 2, n))
         for lane in range(blocks * width):
             # The last block is filled up with plants that nothing ever moves.
             self._of_lane(lane)[:] = _pack(configs[min(lane, lanes - 1)])
-        self._sample()
+        w, joints, tag = self.batch.w, self.batch.joints, self.batch.width
+        if self.real is None:
+            dynamics.sample_now(w, joints, tag)
+            read(self.batch)
+        else:
+            step = self.batch.step
+            real_rig.settle(w, joints, tag, self.real, step)
+            real_rig.read(self.real, 1, step, self._noise, self.position, self.torque)
 
     def tick(
         self, command: FloatArray, voluntary: FloatArray, noise: FloatArray | None = None
@@ -138,17 +144,6 @@ class Plant:
         n, lanes = len(self.batch.joints), len(self.position)
         return np.array([self._of_lane(lane)[: 3 * n].reshape(3, n) for lane in range(lanes)])
 
-    def set_state(self, state: FloatArray) -> None:
-        """Put the plants into the given state, and read the sensors anew.
-
-        Filters have seen the present torque for long, drives have no torque, drifts begin.
-        """
-        for lane, values in enumerate(state):
-            self._of_lane(lane)[: values.size] = values.ravel()
-        for now, first in zip(self.real or (), self._at_first or (), strict=True):
-            now[...] = first
-        self._sample()
-
     def _of_lane(self, lane: int) -> FloatArray:
         """All quantities of one lane, a view."""
         blocks, width = len(self.batch.w), len(self.batch.width)
@@ -156,15 +151,6 @@ class Plant:
             lane // width, :, lane % width
         ]
         return of_lane
-
-    def _sample(self) -> None:
-        w, joints, width, _, step, *_ = self.batch
-        if self.real is None:
-            dynamics.sample_now(w, joints, width)
-            read(self.batch)
-        else:
-            real_rig.settle(w, joints, width, self.real, step)
-            real_rig.read(self.real, 1, step, self._noise, self.position, self.torque)
 
 
 def _shared(config: SimulatorParameters) -> tuple[object, ...]:

@@ -56,7 +56,9 @@ class SimulatedRig(TorqueLatch):
         self._noise = reading_noise(parameters.sensors, joints=joints, seed=seed)
         self._command = np.zeros((1, joints))
         self.tick = 0
-        self._compile(joints)
+        # Have the plant compiled before time matters.
+        with suppress(IntegrationError):  # it will be reported when it happens in earnest
+            Plant([parameters]).tick(np.zeros((1, joints)), np.zeros((1, joints)))
 
     @property
     def stamp_ns(self) -> int:
@@ -82,13 +84,6 @@ class SimulatedRig(TorqueLatch):
         self._command[0] = self.applied
         self._plant.tick(self._command, self._voluntary.take(1), self._noise.take(1))
         self.tick += 1
-
-    def _compile(self, joints: int) -> None:
-        """Compile the plant before time matters, and leave its state as it was."""
-        state = self._plant.state()
-        with suppress(IntegrationError):  # it will be reported when it happens in earnest
-            self._plant.tick(np.zeros((1, joints)), np.zeros((1, joints)))
-        self._plant.set_state(state)
 
 
 class RealtimeSimulator:

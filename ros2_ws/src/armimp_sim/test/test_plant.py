@@ -22,6 +22,7 @@ from support.plants import (
     one_joint,
     random_chain,
     random_plant,
+    set_state,
     slopes,
     study_plant,
 )
@@ -49,7 +50,7 @@ def _exact(config: SimulatorParameters, start: Array, torque: Array, duration: f
 def test_trajectory_agrees_with_scipy(friction: int) -> None:
     config = study_plant(friction)
     plant = Plant([config])
-    plant.set_state(START[None])
+    set_state(plant, START)
     expected = START
     # Sliding, stopping and turning back: the bristles bend both ways.
     for torque, ticks in ((TORQUE, 60), (np.array([-25.0, 15.0]), 80), (np.zeros(2), 60)):
@@ -88,7 +89,7 @@ def test_coarsest_accepted_step_is_stable_and_no_step_beyond_the_limit_is_accept
 def test_speed_beyond_the_stability_of_the_bristles_is_reported_instead_of_blowing_up() -> None:
     config = study_plant(3)
     plant = Plant([changed(config, substeps=10)])
-    plant.set_state(np.array([[config.arm.theta_0, [0.0, 30.0], [0.0, 0.0]]]))
+    set_state(plant, np.array([config.arm.theta_0, [0.0, 30.0], [0.0, 0.0]]))
     with pytest.raises(IntegrationError, match=r"h·σ0\|v\|/g\(v\) = \d+.* below 2\.7") as caught:
         plant.tick(np.zeros((1, 2)), np.zeros((1, 2)))
     assert "\n" not in str(caught.value)
@@ -148,7 +149,7 @@ def test_torque_on_the_arm_is_that_of_the_equations_of_motion(n: int) -> None:
         )
         command, voluntary = random.uniform(-20.0, 20.0, (2, n))
         rows[dynamics.COMMAND], rows[dynamics.VOLUNTARY] = command, voluntary
-        plant.set_state(state[None])
+        set_state(plant, state)
         expected = load(config, state, command, voluntary)
         scale = float(np.max(np.abs(expected)))
         assert plant.torque[0] == pytest.approx(expected, abs=1e-11 * scale)
