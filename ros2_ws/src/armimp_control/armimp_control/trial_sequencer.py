@@ -12,6 +12,7 @@ import numpy as np
 from armimp_common.arrays import FloatArray
 from armimp_common.status import NOTICE_TICKS, Cause, Phase, StoppingDecision, TrialStatus
 from armimp_common.topics import PERIOD, PERIOD_NS, clock_step
+from armimp_control.laws import NO_JOINT
 from armimp_control.laws.law import Controller
 from armimp_control.parameters import ControllerParameters
 from armimp_control.perturbation import perturbation
@@ -50,7 +51,7 @@ class TrialSequencer:
     ) -> None:
         self.warnings = parameters.check()
         self._parameters, self._announce = parameters, announce
-        n = self._count = len(parameters.joints)
+        n = len(parameters.joints)
         self._law = Controller(parameters.law_config(), safety=parameters.safety)
         self._segments = timetable(parameters.sequence, joints=n, tare=parameters.tare)
         self._planned = round(parameters.sequence.duration / PERIOD)
@@ -67,7 +68,6 @@ class TrialSequencer:
         self._fill = partial(struct.Struct(f"{2 * n}d").pack_into, self._law.sample.data, 0)
         self._at_rest = np.zeros((n, parameters.tare.ticks))
         self._tare: Tare | None = None
-        self._malformed = ""
         self.command, self.tau_delta = self._law.command, self._law.sample[2]
         self._compute = self._law.compute
         self._saturation = SaturationCounter()
@@ -91,21 +91,13 @@ class TrialSequencer:
         theta : (n,) encoder readings, rad
         tau_h : (n,) torque on the arm, N·m
         """
-        if len(theta) == self._count == len(tau_h):
-            self._malformed = ""
-            if not self.finished:
-                if stamp_ns != self._next_ns:
-                    self._check_stamp(stamp_ns)
-                self._next_ns = stamp_ns + PERIOD_NS
-                if self.tick >= self._until and not self.finished:
-                    self._advance(stamp_ns)
-            self._control(theta, tau_h)
-        else:
-            what, values = "position", theta
-            if len(theta) == self._count:
-                what, values = "torque reading", tau_h
-            self._malformed = f"{what} has {len(values)} values for {self._count} joints"
-            self.abort(Cause.MALFORMED, self._malformed)
+        if not self.finished:
+            if stamp_ns != self._next_ns:
+                self._check_stamp(stamp_ns)
+            self._next_ns = stamp_ns + PERIOD_NS
+            if self.tick >= self._until and not self.finished:
+                self._advance(stamp_ns)
+        self._control(theta, tau_h)
         self.tick += 1
 
     @property
@@ -121,7 +113,7 @@ class TrialSequencer:
     @property
     def present_fault(self) -> str:
         """What was wrong with the last sample, in words; else empty."""
-        return self._malformed or self._law.present_fault
+        return self._law.present_fault
 
     @property
     def awaits_decision(self) -> bool:
@@ -228,10 +220,7 @@ class TrialSequencer:
         self._law.perturb_joint(settle.joint)
 
     def _prepare(self, settle: Segment) -> None:
-        if settle.tare:
-            self._law.lock()
-        else:
-            self._law.perturb_joint(settle.joint)
+        self._law.perturb_joint(NO_JOINT if settle.tare else settle.joint)
         self._tare = None
         self._start_ns = None
         self._saturation = SaturationCounter()

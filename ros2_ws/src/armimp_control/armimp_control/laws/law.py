@@ -211,13 +211,12 @@ class Controller:
         return {limit: int(self._journal[CLIPPED + i]) for i, limit in enumerate(Limit)}
 
     def perturb_joint(self, joint: int | None) -> None:
-        """Make ``joint`` (0-based; None: all) compliant and lock the others, without a jump."""
+        """Make ``joint`` (0-based; None: all) compliant and lock the others, without a jump.
+
+        With NO_JOINT all are held.
+        """
         self.role[:], self.model[:] = self.config.role(joint), self.config.model(joint)
         self.role[TARE] = self._tare
-
-    def lock(self) -> None:
-        """Hold all joints, without a jump."""
-        self.perturb_joint(NO_JOINT)
 
     def tare(self, offset: Sequence[float]) -> None:
         """From now on take what torque transducers read at rest (n,), N·m, from their readings.
