@@ -126,7 +126,7 @@ def present(
     if as_json:
         print(summary.model_dump_json(by_alias=True, ensure_ascii=True))
     else:
-        print_files(summary, directory)
+        _print_files(summary, directory)
     return 0 if summary.valid and complete else 1
 
 
@@ -164,9 +164,9 @@ def _draw(directory: Path, result: Result) -> None:
         write_figures(directory, result)
 
 
-def print_result(summary: Summary, console: Console | None = None) -> None:
+def print_result(summary: Summary) -> None:
     """Print the tables of a result, and the verdict."""
-    out = console if console is not None else Console(soft_wrap=True)
+    out = Console(soft_wrap=True)
     for name, result in summary.estimators.items():
         out.print(_parameter_table(name, result, summary))
         if result.offered is not None:
@@ -184,20 +184,18 @@ def print_result(summary: Summary, console: Console | None = None) -> None:
         out.print("Z(f) is valid; M, B and K are not", highlight=False)
 
 
-def print_files(summary: Summary, directory: Path | None, console: Console | None = None) -> None:
+def _print_files(summary: Summary, directory: Path | None) -> None:
     """Print where the files of a result are, and how long everything took."""
-    out = console if console is not None else Console(soft_wrap=True)
+    out = Console(soft_wrap=True)
     if directory is not None:
         out.print(f"results in {directory}", highlight=False)
-    if summary.wall is not None and not math.isnan(summary.wall.trials):
-        out.print(_wall_line(summary.wall), highlight=False)
-
-
-def _wall_line(wall: WallSummary) -> str:
-    return (
-        f"{wall.before:.1f} s until the first sample, {wall.trials:.1f} s to the last one, "
-        f"{wall.result:.1f} s for the result, {wall.after - wall.result:.1f} s for the rest"
-    )
+    wall = summary.wall
+    if wall is not None and not math.isnan(wall.trials):
+        out.print(
+            f"{wall.before:.1f} s until the first sample, {wall.trials:.1f} s to the last one, "
+            f"{wall.result:.1f} s for the result, {wall.after - wall.result:.1f} s for the rest",
+            highlight=False,
+        )
 
 
 def _table(columns: Sequence[str], title: str | None = None) -> Table:
@@ -220,7 +218,7 @@ def _parameter_table(name: str, result: EstimatorSummary, summary: Summary) -> T
             cells = [f"{letter}{i + 1}{k + 1}", f"{value:.5f}", f"{errors[i][k]:.5f}"]
             if summary.truth is not None:
                 true = getattr(summary.truth, letter)[i][k]
-                cells += [f"{true:.5f}", _relative(value, true)]
+                cells += [f"{true:.5f}", f"{100.0 * (value / true - 1.0):+.2f} %" if true else "–"]
             table.add_row(*cells, unit, end_section=i == k == last)
     return table
 
@@ -229,7 +227,7 @@ def _model_table(title: str, model: ModelSummary) -> Table:
     table = _table(["", "estimate", "± s.e.", "unit"], f"{title}: Z = {model.equation}")
     for name, place, value, error, unit in model.elements:
         label = name + "".join(map(str, place))
-        table.add_row(label, f"{value:.5g}", "–" if math.isnan(error) else f"{error:.2g}", unit)
+        table.add_row(label, f"{value:.5g}", _shown(error, ".2g"), unit)
     return table
 
 
@@ -265,10 +263,10 @@ def _trial_table(summary: Summary) -> Table:
         "lost": [str(one.lost) for one in trials],
         **{name: told for name, told in counts.items() if {*told} - {"0", "0 %", "0.0", ""}},
         "lock ratio": [
-            _largest([ratio for i, ratio in enumerate(one.lock_ratio) if i != one.k - 1])
+            _shown(max(np.delete(one.lock_ratio, one.k - 1), default=math.nan), ".4f")
             for one in trials
         ],
-        "x real time": ["–" if math.isnan(one.rtf) else f"{one.rtf:.1f}" for one in trials],
+        "x real time": [_shown(one.rtf, ".1f") for one in trials],
         "bag": ["–" if one.bag is None else one.bag for one in trials],
     }
     table = _table(list(cells), "trials")
@@ -285,14 +283,12 @@ def _timing_table(timing: Timing) -> Table:
         ("period", (timing.period_p50, timing.period_p99, timing.period_max)),
         ("sample to command", (timing.latency_p50, timing.latency_p99, timing.latency_max)),
     ):
-        cells = ("–" if math.isnan(one) else f"{1e3 * one:.3f}" for one in durations)
-        table.add_row(label, *cells)
+        table.add_row(label, *(_shown(1e3 * one, ".3f") for one in durations))
     return table
 
 
-def _largest(values: Sequence[float]) -> str:
-    worst = max(values, default=math.nan)
-    return "–" if math.isnan(worst) else f"{worst:.4f}"
+def _shown(value: float, spec: str) -> str:
+    return "–" if math.isnan(value) else format(value, spec)
 
 
 def _without_precision(summary: Summary) -> list[str]:
@@ -306,7 +302,3 @@ def _without_precision(summary: Summary) -> list[str]:
         for trial in summary.trials
         if not trial.saved
     ]
-
-
-def _relative(value: float, true: float) -> str:
-    return f"{100.0 * (value / true - 1.0):+.2f} %" if true else "–"
