@@ -22,7 +22,7 @@ from pydantic import (
 from typing_extensions import Self
 
 from armimp_common.errors import ConfigurationError
-from armimp_common.schema import Loader, check_names, explain, load_yaml
+from armimp_common.schema import check_names, explain, load_yaml
 from armimp_common.topics import SIM_NODE
 from armimp_control.perturbation import PerturbationKind
 from armimp_estimation.atomic_write import read_text, require_text
@@ -216,19 +216,6 @@ def checked(model: type[ModelT], values: Mapping[str, Any]) -> ModelT:
         raise ConfigurationError(explain(error)) from None
 
 
-class _Loader(Loader):  # type: ignore[misc]
-    """The safe loader, where a value that is not what it looks like is an error of YAML."""
-
-    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
-        try:
-            return super().construct_object(node, deep=deep)
-        except (ValueError, ArithmeticError, LookupError, AttributeError):
-            kind = str(node.tag).rpartition(":")[2]
-            raise yaml.constructor.ConstructorError(
-                None, None, f"{node.value!r:.60} is no {kind}", node.start_mark
-            ) from None
-
-
 def load_config(path: Path | None, options: Mapping[str, Any]) -> ExperimentConfig:
     """Read a YAML file, and let the given options prevail.
 
@@ -256,12 +243,13 @@ def load_config(path: Path | None, options: Mapping[str, Any]) -> ExperimentConf
 def _read(path: Path) -> dict[str, Any]:
     try:
         require_text(path)
-        loaded = load_yaml(read_text(path, _MOST_BYTES), _Loader)
+        loaded = load_yaml(read_text(path, _MOST_BYTES))
     except OSError as error:
         raise ConfigurationError(f"{path}: {error.strerror}") from None
     except UnicodeDecodeError:
         raise ConfigurationError(f"{path}: is not a text file") from None
-    except yaml.YAMLError as error:
+    # The loader leaves errors of values such as the date 2026-13-01 to Python.
+    except (yaml.YAMLError, ValueError, ArithmeticError, LookupError, AttributeError) as error:
         reason = " ".join(str(error).split())
         raise ConfigurationError(f"{path}: cannot be read as YAML: {reason:.300}") from None
     if loaded is not None and not isinstance(loaded, dict):

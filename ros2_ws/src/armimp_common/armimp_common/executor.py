@@ -129,7 +129,7 @@ class Spinner:
         nodes = list(nodes)
         if context is None and nodes:
             context = nodes[0].context
-        self.executor = make_executor(context)
+        self.executor = _fastest(context)
         for node in nodes:
             self.add_node(node)
         threading.Thread(target=self._look_at_clock, name="wall clock", daemon=True).start()
@@ -228,8 +228,8 @@ class Spinner:
         self.close()
 
 
-def make_executor(context: Context | None = None) -> Executor:
-    """Return an events executor, or the single-threaded one where this rclpy has no other."""
+def _fastest(context: Context | None) -> Executor:
+    """An events executor, or the single-threaded one where this rclpy has no other."""
     try:
         from rclpy.experimental import EventsExecutor
     except ImportError:

@@ -159,30 +159,23 @@ class LifecycleManager:
             If the node does not answer, is not in a state that has this transition, or fails
             to make it; the message names node and transition.
         """
-        available = self._available(name, transition)
+        request = GetAvailableTransitions.Request()
+        answer = self._ask(name, "get_available_transitions", request, transition)
+        available = {
+            str(item.transition.label): int(item.transition.id)
+            for item in answer.available_transitions
+        }
         if transition not in available:
             raise GraphError(
                 f"node {name} cannot {transition}: it is {self.state(name)},"
                 f" which allows {', '.join(available) or 'nothing'}"
             )
-        request = ChangeState.Request(
-            transition=Transition(id=available[transition], label=transition)
-        )
-        answer = self._ask(name, "change_state", request, transition)
-        if not answer.success:
+        chosen = Transition(id=available[transition], label=transition)
+        request = ChangeState.Request(transition=chosen)
+        if not self._ask(name, "change_state", request, transition).success:
             raise GraphError(f"node {name} failed to {transition}; its log tells why")
 
-    def _available(self, name: str, purpose: str) -> dict[str, int]:
-        request = GetAvailableTransitions.Request()
-        answer = self._ask(name, "get_available_transitions", request, purpose)
-        return {
-            str(item.transition.label): int(item.transition.id)
-            for item in answer.available_transitions
-        }
-
     def _ask(self, name: str, service: str, request: Any, purpose: str) -> Any:
-        if (name, service) not in self._clients:
-            raise GraphError(f"node {name} is not managed; managed: {', '.join(self.names)}")
         return ask(
             self._clients[name, service],
             request,
