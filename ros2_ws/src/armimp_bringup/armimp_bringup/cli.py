@@ -294,7 +294,7 @@ def reproduce(
     ] = None,
     seeds: Annotated[str, typer.Option(help="Seeds, as in 77 or 0:10 or 1,5,10:20.")] = "0",
     workers: Annotated[
-        int | None, typer.Option(help="Number of threads.", show_default="one for each core")
+        int | None, typer.Option(min=1, help="Number of threads.", show_default="one for each core")
     ] = None,
     scheduler: Annotated[
         str | None,

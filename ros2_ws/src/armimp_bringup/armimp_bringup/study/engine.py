@@ -166,15 +166,8 @@ def threads(workers: int | None = None) -> Backend:
     ----------
     workers : int, optional
         Number of threads; by default one for each core.
-
-    Raises
-    ------
-    ConfigurationError
-        If it is less than 1.
     """
-    workers = available_cores() if workers is None else workers
-    if workers < 1:
-        raise ConfigurationError(f"--workers must be at least 1, got {workers}")
+    workers = workers or available_cores()
     pool = ThreadPoolExecutor(workers)
     close = partial(pool.shutdown, wait=False, cancel_futures=True)
     return Backend(pool=pool, workers=workers, close=close)
