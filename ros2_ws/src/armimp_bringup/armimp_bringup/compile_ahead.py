@@ -23,11 +23,13 @@ from armimp_sim.plant import Plant, tick
 
 def compile_ahead(parameters: NodeParameters) -> None:
     """Compile what a run of these parameters calls, unless this machine has compiled it before."""
-    folder = cache_folder(tick)
-    if folder is None or (mark := folder / _kind(parameters.simulator)).exists():
+    rig, folder = parameters.simulator, cache_folder(tick)
+    # All rigs of one name have the same types, and so the same machine code.
+    name = f"{'ideal' if rig.ideal else 'real'}-{len(rig.joints)}{'-soft' if rig.soft else ''}"
+    if folder is None or (mark := folder / f"compiled-{name}").exists():
         return
     plant = subprocess.Popen(
-        [sys.executable, "-m", __spec__.name, parameters.simulator.model_dump_json()],
+        [sys.executable, "-m", __spec__.name, rig.model_dump_json()],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,  # what fails there is compiled, and fails, in a node
@@ -42,12 +44,6 @@ def compile_ahead(parameters: NodeParameters) -> None:
             mark.touch()
 
 
-def _kind(plant: SimulatorParameters) -> str:
-    """Name for all plants that have the same types, and so the same machine code."""
-    cuff = "-soft" if plant.soft else ""
-    return f"compiled-{'ideal' if plant.ideal else 'real'}-{len(plant.joints)}{cuff}"
-
-
 def _compile_law(parameters: NodeParameters) -> None:
     law = parameters.controller
     controller = Controller(law.law_config(), safety=law.safety)
@@ -57,11 +53,6 @@ def _compile_law(parameters: NodeParameters) -> None:
     perturbation(law.perturbation, joint=0, trial=1, ticks=1, seed=law.seed, prior=law.priors()[0])
 
 
-def _compile_plant(parameters: SimulatorParameters) -> None:
-    plant = Plant([parameters])
-    nothing = np.zeros_like(plant.position)
-    plant.tick(nothing, nothing)
-
-
 if __name__ == "__main__":
-    _compile_plant(SimulatorParameters.model_validate_json(sys.argv[1]))
+    _plant = Plant([SimulatorParameters.model_validate_json(sys.argv[1])])
+    _plant.tick(np.zeros_like(_plant.position), np.zeros_like(_plant.position))

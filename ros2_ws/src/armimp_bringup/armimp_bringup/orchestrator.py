@@ -220,7 +220,11 @@ class Supervisor(Node):
         if self.realtime and self._done:
             return
         for status in message.status:
-            self._note_answers(status)
+            if status.name == LIMITER_STATUS:
+                # Answered samples are news, as phases without recording may be long.
+                answered = values_of(status).get("tick")
+                if answered != self._answered:
+                    self._answered, self.last_news = answered, time.monotonic()
             # Up to an abort, but what comes after it is better than nothing.
             if status.name == TimingFigures.STATUS_NAME and not (
                 self.finished and self.timing is not None
@@ -241,14 +245,6 @@ class Supervisor(Node):
                 if reason.startswith(before) or before.startswith(reason):
                     return
         self.faults.append(new)
-
-    def _note_answers(self, status: DiagnosticStatus) -> None:
-        """Count answered samples as news, as phases without recording may be long."""
-        if status.name == LIMITER_STATUS:
-            answered = values_of(status).get("tick")
-            if answered != self._answered:
-                self._answered = answered
-                self.last_news = time.monotonic()
 
 
 class Course:

@@ -151,20 +151,19 @@ class ControllerParameters(Schema):
 
     def imbic_config(self) -> ImbicConfig:
         """The law of the study, whichever was chosen."""
+        law, observer = self.law, None
+        if law.internal_model == "observer":
+            observer = Observer(
+                resolution=law.encoder_resolution,
+                delay=self.known.command_delay,
+                perturbed=self._each("law.perturbed_walk"),
+                locked=self._each("law.locked_walk"),
+            )
         return ImbicConfig(
             target=self.target,
             model_inertia=self._matrix("law.model_inertia"),
-            gamma=self.law.gamma,
-            observer=self._observer() if self.law.internal_model == "observer" else None,
-        )
-
-    def _observer(self) -> Observer:
-        law = self.law
-        return Observer(
-            resolution=law.encoder_resolution,
-            delay=self.known.command_delay,
-            perturbed=self._each("law.perturbed_walk"),
-            locked=self._each("law.locked_walk"),
+            gamma=law.gamma,
+            observer=observer,
         )
 
     def priors(self) -> tuple[JointPrior, ...]:

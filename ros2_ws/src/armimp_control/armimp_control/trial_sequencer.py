@@ -198,7 +198,12 @@ class TrialSequencer:
         self._next_segment += 1
         self.tau_delta[:] = 0.0
         if before is not None and before.tare:
-            self._take_tare(segment)
+            self._tare = self._parameters.tare.of(self._at_rest)
+            if refusal := self._parameters.tare.refusal(self._tare, self._parameters.joints):
+                self.stop(Cause.TARE, refusal)
+                return
+            self._law.tare(self._tare.offset)
+            self._law.perturb_joint(segment.joint)
             return
         if segment.phase is Phase.SETTLE:
             self._prepare(segment)
@@ -209,15 +214,6 @@ class TrialSequencer:
     def _enter(self, segment: Segment) -> Segment:
         self._segment, self._until = segment, segment.end
         return segment
-
-    def _take_tare(self, settle: Segment) -> None:
-        """Find the tare and let the joints take their roles, or end the experiment."""
-        self._tare = self._parameters.tare.of(self._at_rest)
-        if refusal := self._parameters.tare.refusal(self._tare, self._parameters.joints):
-            self.stop(Cause.TARE, refusal)
-            return
-        self._law.tare(self._tare.offset)
-        self._law.perturb_joint(settle.joint)
 
     def _prepare(self, settle: Segment) -> None:
         self._law.perturb_joint(NO_JOINT if settle.tare else settle.joint)
