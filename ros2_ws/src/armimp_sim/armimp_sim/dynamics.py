@@ -54,13 +54,13 @@ def width_for(lanes: int) -> int:
 
 
 @compiled
-def _get(w: FloatArray, block: int, row: int, width: Tag) -> float:
-    return load(w, block * w.shape[1] + row * len(width), width)
+def _get(w: FloatArray, row: int, width: Tag) -> float:
+    return load(w, row * len(width), width)
 
 
 @compiled
-def _put(w: FloatArray, block: int, row: int, width: Tag, value: float) -> None:
-    store(w, block * w.shape[1] + row * len(width), value)
+def _put(w: FloatArray, row: int, width: Tag, value: float) -> None:
+    store(w, row * len(width), value)
 
 
 @compiled
@@ -69,70 +69,69 @@ def _matrix_row(which: int, i: int, j: int, n: int) -> int:
 
 
 @compiled
-def _kinematics(w: FloatArray, block: int, joints: Tag, width: Tag) -> None:
+def _kinematics(w: FloatArray, joints: Tag, width: Tag) -> None:
     """Sines and cosines of the absolute link angles, and squared absolute rates."""
     n = len(joints)
     # The dynamics depend on angle differences only: the first link may stand at zero.
     angle = fill(0.0, width)
-    rate = _get(w, block, VELOCITY * n, width)
-    _put(w, block, _COSINE * n, width, fill(1.0, width))
-    _put(w, block, _SINE * n, width, angle)
-    _put(w, block, _OMEGA_SQUARED * n, width, rate * rate)
+    rate = _get(w, VELOCITY * n, width)
+    _put(w, _COSINE * n, width, fill(1.0, width))
+    _put(w, _SINE * n, width, angle)
+    _put(w, _OMEGA_SQUARED * n, width, rate * rate)
     for a in range(1, n):
-        angle += _get(w, block, THETA * n + a, width)
-        rate += _get(w, block, VELOCITY * n + a, width)
+        angle += _get(w, THETA * n + a, width)
+        rate += _get(w, VELOCITY * n + a, width)
         s, c = sine_cosine(angle)
-        _put(w, block, _COSINE * n + a, width, c)
-        _put(w, block, _SINE * n + a, width, s)
-        _put(w, block, _OMEGA_SQUARED * n + a, width, rate * rate)
+        _put(w, _COSINE * n + a, width, c)
+        _put(w, _SINE * n + a, width, s)
+        _put(w, _OMEGA_SQUARED * n + a, width, rate * rate)
 
 
 @compiled
-def _bristle_force(w: FloatArray, block: int, i: int, n: int, width: Tag) -> float:
+def _bristle_force(w: FloatArray, i: int, n: int, width: Tag) -> float:
     """LuGre's g(v) of joint i."""
     return bristle_force(
-        _get(w, block, VELOCITY * n + i, width),
-        _get(w, block, COULOMB * n + i, width),
-        _get(w, block, STRIBECK * n + i, width),
-        _get(w, block, INVERSE_STRIBECK_VELOCITY * n + i, width),
+        _get(w, VELOCITY * n + i, width),
+        _get(w, COULOMB * n + i, width),
+        _get(w, STRIBECK * n + i, width),
+        _get(w, INVERSE_STRIBECK_VELOCITY * n + i, width),
     )
 
 
 @compiled
-def _friction(w: FloatArray, block: int, joints: Tag, width: Tag) -> None:
+def _friction(w: FloatArray, joints: Tag, width: Tag) -> None:
     """Slope of the bristle deflection, and −F into the right-hand side."""
     n = len(joints)
     for i in range(n):
         dz, force = lugre(
-            _get(w, block, VELOCITY * n + i, width),
-            _get(w, block, BRISTLE * n + i, width),
-            _bristle_force(w, block, i, n, width),
-            _get(w, block, SIGMA_0 * n + i, width),
-            _get(w, block, SIGMA_1 * n + i, width),
-            _get(w, block, SIGMA_2 * n + i, width),
+            _get(w, VELOCITY * n + i, width),
+            _get(w, BRISTLE * n + i, width),
+            _bristle_force(w, i, n, width),
+            _get(w, SIGMA_0 * n + i, width),
+            _get(w, SIGMA_1 * n + i, width),
+            _get(w, SIGMA_2 * n + i, width),
         )
-        _put(w, block, _SLOPE_Z * n + i, width, dz)
-        _put(w, block, _RHS * n + i, width, -force)
+        _put(w, _SLOPE_Z * n + i, width, dz)
+        _put(w, _RHS * n + i, width, -force)
 
 
 @compiled
-def _arm(w: FloatArray, block: int, joints: Tag, width: Tag) -> None:
+def _arm(w: FloatArray, joints: Tag, width: Tag) -> None:
     """Take B_h θ̇ + K_h (θ − θ_0) + d from the right-hand side."""
     n = len(joints)
     for i in range(n):
-        total = _get(w, block, VOLUNTARY * n + i, width)
+        total = _get(w, VOLUNTARY * n + i, width)
         for j in range(n):
-            angle = _get(w, block, THETA * n + j, width) - _get(w, block, POSTURE * n + j, width)
+            angle = _get(w, THETA * n + j, width) - _get(w, POSTURE * n + j, width)
             total += (
-                _get(w, block, _matrix_row(DAMPING, i, j, n), width)
-                * _get(w, block, VELOCITY * n + j, width)
-                + _get(w, block, _matrix_row(STIFFNESS, i, j, n), width) * angle
+                _get(w, _matrix_row(DAMPING, i, j, n), width) * _get(w, VELOCITY * n + j, width)
+                + _get(w, _matrix_row(STIFFNESS, i, j, n), width) * angle
             )
-        _put(w, block, _RHS * n + i, width, _get(w, block, _RHS * n + i, width) - total)
+        _put(w, _RHS * n + i, width, _get(w, _RHS * n + i, width) - total)
 
 
 @compiled
-def _links(w: FloatArray, block: int, joints: Tag, width: Tag) -> None:
+def _links(w: FloatArray, joints: Tag, width: Tag) -> None:
     """Inertia and centripetal torque of the chain in absolute link angles φ.
 
     There the kinetic energy is ½ Σ_ab A_ab cos(φ_a − φ_b) φ̇_a φ̇_b with constant A. Since
@@ -140,51 +139,51 @@ def _links(w: FloatArray, block: int, joints: Tag, width: Tag) -> None:
     """
     n = len(joints)
     for i in range(n):
-        c_i, s_i = _get(w, block, _COSINE * n + i, width), _get(w, block, _SINE * n + i, width)
+        c_i, s_i = _get(w, _COSINE * n + i, width), _get(w, _SINE * n + i, width)
         centripetal = fill(0.0, width)
         for b in range(n):
-            coefficient = _get(w, block, _matrix_row(CHAIN, i, b, n), width)
-            c_b, s_b = _get(w, block, _COSINE * n + b, width), _get(w, block, _SINE * n + b, width)
+            coefficient = _get(w, _matrix_row(CHAIN, i, b, n), width)
+            c_b, s_b = _get(w, _COSINE * n + b, width), _get(w, _SINE * n + b, width)
             cosine = coefficient * (c_i * c_b + s_i * s_b)
-            _put(w, block, _matrix_row(_MASS, i, b, n), width, cosine)
+            _put(w, _matrix_row(_MASS, i, b, n), width, cosine)
             sine = coefficient * (s_i * c_b - c_i * s_b)
-            centripetal += sine * _get(w, block, _OMEGA_SQUARED * n + b, width)
-        _put(w, block, _CENTRIPETAL * n + i, width, centripetal)
+            centripetal += sine * _get(w, _OMEGA_SQUARED * n + b, width)
+        _put(w, _CENTRIPETAL * n + i, width, centripetal)
 
 
 @compiled
-def _drive(w: FloatArray, block: int, joints: Tag, width: Tag) -> None:
+def _drive(w: FloatArray, joints: Tag, width: Tag) -> None:
     """Add τ − C θ̇ to the right-hand side."""
     n = len(joints)
     outwards = fill(0.0, width)
     for i in range(n - 1, -1, -1):
-        outwards = _get(w, block, _CENTRIPETAL * n + i, width) + outwards
-        torque = _get(w, block, COMMAND * n + i, width) - outwards
-        _put(w, block, _RHS * n + i, width, _get(w, block, _RHS * n + i, width) + torque)
+        outwards = _get(w, _CENTRIPETAL * n + i, width) + outwards
+        torque = _get(w, COMMAND * n + i, width) - outwards
+        _put(w, _RHS * n + i, width, _get(w, _RHS * n + i, width) + torque)
 
 
 @compiled
-def _masses(w: FloatArray, block: int, joints: Tag, width: Tag) -> None:
+def _masses(w: FloatArray, joints: Tag, width: Tag) -> None:
     """M_r(θ) + M_h from the inertia of the links: sums over columns, then over rows."""
     n = len(joints)
     first, arm = _matrix_row(_MASS, 0, 0, n), _matrix_row(INERTIA, 0, 0, n)
     for i in range(n):
         for b in range(n - 2, -1, -1):
-            _accumulate(w, block, first + i * n + b, first + i * n + b + 1, width)
+            _accumulate(w, first + i * n + b, first + i * n + b + 1, width)
     for element in range(n * (n - 1) - 1, -1, -1):
-        _accumulate(w, block, first + element, first + element + n, width)
+        _accumulate(w, first + element, first + element + n, width)
     for element in range(n * n):
-        _accumulate(w, block, first + element, arm + element, width)
+        _accumulate(w, first + element, arm + element, width)
 
 
 @compiled
-def _accumulate(w: FloatArray, block: int, row: int, other: int, width: Tag) -> None:
+def _accumulate(w: FloatArray, row: int, other: int, width: Tag) -> None:
     """Add one quantity to another."""
-    _put(w, block, row, width, _get(w, block, row, width) + _get(w, block, other, width))
+    _put(w, row, width, _get(w, row, width) + _get(w, other, width))
 
 
 @compiled
-def _solve(w: FloatArray, block: int, joints: Tag, width: Tag) -> None:
+def _solve(w: FloatArray, joints: Tag, width: Tag) -> None:
     """θ̈ = (M_r + M_h)⁻¹ rhs by elimination.
 
     No pivoting: configuration checks that the symmetric part is positive definite, for which
@@ -193,89 +192,83 @@ def _solve(w: FloatArray, block: int, joints: Tag, width: Tag) -> None:
     n = len(joints)
     for p in range(n):
         for i in range(p + 1, n):
-            factor = _get(w, block, _matrix_row(_MASS, i, p, n), width) / _get(
-                w, block, _matrix_row(_MASS, p, p, n), width
+            factor = _get(w, _matrix_row(_MASS, i, p, n), width) / _get(
+                w, _matrix_row(_MASS, p, p, n), width
             )
             for j in range(p + 1, n):
                 row, pivot = _matrix_row(_MASS, i, j, n), _matrix_row(_MASS, p, j, n)
-                value = _get(w, block, row, width) - factor * _get(w, block, pivot, width)
-                _put(w, block, row, width, value)
-            value = _get(w, block, _RHS * n + i, width) - factor * _get(
-                w, block, _RHS * n + p, width
-            )
-            _put(w, block, _RHS * n + i, width, value)
+                value = _get(w, row, width) - factor * _get(w, pivot, width)
+                _put(w, row, width, value)
+            value = _get(w, _RHS * n + i, width) - factor * _get(w, _RHS * n + p, width)
+            _put(w, _RHS * n + i, width, value)
     for i in range(n - 1, -1, -1):
-        total = _get(w, block, _RHS * n + i, width)
+        total = _get(w, _RHS * n + i, width)
         for j in range(i + 1, n):
-            total -= _get(w, block, _matrix_row(_MASS, i, j, n), width) * _get(
-                w, block, _SLOPE_V * n + j, width
-            )
-        pivot_value = _get(w, block, _matrix_row(_MASS, i, i, n), width)
-        _put(w, block, _SLOPE_V * n + i, width, total / pivot_value)
+            total -= _get(w, _matrix_row(_MASS, i, j, n), width) * _get(w, _SLOPE_V * n + j, width)
+        pivot_value = _get(w, _matrix_row(_MASS, i, i, n), width)
+        _put(w, _SLOPE_V * n + i, width, total / pivot_value)
 
 
 @compiled
-def _slopes(w: FloatArray, block: int, joints: Tag, width: Tag) -> None:
+def _slopes(w: FloatArray, joints: Tag, width: Tag) -> None:
     """Time derivatives of v and z at the present state (that of θ is v itself)."""
-    _kinematics(w, block, joints, width)
-    _friction(w, block, joints, width)
-    _arm(w, block, joints, width)
-    _links(w, block, joints, width)
-    _drive(w, block, joints, width)
-    _masses(w, block, joints, width)
-    _solve(w, block, joints, width)
+    _kinematics(w, joints, width)
+    _friction(w, joints, width)
+    _arm(w, joints, width)
+    _links(w, joints, width)
+    _drive(w, joints, width)
+    _masses(w, joints, width)
+    _solve(w, joints, width)
 
 
 @compiled
-def rk4_step(w: FloatArray, block: int, joints: Tag, width: Tag, h: float) -> None:
+def rk4_step(w: FloatArray, joints: Tag, width: Tag, h: float) -> None:
     """One classical Runge–Kutta step of length h with constant command."""
     n = len(joints)
     for row in range(3 * n):
-        _put(w, block, _START * n + row, width, _get(w, block, row, width))
-        _put(w, block, _SUM * n + row, width, fill(0.0, width))
+        _put(w, _START * n + row, width, _get(w, row, width))
+        _put(w, _SUM * n + row, width, fill(0.0, width))
     for stage in range(4):
         # Weight of these slopes in the sum, and how far they lead to the next stage.
         weight = 2.0 if 1 <= stage <= 2 else 1.0
         ahead = 0.5 * h if stage < 2 else h
-        _slopes(w, block, joints, width)
+        _slopes(w, joints, width)
         for row in range(3 * n):
             if row < n:
-                slope = _get(w, block, VELOCITY * n + row, width)
+                slope = _get(w, VELOCITY * n + row, width)
             else:
-                slope = _get(w, block, _SLOPE_V * n + row - n, width)
-            total = _get(w, block, _SUM * n + row, width) + weight * slope
-            _put(w, block, _SUM * n + row, width, total)
-            next_value = _get(w, block, _START * n + row, width) + ahead * slope
-            _put(w, block, row, width, next_value)
+                slope = _get(w, _SLOPE_V * n + row - n, width)
+            total = _get(w, _SUM * n + row, width) + weight * slope
+            _put(w, _SUM * n + row, width, total)
+            next_value = _get(w, _START * n + row, width) + ahead * slope
+            _put(w, row, width, next_value)
     for row in range(3 * n):
-        total = (h / 6.0) * _get(w, block, _SUM * n + row, width)
-        _put(w, block, row, width, _get(w, block, _START * n + row, width) + total)
+        total = (h / 6.0) * _get(w, _SUM * n + row, width)
+        _put(w, row, width, _get(w, _START * n + row, width) + total)
 
 
 @compiled
-def sample_block(w: FloatArray, block: int, joints: Tag, width: Tag) -> None:
-    """TORQUE = M_h θ̈ + B_h θ̇ + K_h (θ − θ_0) + d in one block, as :func:`sample_now`."""
+def sample_block(w: FloatArray, joints: Tag, width: Tag) -> None:
+    """TORQUE = M_h θ̈ + B_h θ̇ + K_h (θ − θ_0) + d in a block, as :func:`sample_now`."""
     n = len(joints)
-    _slopes(w, block, joints, width)
+    _slopes(w, joints, width)
     for i in range(n):
-        total = _get(w, block, VOLUNTARY * n + i, width)
+        total = _get(w, VOLUNTARY * n + i, width)
         for j in range(n):
-            angle = _get(w, block, THETA * n + j, width) - _get(w, block, POSTURE * n + j, width)
+            angle = _get(w, THETA * n + j, width) - _get(w, POSTURE * n + j, width)
             total += (
-                _get(w, block, _matrix_row(INERTIA, i, j, n), width)
-                * _get(w, block, _SLOPE_V * n + j, width)
-                + _get(w, block, _matrix_row(DAMPING, i, j, n), width)
-                * _get(w, block, VELOCITY * n + j, width)
-                + _get(w, block, _matrix_row(STIFFNESS, i, j, n), width) * angle
+                _get(w, _matrix_row(INERTIA, i, j, n), width) * _get(w, _SLOPE_V * n + j, width)
+                + _get(w, _matrix_row(DAMPING, i, j, n), width) * _get(w, VELOCITY * n + j, width)
+                + _get(w, _matrix_row(STIFFNESS, i, j, n), width) * angle
             )
-        _put(w, block, TORQUE * n + i, width, total)
+        _put(w, TORQUE * n + i, width, total)
 
 
 @compiled_entry
 def sample_now(w: FloatArray, joints: Tag, width: Tag) -> None:
     """Torque on the arm at this instant, N·m, under the command still in force, into TORQUE."""
-    for block in range(w.shape[0]):
-        sample_block(w, block, joints, width)
+    for block in w:
+        sample_block(block, joints, width)
 
 
 @compiled_entry
@@ -293,10 +286,10 @@ def advance(w: FloatArray, joints: Tag, width: Tag, steps: int, h: float) -> Non
     h : s
         Length of one.
     """
-    for block in range(w.shape[0]):
+    for block in w:
         for _ in range(steps):
-            rk4_step(w, block, joints, width, h)
-        sample_block(w, block, joints, width)
+            rk4_step(block, joints, width, h)
+        sample_block(block, joints, width)
 
 
 @compiled
@@ -325,11 +318,11 @@ def stiffness_ratio(w: FloatArray, joints: Tag, width: Tag, h: float) -> float:
     n, m = len(joints), len(width)
     ratios = np.empty(m)
     worst = 0.0
-    for block in range(w.shape[0]):
+    for block in w:
         for i in range(n):
-            speed = abs(_get(w, block, VELOCITY * n + i, width))
-            sigma_0 = _get(w, block, SIGMA_0 * n + i, width)
-            store(ratios, 0, h * sigma_0 * speed / _bristle_force(w, block, i, n, width))
+            speed = abs(_get(block, VELOCITY * n + i, width))
+            sigma_0 = _get(block, SIGMA_0 * n + i, width)
+            store(ratios, 0, h * sigma_0 * speed / _bristle_force(block, i, n, width))
             for lane in range(m):
                 if np.isnan(ratios[lane]):
                     return np.nan

@@ -262,7 +262,7 @@ def _load(
             row = rows[lane, i]
             _drive(w, lane, i, joints, width, row, row[_APPLIED])
         _effort(w, lane, joints, width, rows, past, now, now * h)
-    dynamics.sample_block(w, block, joints, width)
+    dynamics.sample_block(w[block], joints, width)
 
 
 @compiled
@@ -459,7 +459,7 @@ def advance(
         for now in range(start, start + steps):
             _begin(w, block, joints, width, rows, commands, past, steps, now, h)
             _follow(w, block, joints, width, rows)
-            dynamics.rk4_step(w, block, joints, width, h)
+            dynamics.rk4_step(w[block], joints, width, h)
             _end(w, block, joints, width, rows, past, now + 1, h, interval_mean)
     rig.clock[0] += steps
 
