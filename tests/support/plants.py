@@ -41,7 +41,7 @@ def stepwise(plant: SimulatorParameters) -> Plant:
 def set_state(plant: Plant, state: Array) -> None:
     """Put an ideal plant of one lane into the state (θ, v, z), (3, n), and read its sensors."""
     batch = plant.batch
-    batch.w[0, : state.size] = state.ravel()
+    batch.w[0, : state.size, 0] = state.ravel()
     dynamics.sample_now(batch.w, batch.joints, batch.width)
     read(batch)
 

@@ -1,7 +1,7 @@
 """The compiled plant: equations of motion and RK4, for many trials side by side.
 
-Trials stand in lanes, and lanes in blocks of equal width. The numbers of a batch fill an array with
-one row per block; there, each quantity takes ``width`` places, one for each lane. A block goes
+Trials stand in lanes, and lanes in blocks of equal width. The numbers of a batch fill an array
+(blocks, quantities, width), with a place in each quantity for each lane of a block. A block goes
 through a whole control period on its own: its numbers stay in the processor's registers and first
 cache. The width and the number of joints n are compile-time constants, carried by the lengths of
 two tuples; arithmetic is on all lanes of a block at once (:mod:`armimp_sim.simd`). A block of
@@ -277,7 +277,7 @@ def advance(w: FloatArray, joints: Tag, width: Tag, steps: int, h: float) -> Non
 
     Parameters
     ----------
-    w : (blocks, rows(n) · width)
+    w : (blocks, rows(n), width)
         The batch; its COMMAND and VOLUNTARY rows are held constant (zero-order hold).
     joints, width : tuples of n and of the width of the blocks zeros
         Carry the two numbers as compile-time constants.
@@ -292,19 +292,13 @@ def advance(w: FloatArray, joints: Tag, width: Tag, steps: int, h: float) -> Non
         sample_block(block, joints, width)
 
 
-@compiled
-def place(lane: int, row: int, width: int) -> tuple[int, int]:
-    """Index of one quantity of a lane in the batch: block, and place in the block."""
-    return lane // width, row * width + lane % width
-
-
 @compiled_entry
 def stiffness_ratio(w: FloatArray, joints: Tag, width: Tag, h: float) -> float:
     """Largest h·σ0|v|/g(v) of all joints and lanes, for the step-stability check.
 
     Parameters
     ----------
-    w : (blocks, rows(n) · width)
+    w : (blocks, rows(n), width)
         The batch.
     joints, width : tuples of n and of the width of the blocks zeros
         Carry the two numbers as compile-time constants.

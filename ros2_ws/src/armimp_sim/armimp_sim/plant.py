@@ -84,7 +84,7 @@ class Plant:
         coordinates = n * (1 + first.soft)
         self.position, self.torque = np.zeros((lanes, n)), np.zeros((lanes, n))
         self.batch = Batch(
-            w=np.zeros((blocks, dynamics.rows(coordinates) * width)),
+            w=np.zeros((blocks, dynamics.rows(coordinates), width)),
             joints=(0.0,) * coordinates,
             width=(0.0,) * width,
             substeps=first.substeps,
@@ -146,10 +146,8 @@ class Plant:
 
     def _of_lane(self, lane: int) -> FloatArray:
         """All quantities of one lane, a view."""
-        blocks, width = len(self.batch.w), len(self.batch.width)
-        of_lane: FloatArray = self.batch.w.reshape(blocks, -1, width)[
-            lane // width, :, lane % width
-        ]
+        width = len(self.batch.width)
+        of_lane: FloatArray = self.batch.w[lane // width, :, lane % width]
         return of_lane
 
 
@@ -215,9 +213,9 @@ def read(batch: Batch) -> None:
     resolutions, position, torque = batch.resolutions, batch.position, batch.torque
     for lane in range(position.shape[0]):
         for i in range(position.shape[1]):
-            angle = w[dynamics.place(lane, dynamics.THETA * n + i, m)]
+            angle = w[lane // m, dynamics.THETA * n + i, lane % m]
             position[lane, i] = quantise(angle, resolutions[lane, 0])
-            load = w[dynamics.place(lane, dynamics.TORQUE * n + i, m)]
+            load = w[lane // m, dynamics.TORQUE * n + i, lane % m]
             torque[lane, i] = quantise(load, resolutions[lane, 1])
 
 
@@ -254,9 +252,9 @@ def tick(
     used = command.shape[1]
     for lane in range(command.shape[0]):
         for i in range(used):
-            w[dynamics.place(lane, dynamics.COMMAND * n + i, m)] = command[lane, i]
+            w[lane // m, dynamics.COMMAND * n + i, lane % m] = command[lane, i]
             # The arm comes last.
-            w[dynamics.place(lane, dynamics.VOLUNTARY * n + n - used + i, m)] = voluntary[lane, i]
+            w[lane // m, dynamics.VOLUNTARY * n + n - used + i, lane % m] = voluntary[lane, i]
     # Of the two only the one that is needed gets compiled, as None is a type.
     if real is None:
         dynamics.advance(w, joints, width, substeps, step)

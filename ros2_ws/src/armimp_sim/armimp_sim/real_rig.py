@@ -187,34 +187,20 @@ def _stepwise(a: FloatArray, b: FloatArray, c: FloatArray, step: float) -> Float
 
 
 @compiled
-def _lanes(block: int, width: Tag, rows: FloatArray) -> tuple[int, int]:
-    """First lane of a block, and the one after its last."""
-    first = block * len(width)
-    return first, min(first + len(width), rows.shape[0])
-
-
-@compiled
-def _angle(w: FloatArray, lane: int, i: int, joints: Tag, width: Tag) -> float:
-    return float(w[dynamics.place(lane, dynamics.THETA * len(joints) + i, len(width))])
-
-
-@compiled
-def _stretch(w: FloatArray, lane: int, i: int, joints: Tag, width: Tag) -> float:
+def _stretch(w: FloatArray, lane: int, i: int, joints: Tag) -> float:
     """Angle of coordinate i from the posture."""
-    posture = w[dynamics.place(lane, dynamics.POSTURE * len(joints) + i, len(width))]
-    return float(_angle(w, lane, i, joints, width) - posture)
+    n = len(joints)
+    return float(w[dynamics.THETA * n + i, lane] - w[dynamics.POSTURE * n + i, lane])
 
 
 @compiled
-def _drive(
-    w: FloatArray, lane: int, i: int, joints: Tag, width: Tag, row: FloatArray, torque: float
-) -> None:
+def _drive(w: FloatArray, lane: int, i: int, joints: Tag, row: FloatArray, torque: float) -> None:
     """Put the torque of a current loop on its joint, with ripple and cogging."""
     if row[_RIPPLE] > 0.0 or row[_COGGING] > 0.0:
-        angle = _angle(w, lane, i, joints, width)
+        angle = w[dynamics.THETA * len(joints) + i, lane]
         torque += torque * row[_RIPPLE] * np.sin(row[_RIPPLE_CYCLES] * angle)
         torque += row[_COGGING] * np.sin(row[_COGGING_CYCLES] * angle)
-    w[dynamics.place(lane, dynamics.COMMAND * len(joints) + i, len(width))] = torque
+    w[dynamics.COMMAND * len(joints) + i, lane] = torque
 
 
 @compiled
@@ -222,62 +208,50 @@ def _effort(
     w: FloatArray,
     lane: int,
     joints: Tag,
-    width: Tag,
     rows: FloatArray,
     past: FloatArray,
     now: int,
     seconds: float,
 ) -> None:
     """Put voluntary torque on the arm, and what its muscles are beside K_h."""
-    n, m = rows.shape[1], len(width)
+    n = rows.shape[1]
     arm = len(joints) - n  # with a cuff, the arm comes after the robot
     for i in range(n):
         row = rows[lane, i]
         total = row[_VOLUNTARY]
         if row[_MUSCULAR] > 0.0:
-            q = _stretch(w, lane, arm + i, joints, width)
+            q = _stretch(w, lane, arm + i, joints)
             total += row[_CUBIC] * q * q * q + row[_SHORT_RANGE] * (q - row[_YIELDED])
             late = int(row[_CHANNELS + REFLEX * _CHANNEL + _LATE])
             total += past[lane, i, REFLEX, (now - late) % past.shape[3]]
             for j in range(n):
-                total += row[_GROWTH + j] * seconds * _stretch(w, lane, arm + j, joints, width)
-        w[dynamics.place(lane, dynamics.VOLUNTARY * len(joints) + arm + i, m)] = total
+                total += row[_GROWTH + j] * seconds * _stretch(w, lane, arm + j, joints)
+        w[dynamics.VOLUNTARY * len(joints) + arm + i, lane] = total
 
 
 @compiled
 def _load(
-    w: FloatArray,
-    block: int,
-    joints: Tag,
-    width: Tag,
-    rows: FloatArray,
-    past: FloatArray,
-    now: int,
-    h: float,
+    w: FloatArray, joints: Tag, width: Tag, rows: FloatArray, past: FloatArray, now: int, h: float
 ) -> None:
     """TORQUE is what the transducers feel at this instant, `now` steps from the start."""
-    first, last = _lanes(block, width, rows)
-    for lane in range(first, last):
+    for lane in range(rows.shape[0]):
         for i in range(rows.shape[1]):
             row = rows[lane, i]
-            _drive(w, lane, i, joints, width, row, row[_APPLIED])
-        _effort(w, lane, joints, width, rows, past, now, now * h)
-    dynamics.sample_block(w[block], joints, width)
+            _drive(w, lane, i, joints, row, row[_APPLIED])
+        _effort(w, lane, joints, rows, past, now, now * h)
+    dynamics.sample_block(w, joints, width)
 
 
 @compiled
-def _signal(
-    w: FloatArray, lane: int, kind: int, i: int, joints: Tag, width: Tag, rows: FloatArray
-) -> float:
+def _signal(w: FloatArray, lane: int, kind: int, i: int, joints: Tag, rows: FloatArray) -> float:
     """What enters a channel at this instant."""
-    n, m = len(joints), len(width)
+    n = len(joints)
     if kind == ANGLE:
-        return _angle(w, lane, i, joints, width)
+        return float(w[dynamics.THETA * n + i, lane])
     if kind == TORQUE:
-        return float(w[dynamics.place(lane, dynamics.TORQUE * n + i, m)])
+        return float(w[dynamics.TORQUE * n + i, lane])
     row, arm = rows[lane, i], n - rows.shape[1] + i
-    velocity = w[dynamics.place(lane, dynamics.VELOCITY * n + arm, m)]
-    stretch = _stretch(w, lane, arm, joints, width)
+    velocity, stretch = w[dynamics.VELOCITY * n + arm, lane], _stretch(w, lane, arm, joints)
     return float(row[_VELOCITY_GAIN] * velocity + row[_STRETCH_GAIN] * stretch)
 
 
@@ -319,51 +293,42 @@ def settle(w: FloatArray, joints: Tag, width: Tag, rig: RealRig, h: float) -> No
     rig : RealRig, updated
     h : step of the integration, s
     """
-    rows, past = rig.rows, rig.past
-    # A reflex is part of the torque.
-    for kind in (REFLEX, ANGLE, TORQUE):
-        if kind == TORQUE:
-            for block in range(w.shape[0]):
-                _load(w, block, joints, width, rows, past, 0, h)
-        for lane in range(rows.shape[0]):
-            for i in range(rows.shape[1]):
-                row, of = rows[lane, i], _CHANNELS + kind * _CHANNEL
-                signal = _signal(w, lane, kind, i, joints, width, rows)
-                row[of + _LAST] = row[of + _FILTERED] = signal
-                for p in range(int(row[of + _ORDER])):
-                    state = of + _LOW_PASS + p * _WIDE
-                    row[state + _STATE] = signal * row[state + _SETTLED]
-                past[lane, i, kind, :] = signal
+    for block in range(w.shape[0]):
+        lanes = slice(block * len(width), (block + 1) * len(width))
+        rows, past = rig.rows[lanes], rig.past[lanes]
+        # A reflex is part of the torque.
+        for kind in (REFLEX, ANGLE, TORQUE):
+            if kind == TORQUE:
+                _load(w[block], joints, width, rows, past, 0, h)
+            for lane in range(rows.shape[0]):
+                for i in range(rows.shape[1]):
+                    row, of = rows[lane, i], _CHANNELS + kind * _CHANNEL
+                    signal = _signal(w[block], lane, kind, i, joints, rows)
+                    row[of + _LAST] = row[of + _FILTERED] = signal
+                    for p in range(int(row[of + _ORDER])):
+                        state = of + _LOW_PASS + p * _WIDE
+                        row[state + _STATE] = signal * row[state + _SETTLED]
+                    past[lane, i, kind, :] = signal
     rig.played[:] = np.nan
 
 
 @compiled
 def _take_inputs(
-    w: FloatArray,
-    block: int,
-    joints: Tag,
-    width: Tag,
-    rows: FloatArray,
-    commands: FloatArray,
-    tick: int,
+    w: FloatArray, joints: Tag, rows: FloatArray, commands: FloatArray, tick: int
 ) -> None:
     """Take commands and voluntary torques of the present period."""
-    n, m = rows.shape[1], len(width)
-    first, last = _lanes(block, width, rows)
-    for lane in range(first, last):
+    n, coordinates = rows.shape[1], len(joints)
+    for lane in range(rows.shape[0]):
         for i in range(n):
-            row = rows[lane, i]
-            command = w[dynamics.place(lane, dynamics.COMMAND * len(joints) + i, m)]
+            row, command = rows[lane, i], w[dynamics.COMMAND * coordinates + i, lane]
             limited = min(max(command, -row[_LARGEST]), row[_LARGEST])
             commands[lane, i, tick % commands.shape[2]] = limited
-            arm = len(joints) - n + i
-            row[_VOLUNTARY] = w[dynamics.place(lane, dynamics.VOLUNTARY * len(joints) + arm, m)]
+            row[_VOLUNTARY] = w[(dynamics.VOLUNTARY + 1) * coordinates - n + i, lane]
 
 
 @compiled
 def _begin(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     w: FloatArray,
-    block: int,
     joints: Tag,
     width: Tag,
     rows: FloatArray,
@@ -374,13 +339,12 @@ def _begin(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     h: float,
 ) -> None:
     """Have commands, and voluntary torque, take effect at the start of a step."""
-    first, last = _lanes(block, width, rows)
     jumps = now % steps == 0
-    for lane in range(first, last):
+    for lane in range(rows.shape[0]):
         jumps = jumps or (now - int(rows[lane, 0, _LATE_COMMAND])) % steps == 0
     if not jumps:
         return
-    for lane in range(first, last):
+    for lane in range(rows.shape[0]):
         for i in range(rows.shape[1]):
             row = rows[lane, i]
             tick = (now - int(row[_LATE_COMMAND])) // steps
@@ -388,29 +352,27 @@ def _begin(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
             if row[_KEEP] == 0.0:
                 row[_APPLIED] = row[_TARGET]
     # So the torque on the arm jumps.
-    _load(w, block, joints, width, rows, past, now, h)
-    for lane in range(first, last):
+    _load(w, joints, width, rows, past, now, h)
+    for lane in range(rows.shape[0]):
         for i in range(rows.shape[1]):
-            signal = _signal(w, lane, TORQUE, i, joints, width, rows)
+            signal = _signal(w, lane, TORQUE, i, joints, rows)
             rows[lane, i, _CHANNELS + TORQUE * _CHANNEL + _LAST] = signal
 
 
 @compiled
-def _follow(w: FloatArray, block: int, joints: Tag, width: Tag, rows: FloatArray) -> None:
+def _follow(w: FloatArray, joints: Tag, rows: FloatArray) -> None:
     """Drives go on by a step; COMMAND is the mean of their torque over it."""
-    first, last = _lanes(block, width, rows)
-    for lane in range(first, last):
+    for lane in range(rows.shape[0]):
         for i in range(rows.shape[1]):
             row = rows[lane, i]
             away = row[_APPLIED] - row[_TARGET]
-            _drive(w, lane, i, joints, width, row, row[_TARGET] + away * row[_SHARE])
+            _drive(w, lane, i, joints, row, row[_TARGET] + away * row[_SHARE])
             row[_APPLIED] = row[_TARGET] + away * row[_KEEP]
 
 
 @compiled
-def _end(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
+def _end(
     w: FloatArray,
-    block: int,
     joints: Tag,
     width: Tag,
     rows: FloatArray,
@@ -420,23 +382,22 @@ def _end(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     mean: bool,
 ) -> None:
     """Muscles and channels go on by the step that ends `now` steps from the start."""
-    first, last = _lanes(block, width, rows)
     n, at = rows.shape[1], now % past.shape[3]
-    for lane in range(first, last):
+    for lane in range(rows.shape[0]):
         for i in range(n):
             row = rows[lane, i]
             if row[_MUSCULAR] > 0.0:
-                signal = _signal(w, lane, REFLEX, i, joints, width, rows)
+                signal = _signal(w, lane, REFLEX, i, joints, rows)
                 _pass(row, past[lane, i], REFLEX, at, signal, False)
-                q = _stretch(w, lane, len(joints) - n + i, joints, width)
+                q = _stretch(w, lane, len(joints) - n + i, joints)
                 row[_YIELDED] = min(max(row[_YIELDED], q - row[_REACH]), q + row[_REACH])
-    _load(w, block, joints, width, rows, past, now, h)
-    for lane in range(first, last):
+    _load(w, joints, width, rows, past, now, h)
+    for lane in range(rows.shape[0]):
         for i in range(n):
             row = rows[lane, i]
-            signal = _signal(w, lane, ANGLE, i, joints, width, rows)
+            signal = _signal(w, lane, ANGLE, i, joints, rows)
             _pass(row, past[lane, i], ANGLE, at, signal, False)
-            signal = _signal(w, lane, TORQUE, i, joints, width, rows)
+            signal = _signal(w, lane, TORQUE, i, joints, rows)
             _pass(row, past[lane, i], TORQUE, at, signal, mean)
 
 
@@ -452,15 +413,17 @@ def advance(
     interval_mean : whether torques are read as means over the period
     rig : RealRig, updated
     """
-    # Each look into a tuple of arrays costs some nanoseconds.
-    rows, commands, past, start = rig.rows, rig.commands, rig.past, int(rig.clock[0])
+    start = int(rig.clock[0])
     for block in range(w.shape[0]):
-        _take_inputs(w, block, joints, width, rows, commands, start // steps)
+        lanes = slice(block * len(width), (block + 1) * len(width))
+        numbers, rows = w[block], rig.rows[lanes]
+        commands, past = rig.commands[lanes], rig.past[lanes]
+        _take_inputs(numbers, joints, rows, commands, start // steps)
         for now in range(start, start + steps):
-            _begin(w, block, joints, width, rows, commands, past, steps, now, h)
-            _follow(w, block, joints, width, rows)
-            dynamics.rk4_step(w[block], joints, width, h)
-            _end(w, block, joints, width, rows, past, now + 1, h, interval_mean)
+            _begin(numbers, joints, width, rows, commands, past, steps, now, h)
+            _follow(numbers, joints, rows)
+            dynamics.rk4_step(numbers, joints, width, h)
+            _end(numbers, joints, width, rows, past, now + 1, h, interval_mean)
     rig.clock[0] += steps
 
 
