@@ -8,6 +8,7 @@ import random
 import socket
 from collections import defaultdict
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Final
 
@@ -39,7 +40,7 @@ _PORTS: Final = 250
 _CLAIM: Final = 2
 
 
-class DomainClaim:
+class DomainClaim(AbstractContextManager["DomainClaim"]):
     """A domain id held by this process until `release`, or until the process ends.
 
     The claim is a UDP port of the domain that the middleware leaves free, bound on the loopback
@@ -111,9 +112,6 @@ class DomainClaim:
             self._socket.close()
             self._socket = None
 
-    def __enter__(self) -> DomainClaim:
-        return self
-
     def __exit__(self, *_: object) -> None:
         self.release()
 
@@ -131,7 +129,7 @@ def _occupied() -> dict[int, set[int]]:
     return occupied
 
 
-class GraphContext:
+class GraphContext(AbstractContextManager["GraphContext"]):
     """A ROS context of its own, out of reach and hearing of everything else.
 
     It lives in a domain that no other experiment has, and other machines cannot reach it, unless
@@ -203,9 +201,6 @@ class GraphContext:
         self.context.try_shutdown()
         self.claim.release()
         _set_variables(self._before)
-
-    def __enter__(self) -> GraphContext:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

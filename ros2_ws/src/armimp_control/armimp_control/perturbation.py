@@ -184,18 +184,6 @@ def disturbance(f: FloatArray, cutoff: float) -> FloatArray:
     return np.asarray(1.0 / (1.0 + (f / cutoff) ** 4) + _EVERYWHERE)
 
 
-def _covariance(slopes: ComplexArray, weights: FloatArray) -> FloatArray:
-    return np.linalg.inv(((slopes * weights) @ slopes.conj().T).real)
-
-
-def _slopes(f: FloatArray, prior: JointPrior, cutoff: float) -> tuple[ComplexArray, FloatArray]:
-    """Derivatives of Z by ln M, ln B and ln K, (3, n), and what the power of each line tells."""
-    s = 2j * np.pi * f
-    slopes = np.array(prior.arm)[:, None] * np.stack([s**2, s, np.ones_like(s)])
-    told = np.abs(prior.response(f)) ** 2 / disturbance(f, cutoff)
-    return slopes, told
-
-
 def optimal_power(
     f: FloatArray, prior: JointPrior, *, torque: float, angle: float, cutoff: float, spread: float
 ) -> FloatArray:
@@ -230,7 +218,10 @@ def optimal_power(
     (n,) NDArray
         (N·m)²; one of the limits is reached.
     """
-    slopes, told = _slopes(f, prior, cutoff)
+    s = 2j * np.pi * f
+    # Derivatives of Z by ln M, ln B and ln K, and what the power of each line tells.
+    slopes = np.array(prior.arm)[:, None] * np.stack([s**2, s, np.ones_like(s)])
+    told = np.abs(prior.response(f)) ** 2 / disturbance(f, cutoff)
     limits = np.stack([np.ones(f.size) / torque**2, np.abs(prior.response(f)) ** 2 / angle**2])
     of_limits, of_errors = np.full(2, 0.5), np.full(3, 1.0 / 3.0)
     free = np.full(f.size, 1.0 / f.size)
@@ -238,7 +229,7 @@ def optimal_power(
         cost = of_limits @ limits
         free *= (1.0 - spread) / (cost @ free)
         power = free + spread / np.sum(cost)
-        covariance = _covariance(slopes, told * power)
+        covariance = np.linalg.inv(((slopes * (told * power)) @ slopes.conj().T).real)
         of_errors = of_errors * np.diag(covariance)
         of_errors /= np.sum(of_errors)
         used = limits @ power
