@@ -12,6 +12,7 @@ functions below. To Python's type checker, a packed value is a ``float``.
 
 from __future__ import annotations
 
+import math
 import operator
 from collections.abc import Callable, Sequence
 from typing import Any, cast
@@ -221,6 +222,20 @@ _PIO2_1 = 1.57079632673412561417e00
 _PIO2_2 = 6.07710050630396597660e-11
 _PIO2_3 = 2.02226624879595063154e-21
 _LARGEST_EXPONENT = 700.0
+# Taylor series, from the highest power down: the remainders are below 4e-18 for |r| <= ln(2)/2, and
+# below 1e-19 for |r| <= pi/4.
+_EXPONENTIAL = tuple(1.0 / math.factorial(k) for k in range(13, -1, -1))
+_SINE = tuple((2 - k % 4) / math.factorial(k) for k in range(17, 1, -2))
+_COSINE = tuple((1 - k % 4) / math.factorial(k) for k in range(18, 3, -2))
+
+
+@compiled
+def _series(x: float, coefficients: tuple[float, ...]) -> float:
+    """Polynomial by Horner's rule."""
+    total = x * coefficients[0] + coefficients[1]
+    for coefficient in coefficients[2:]:
+        total = total * x + coefficient
+    return total
 
 
 @compiled
@@ -241,22 +256,7 @@ def exp_minus(y: float) -> float:
     shifted = _ROUNDER - y * _LOG2_E
     k = shifted - _ROUNDER
     r = (-y - k * _LN2_HI) - k * _LN2_LO
-    # Taylor series of exp(r) for |r| <= ln(2)/2: the remainder is below 4e-18.
-    p = 1.0 / 6227020800.0
-    p = p * r + 1.0 / 479001600.0
-    p = p * r + 1.0 / 39916800.0
-    p = p * r + 1.0 / 3628800.0
-    p = p * r + 1.0 / 362880.0
-    p = p * r + 1.0 / 40320.0
-    p = p * r + 1.0 / 5040.0
-    p = p * r + 1.0 / 720.0
-    p = p * r + 1.0 / 120.0
-    p = p * r + 1.0 / 24.0
-    p = p * r + 1.0 / 6.0
-    p = p * r + 0.5
-    p = p * r + 1.0
-    p = p * r + 1.0
-    return p * _power_of_two(shifted)
+    return _series(r, _EXPONENTIAL) * _power_of_two(shifted)
 
 
 @compiled
@@ -267,34 +267,6 @@ def _reduced(x: float) -> tuple[float, float]:
     # k modulo 4 by the same rounding trick: k/4 − 3/8 rounds to floor(k/4).
     quarter = ((k * 0.25 - 0.375) + _ROUNDER) - _ROUNDER
     return r, k - 4.0 * quarter
-
-
-@compiled
-def _sin_kernel(r: float) -> float:
-    s = r * r
-    p = 1.0 / 355687428096000.0
-    p = p * s - 1.0 / 1307674368000.0
-    p = p * s + 1.0 / 6227020800.0
-    p = p * s - 1.0 / 39916800.0
-    p = p * s + 1.0 / 362880.0
-    p = p * s - 1.0 / 5040.0
-    p = p * s + 1.0 / 120.0
-    p = p * s - 1.0 / 6.0
-    return r + r * s * p
-
-
-@compiled
-def _cos_kernel(r: float) -> float:
-    s = r * r
-    p = -1.0 / 6402373705728000.0
-    p = p * s + 1.0 / 20922789888000.0
-    p = p * s - 1.0 / 87178291200.0
-    p = p * s + 1.0 / 479001600.0
-    p = p * s - 1.0 / 3628800.0
-    p = p * s + 1.0 / 40320.0
-    p = p * s - 1.0 / 720.0
-    p = p * s + 1.0 / 24.0
-    return 1.0 - (0.5 * s - s * s * p)
 
 
 @compiled
@@ -312,7 +284,9 @@ def sine_cosine(x: float) -> tuple[float, float]:
         (sin x, cos x), each to about two units in the last place, also beside its zeros.
     """
     r, q = _reduced(x)
-    sine, cosine = _sin_kernel(r), _cos_kernel(r)
+    s = r * r
+    sine = r + r * s * _series(s, _SINE)
+    cosine = 1.0 - (0.5 * s - s * s * _series(s, _COSINE))
     # Odd quadrants swap the two; 2 and 3 turn the sign of the sine, 1 and 2 that of the cosine.
     odd = 1.0 - abs(abs(q - 2.0) - 1.0)
     s = where_less(odd, 0.5, sine, cosine)
