@@ -179,13 +179,7 @@ def with_voluntary(
 def in_threads(
     work: Callable[[Work], Result], tasks: Sequence[Work], workers: int | None
 ) -> Iterator[Result]:
-    """Results of the tasks in their order; most of the time is spent without the GIL.
-
-    Raises
-    ------
-    ConfigurationError
-        If there are fewer workers than one.
-    """
+    """Results of the tasks in their order; most of the time is spent without the GIL."""
 
     def numbered(task: tuple[int, Work]) -> tuple[int, Result]:
         return task[0], work(task[1])
