@@ -18,7 +18,7 @@ from armimp_sim import presets
 from armimp_sim.model.arm import CuffParameters, HumanArm, MuscleParameters, ReflexParameters
 from armimp_sim.model.friction import LuGre
 from armimp_sim.model.robot import ActuatorParameters, PlanarChain
-from armimp_sim.model.sensors import SensorParameters
+from armimp_sim.model.sensors import ReadingParameters, SensorParameters
 from armimp_sim.voluntary import VoluntaryParameters
 
 RK4_RADIUS = 2.6
@@ -95,8 +95,12 @@ class SimulatorParameters(Schema):
     @property
     def ideal(self) -> bool:
         """Whether drives and readings are direct, and the arm is M, B and K alone."""
-        person = self.reflex.none and self.muscle.none
-        return person and self.actuators.direct and self.sensors.direct
+        rounded = SensorParameters(
+            position=ReadingParameters(resolution=self.sensors.position.resolution),
+            torque=ReadingParameters(resolution=self.sensors.torque.resolution),
+        )
+        person = (self.reflex, self.muscle) == (ReflexParameters(), MuscleParameters())
+        return person and (self.actuators, self.sensors) == (ActuatorParameters(), rounded)
 
     def coordinates(self) -> tuple[FloatArray, ...]:
         """Inertia beside the robot's, damping, stiffness, and coefficients of the chain.

@@ -18,7 +18,7 @@ import numpy as np
 from armimp_common.arrays import FloatArray, IntArray
 from armimp_common.compiled import compiled, compiled_entry
 from armimp_sim import dynamics
-from armimp_sim.model.arm import ReflexParameters
+from armimp_sim.model.arm import MuscleParameters, ReflexParameters
 from armimp_sim.model.sensors import ORDERS, ReadingParameters, quantise
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.simd import Tag
@@ -126,7 +126,7 @@ def _fill(rows: FloatArray, config: SimulatorParameters, step: float) -> None:
         _RIPPLE_CYCLES: drive.ripple_cycles,
         _COGGING: drive.cogging,
         _COGGING_CYCLES: drive.cogging_cycles,
-        _MUSCULAR: not (reflex.none and muscle.none),
+        _MUSCULAR: (reflex, muscle) != (ReflexParameters(), MuscleParameters()),
         _VELOCITY_GAIN: reflex.velocity_gain,
         _STRETCH_GAIN: reflex.stretch_gain,
         _SHORT_RANGE: muscle.short_range_stiffness,
@@ -160,7 +160,7 @@ def _butterworth(reading: ReadingParameters, step: float) -> FloatArray:
 
 def _muscle(reflex: ReflexParameters, step: float) -> FloatArray:
     """ω²/(s² + 2ζωs + ω²)."""
-    if reflex.none:
+    if reflex == ReflexParameters():
         return np.zeros((0, _WIDE))
     square = reflex.muscle**2
     a = np.array([[0.0, 1.0], [-square, -2.0 * reflex.damping_ratio * reflex.muscle]])

@@ -179,7 +179,7 @@ def torques(plant: SimulatorParameters) -> tuple[Array, Array, Array, Array]:
     q, v = states[:, 0, 0] - plant.arm.posture[0], states[:, 1, 0]
     M, B, K = plant.arm.inertia[0], plant.arm.damping[0], plant.arm.stiffness[0]
     passive = B * v + K * q
-    if plant.actuators.direct:
+    if plant.actuators == ActuatorParameters():
         acceleration = (PUSHES[:, 0] - load[:, 0]) / plant.robot.moments[0]
         return q, v, PUSHES[:, 0], load[:, 0] - M * acceleration - passive
     acceleration = (load[:, 0] - passive) / M

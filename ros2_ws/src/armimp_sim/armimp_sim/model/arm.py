@@ -82,11 +82,6 @@ class ReflexParameters(Schema):
     damping_ratio: float = Field(default=1.0, ge=0.1, le=10.0)
     """Damping ratio of that muscle (–)."""
 
-    @property
-    def none(self) -> bool:
-        """Whether there is no reflex."""
-        return not any((*self.velocity_gain, *self.stretch_gain))
-
 
 class MuscleParameters(Schema):
     """How stiffness departs from a constant K_h.
@@ -106,11 +101,6 @@ class MuscleParameters(Schema):
     posture (1/rad²); the torque is K_ii · cubic · angle³, negative for an arm that softens."""
     stiffening: float = 0.0
     """Relative change of the stiffness K_h with time from the start of the simulation on (1/s)."""
-
-    @property
-    def none(self) -> bool:
-        """Whether stiffness is a constant K_h."""
-        return not any((*self.short_range_stiffness, self.cubic, self.stiffening))
 
 
 class CuffParameters(Schema):

@@ -107,8 +107,3 @@ class ActuatorParameters(Schema):
     def lag(self) -> float:
         """Time constant of the current loop, s; 0 for none."""
         return 1.0 / (2.0 * math.pi * self.bandwidth) if self.bandwidth else 0.0
-
-    @property
-    def direct(self) -> bool:
-        """Whether the torque on the joint is what is commanded."""
-        return not any((self.bandwidth, self.delay, self.limit, self.ripple, self.cogging))

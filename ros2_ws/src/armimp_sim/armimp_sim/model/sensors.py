@@ -71,13 +71,6 @@ class ReadingParameters(Schema):
         """Whether gain, cross-talk and hysteresis are what everybody takes them for."""
         return set(self.gain) == {1.0} and not (self.cross_talk or self.hysteresis)
 
-    @property
-    def direct(self) -> bool:
-        """Whether readings are the signal, but for rounding."""
-        added = (*self.offset, *self.drift, self.noise, self.hum)
-        changed = (self.delay, self.cutoff, self.limit)
-        return self.calibrated and not any((*added, *changed))
-
 
 class SensorParameters(Schema):
     """Sensors of the rig."""
@@ -86,12 +79,6 @@ class SensorParameters(Schema):
     """Instant of the torque reading: before_update or interval_mean."""
     position: ReadingParameters = ReadingParameters()
     torque: ReadingParameters = ReadingParameters()
-
-    @property
-    def direct(self) -> bool:
-        """Whether readings are the signals at the tick, but for rounding."""
-        at_once = self.sampling is Sampling.BEFORE_UPDATE
-        return at_once and self.position.direct and self.torque.direct
 
 
 @compiled
