@@ -84,9 +84,10 @@ _OF_COMMAND, _SCALED = 0.02, 0.005
 robot has inertia, but hardly any beside a heavy arm."""
 _SAME = 0.03
 _LAGS = 4
-_BINS, _FOLDED, _FOLLOWING = 10, 0.3, 0.7
+_BINS, _FOLDED, _FOLLOWING, _ALIKE = 10, 0.3, 0.85, 0.8
 """Bins of a coherence; power of a perturbation near half of the rate relative to that at 15 to
-40 Hz, from which on it may have more beyond; share of the motion that follows it otherwise."""
+40 Hz, from which on it may have more beyond; share of the motion that follows it otherwise; and
+share of quick motion per that of slow motion from which on they are alike."""
 RESOLVED_SHARE = 0.25
 """Share of the motion of a locked joint that may be unseen where its motion counts as resolved."""
 RESOLVED: Final = {JOINT_STATES: 20.0, TORQUE_SENSORS: 8.0}
@@ -413,8 +414,8 @@ def without_slow(records: Sequence[TrialRecord]) -> BoolArray:
     return np.asarray(powers[0] < _LITTLE * powers[1])
 
 
-def followed(cause: FloatArray, signal: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Coherence of a signal, (N,), with its cause, and the power of that, by `_BINS` bins, (m,)."""
+def followed(cause: FloatArray, signal: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Coherence of a signal, (N,), with its cause, and the power of both, by `_BINS` bins, (m,)."""
     bins, window = cause.size // 2 // _BINS * _BINS, np.hanning(cause.size)
     push, shown = (
         np.fft.rfft((one - one.mean()) * window)[:bins].reshape(-1, _BINS)
@@ -422,7 +423,7 @@ def followed(cause: FloatArray, signal: FloatArray) -> tuple[FloatArray, FloatAr
     )
     power, answer = (np.sum(np.abs(one) ** 2, axis=1) for one in (push, shown))
     cross = np.abs(np.sum(np.conj(push) * shown, axis=1)) ** 2
-    return cross / np.maximum(answer * power, _TINY), power
+    return cross / np.maximum(answer * power, _TINY), power, answer
 
 
 def aliased(record: TrialRecord) -> float:
@@ -431,19 +432,22 @@ def aliased(record: TrialRecord) -> float:
     A recorder that keeps one sample in several, without a low-pass, folds what is beyond half of
     its rate. Torques follow such a perturbation at once, and fold with it, but angles follow what
     it sums up to: so they seem to follow a part of it, alike at all frequencies. What encoders or a
-    person add is quick or slow: one in four is taken as that where motion follows less than 0.7 of
-    the perturbation both at 3 to 8 Hz and at 15 to 40 Hz.
+    person add is quick or slow. So motion has to follow less than 0.85 of the perturbation at 3 to
+    8 Hz, and as little, within a fifth, at 15 to 40 Hz, where rounding is taken off its power.
     """
     k = record.perturbed_joint
-    share, power = followed(record.perturbation[k, 1:-1], np.diff(record.position[k], n=2))
+    angle = record.position[k]
+    share, power, answer = followed(record.perturbation[k, 1:-1], np.diff(angle, n=2))
     f = (np.arange(share.size) + 0.5) * _BINS * record.rate / (record.samples - 2)
     slow, quick = (f > 3.0) & (f < 8.0), (f > 15.0) & (f < 40.0)
-    beyond = f > 0.375 * record.rate
     told = slow.any() and quick.any()
-    if not told or np.mean(power[beyond]) < _FOLDED * np.mean(power[quick]):
+    if not told or np.mean(power[f > 0.375 * record.rate]) < _FOLDED * np.mean(power[quick]):
         return 1.0
-    most = max(float(np.mean(share[slow])), float(np.mean(share[quick])))
-    return most if most < _FOLLOWING else 1.0
+    # Second differences of rounding, of the power q²/12, behind a Hann window.
+    rounding = resolution_of(angle) ** 2 / 12.0 * 0.375 * record.samples * _BINS
+    moved = np.maximum(1.0 - rounding * (2.0 * np.sin(np.pi * f / record.rate)) ** 4 / answer, 0.02)
+    shares = [float(np.mean((share / moved)[one])) for one in (slow, quick)]
+    return max(shares) if max(shares) < _FOLLOWING and shares[1] > _ALIKE * shares[0] else 1.0
 
 
 def speed_of(angle: FloatArray, rate: float, band_end: float) -> FloatArray:

@@ -151,7 +151,7 @@ def judge_trials(records: Sequence[TrialRecord]) -> list[Problem]:
             if np.std(seen[i]) < _AS_MUCH * np.std(there[i]):
                 continue
             told = [followed(one, seen[i, :samples]) for one in pushes]
-            here, elsewhere = (float(share @ power / np.sum(power)) for share, power in told)
+            here, elsewhere = (float(share @ power / np.sum(power)) for share, power, _ in told)
             if elsewhere > _FOLLOWS and here < 0.5 * elsewhere:
                 names = record.joint_names
                 problems.append(
