@@ -44,16 +44,21 @@ CALIBRATION: dict[str, Any] = {
 
 
 def figures(told: Result) -> dict[str, float]:
-    """The worst of each figure of merit of `lpm_full` over all elements; the test knows the arm."""
+    """The worst of each figure of merit of `lpm_full` over all elements; the test knows the arm.
+
+    They are printed as docs/drivers.md has them; M, B and K are errors, %.
+    """
     result, estimate = told.summary.estimators["lpm_full"], told.curves["lpm_full"]
     rig = human_arm(2)
     arm = MBK(M=rig.M, B=rig.B, K=rig.K)
-    return {
+    found = {
         "VAF": float(np.min(vaf(made_estimate(estimate.f, estimate.Z), arm))),
         "R2": float(np.min(np.array(result.r2))),
         "coherence": float(np.min(result.coherence_derived)),
         **{name: 100.0 * error for name, error in worst_errors(result, arm).items()},
     }
+    print(*(f"{name} {value:.5g}" for name, value in found.items()))
+    return found
 
 
 @pytest.mark.timeout(900)

@@ -48,7 +48,10 @@ _AGAIN = 200
 _SILENT = 250
 """Samples for which commands stay away."""
 _STOPPING = 600
-"""Samples for which torque is commanded on after the call of the emergency stop, at most."""
+"""Samples for which torque is commanded on after the call of the emergency stop, at most.
+
+As long as it may take to answer, and those that are looked at after the answer.
+"""
 _SETTLE = 100
 _LEAVING = 0.3
 """How long a driver may take to hear that a publisher has left, s."""
@@ -302,8 +305,9 @@ class Checker:
         """Call the emergency stop of a rig at rest, if it has one."""
         if topics.SIM_STOP_SERVICE not in self._node.safety_services():
             return Moves()
-        stop, told = self._call_stop(self._node.now())
-        return Moves(stop=Ending(told=told, stop=stop, reset=self._reset()))
+        since = self._node.now()
+        stop = self._node.call(topics.SIM_STOP_SERVICE, _TOLD, since)
+        return Moves(stop=Ending(told=self._told(since), stop=stop, reset=self._reset()))
 
     def _watched(self, moves: Moves, act: Callable[[], tuple[_T, float]]) -> _T:
         """Do something, and give up if the driver stopped in it without a reason.
@@ -326,10 +330,20 @@ class Checker:
     def _pushed(self, joint: int, held: int, *then: Step) -> Push:
         """Push a joint for some samples, and see what that has done until the script is over."""
         start = self._play([(_REST, self._node.zero), (held, self._torque(joint)), *then])
+        end = start + _REST + held
+        return self._measured(joint, start, end, end)
+
+    def _measured(self, joint: int, start: int, end: int, after: int) -> Push:
+        """See what a push did that begins with these samples at rest.
+
+        `end` is the number of the last sample under torque, `after` that of the first one after it:
+        what is between them is left out.
+        """
         angles, torques = (
-            self._whole(topic, start, start + _REST + held + _SETTLE) for topic in SENSOR_TOPICS
+            np.hstack([self._whole(topic, start, end), self._whole(topic, after, after + _SETTLE)])
+            for topic in SENSOR_TOPICS
         )
-        return measure(joint, self._amount, angles, torques, _REST, _REST + held)
+        return measure(joint, self._amount, angles, torques, _REST, end - start)
 
     def _keep_silent(self) -> tuple[Ending, float]:
         """Stop commanding under torque; command it again; reset."""
@@ -342,24 +356,34 @@ class Checker:
         return Ending(told=told, ended=ended, again=again, reset=self._reset()), since
 
     def _stop_under_torque(self) -> tuple[Ending, float]:
-        """Call the emergency stop; in lockstep time stands still until it has answered."""
+        """Call the emergency stop, and command torque on; reset."""
         node, torque = self._node, self._torque(0)
         self._settle()
         script: list[Step] = [(_REST, node.zero), (_HOLD, torque)]
         if self.paced:
             # Torque is commanded on for some time, no longer, should the stop be a bad one.
-            end = node.samples + _REST + _HOLD
+            start = node.samples
             node.play([*script, (_STOPPING, torque)])
+            end = start + _REST + _HOLD
             self._wait(lambda: node.samples > end or bool(self._guard.objection))
         else:
-            self._play(script)
+            # Time stands still until the stop has answered.
+            start = self._play(script)
         self._require_calm()
-        since = node.now()
-        stop, told = self._call_stop(since)
+        since, end = node.now(), node.samples
+        stop = node.call(topics.SIM_STOP_SERVICE, _TOLD, since)
+        # A fault that is told later may be another one, such as that of a watchdog: commands can be
+        # held up. Torque has to go with the answer.
+        after = node.samples
+        told = self._told(since)
         if self.paced:
-            self._wait(lambda: not node.playing)
+            self._wait(lambda: not node.playing and node.samples >= after + _SETTLE)
+            self._require_calm()
+        else:
+            self._play([(_SETTLE, torque)])
+        ended = self._measured(0, start, end, after)
         again = self._pushed(0, _AGAIN, (_SETTLE, node.zero))
-        return Ending(told=told, again=again, stop=stop, reset=self._reset()), since
+        return Ending(told=told, ended=ended, again=again, stop=stop, reset=self._reset()), since
 
     def _intrude(self) -> tuple[Ending, float]:
         """Have somebody else command zero torque, too; reset."""
@@ -370,10 +394,6 @@ class Checker:
         # Until the driver knows that the other one has left.
         self._node.wait(lambda: False, _LEAVING)
         return Ending(told=told, reset=self._reset()), since
-
-    def _call_stop(self, since: float) -> tuple[Call, float | None]:
-        call = self._node.call(topics.SIM_STOP_SERVICE, _TOLD, since)
-        return call, self._told(since)
 
     def _reset(self) -> Call:
         return self._node.call(topics.SIM_RESET_SERVICE, _TOLD)

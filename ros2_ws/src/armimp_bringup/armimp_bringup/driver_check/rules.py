@@ -40,7 +40,7 @@ _LARGER = "try a larger --torque"
 _WAYS_LIMIT = "each joint turns the way of its torque"
 _SIGN_LIMIT = "the reading of torque goes the way of the joint"
 _DELAY_LIMIT = f"≤ {_REACTION} periods from command to effect"
-_GONE_LIMIT = "torque gone within 5 periods and 50 ms, as after a command of none"
+_GONE_LIMIT = "torque gone within 60 ms, as after a command of none"
 _LATCH_LIMIT = "no torque before the reset, whatever is commanded"
 
 _RANGES = {"position": ("rad", 4.0 * math.pi, "degrees?"), "effort": ("N·m", 500.0, "N·mm?")}
