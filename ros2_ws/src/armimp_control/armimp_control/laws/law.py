@@ -150,7 +150,7 @@ def _tick(law: int, n: int, w: FloatArray) -> int:
 class Controller:
     """A law and its safety limiter with their memory, for use tick by tick.
 
-    FloatArray given back are reused; copy what must last. A limiter that has stopped stays so.
+    Arrays given back are reused; copy what must last. A limiter that has stopped stays so.
 
     Parameters
     ----------
