@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.parameters import NodeParameters, node_parameters
+from armimp_common.topics import PERIOD
 from armimp_control.laws import DAMPING, STIFFNESS
+from armimp_control.laws.pd import Pd
 from armimp_control.perturbation import perturbation
 from armimp_sim.plant import Plant
 
@@ -23,19 +25,20 @@ class Law:
     """PD locking with a share of the measured torque fed forward."""
 
     def __init__(self, parameters: NodeParameters, *, share: float) -> None:
-        self.config = parameters.controller.pd_config()
+        of = parameters.controller
+        self.law = Pd(target=of.target, law=of.law, known=of.known)
         self.share = share
-        self.before = self.config.target_posture
+        self.before = self.law.target_posture
 
     def command(
         self, theta: NDArray[np.float64], tau_h: NDArray[np.float64], joint: int
     ) -> NDArray[np.float64]:
         """Torques (n,), N·m, from encoders (rad) and transducers (N·m); joint 0-based yields."""
-        stiffness, damping = self.config.role(joint)[[STIFFNESS, DAMPING]]
-        velocity = (theta - self.before) / self.config.period
+        stiffness, damping = self.law.role(joint)[[STIFFNESS, DAMPING]]
+        velocity = (theta - self.before) / PERIOD
         self.before = theta.copy()
         held = np.arange(theta.size) != joint
-        away = theta - self.config.target_posture
+        away = theta - self.law.target_posture
         command: NDArray[np.float64] = -stiffness * away - damping * velocity
         command += self.share * held * tau_h
         return command

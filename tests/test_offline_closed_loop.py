@@ -12,7 +12,7 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import run_offline, simulate
 from armimp_bringup.parameters import node_parameters
 from armimp_control import presets as control_presets
-from armimp_control.laws.imbic import ImbicConfig
+from armimp_control.laws import Law
 from armimp_control.laws.law import Controller
 from armimp_control.perturbation import perturbation
 from armimp_sim import presets as sim_presets
@@ -25,16 +25,12 @@ Array = NDArray[np.float64]
 PERIOD = 1e-3
 
 
-def _law(
-    plant: SimulatorParameters, internal_model: control_presets.InternalModel = "tde"
-) -> ImbicConfig:
+def _law(plant: SimulatorParameters, internal_model: control_presets.InternalModel = "tde") -> Law:
     posture = plant.arm.theta_0
     return preset_law(plant.robot.mass_matrix(posture), posture, internal_model)
 
 
-def _run(
-    plant_config: SimulatorParameters, law: ImbicConfig, tau_delta: Array, joint: int
-) -> Array:
+def _run(plant_config: SimulatorParameters, law: Law, tau_delta: Array, joint: int) -> Array:
     """Deflections and torques on the arm (2, n, N) under ``tau_delta`` (N,)."""
     plant, controller = Plant([plant_config]), Controller(law, safety=torque_only(80.0))
     controller.perturb_joint(joint)

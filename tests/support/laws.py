@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_control.laws.imbic import ImbicConfig
+from armimp_control.laws import Law
 from armimp_control.parameters import ControllerParameters
 from armimp_control.presets import LawName
 from armimp_control.safety_limiter import SafetyParameters
@@ -21,16 +23,29 @@ def preset_law(
     posture: NDArray[np.float64],
     law: LawName = "observer",
     encoder_resolution: float = 0.0,
-) -> ImbicConfig:
-    """One of the preset laws for a robot (n, n), kg·m², in a posture (n,), rad."""
+) -> Law:
+    """One of the preset laws for a robot (n, n), kg·m², in a posture (n,), rad.
+
+    The arm is that of the study if there are two joints.
+    """
     return ControllerParameters.preset(
         joints=tuple(f"joint_{i + 1}" for i in range(posture.size)),
         posture=posture,
         robot_inertia=robot_inertia,
-        arm_inertia=np.eye(posture.size),
+        arm_inertia=ARM if posture.size == 2 else np.eye(posture.size),
         encoder_resolution=encoder_resolution,
         law=law,
-    ).imbic_config()
+    ).control_law()
+
+
+def with_law(law: Law, **values: object) -> Law:
+    """The law with other values of its parameters ``law.*``."""
+    return replace(law, law=law.law.model_copy(update=values))
+
+
+def knowing(law: Law, **values: object) -> Law:
+    """The law with other values of its parameters ``known.*``."""
+    return replace(law, known=law.known.model_copy(update=values))
 
 
 def torque_only(limit: float) -> SafetyParameters:

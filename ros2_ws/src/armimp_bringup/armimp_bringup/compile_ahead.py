@@ -46,7 +46,7 @@ def compile_ahead(parameters: NodeParameters) -> None:
 
 def _compile_law(parameters: NodeParameters) -> None:
     law = parameters.controller
-    controller = Controller(law.law_config(), safety=law.safety)
+    controller = Controller(law.control_law(), safety=law.safety)
     controller.compute()
     controller.stop()
     controller.continue_ramp(1)

@@ -146,10 +146,10 @@ def run_offline(
         )
     packed = np.zeros((lanes, packed_size(n)))
     controllers = [
-        Controller(one.law_config(), safety=one.safety, storage=own)
+        Controller(one.control_law(), safety=one.safety, storage=own)
         for one, own in zip(of_laws, packed, strict=True)
     ]
-    laws = np.array([controller.config.kind for controller in controllers])
+    laws = np.array([controller.law.kind for controller in controllers])
     streams = [voluntary_torque(one.voluntary, joints=n, seed=one.seed) for one in rigs]
     noises = [reading_noise(one.sensors, joints=n, seed=one.seed) for one in rigs]
     trials: list[list[TrialRecord]] = [[] for _ in rigs]

@@ -18,7 +18,7 @@ from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, RATE, SIM_NODE
 from armimp_common.versions import git_revision, versions
 from armimp_control.parameters import ControllerParameters
 from armimp_control.presets import LawName
-from armimp_control.stability import RigDynamics
+from armimp_control.rig import RigDynamics
 from armimp_estimation.metadata import CALIBRATION_KEYS
 from armimp_estimation.parameters import EstimatorParameters, TorqueParameters
 from armimp_sim.parameters import SimulatorParameters

@@ -225,6 +225,15 @@ def each(name: str, values: Sequence[Any], n: int) -> NDArray[Any]:
     return np.resize(np.array(values), n)
 
 
+def matrix(name: str, values: Vector, n: int) -> NDArray[np.float64]:
+    """Return the matrix (n, n) that a parameter of `n` joints holds row by row.
+
+    ConfigurationError if it has not so many values.
+    """
+    require_length(name, values, n, n * n)
+    return np.array(values).reshape(n, n)
+
+
 def check_names(names: Iterable[str], known: Iterable[str]) -> None:
     """Check that every name is known.
 

@@ -10,58 +10,16 @@ from pydantic import Field
 
 from armimp_common.arrays import FloatArray
 from armimp_common.realtime import SchedulingParameters
-from armimp_common.schema import PositiveVector, Schema, Vector, each, require_length
+from armimp_common.schema import Schema, Vector, each, matrix, require_length
 from armimp_common.topics import PERIOD
 from armimp_control import presets
-from armimp_control.laws import TargetParameters
-from armimp_control.laws.imbic import ImbicConfig, Observer
-from armimp_control.laws.law import LawConfig
-from armimp_control.laws.pd import PdConfig
+from armimp_control.laws import Law, LawParameters, TargetParameters
+from armimp_control.laws.law import LAWS
 from armimp_control.perturbation import JointPrior, PerturbationKind, PerturbationParameters
+from armimp_control.rig import KnownParameters
 from armimp_control.safety_limiter import SafetyParameters
 from armimp_control.sequence import SequenceParameters, TareParameters
-from armimp_control.stability import RigDynamics, check_stability
-
-
-class LawParameters(Schema):
-    """Which law; internal model and ideal-velocity feedback of IMBIC; assumptions."""
-
-    kind: Literal["imbic", "pd"] = "imbic"
-    """Control law: imbic, or pd, plain PD locking as the negative control."""
-    internal_model: presets.InternalModel = "observer"
-    """Internal model of imbic: observer, or tde, time-delay estimation with raw differences of the
-    encoders."""
-    model_inertia: Vector
-    """Inertia M̄ of the internal model of imbic, n×n row by row (kg·m²)."""
-    encoder_resolution: float = Field(default=presets.FINEST, ge=1e-6, le=0.1)
-    """Rounding of the encoders that the observer expects (rad); a smaller one makes it faster, and
-    less patient with late commands."""
-    perturbed_walk: PositiveVector = (0.4,)
-    """Rms change within a control period of the unknown torque, mostly friction, that the observer
-    expects of a joint while it is perturbed (N·m); one value for all joints or one for each."""
-    locked_walk: PositiveVector = (0.02,)
-    """The same of a joint while it is locked (N·m); one value for all joints or one for each."""
-    gamma: float = Field(default=100.0, gt=0.0)
-    """Gain Γ of the ideal-velocity feedback of imbic (rad/s)."""
-    pd_frequency: float = Field(default=25.0, gt=0.0)
-    """Natural frequency of joints locked by the law pd (rad/s)."""
-    pd_damping_ratio: float = Field(default=1.0, gt=0.0)
-    """Damping ratio of joints locked by the law pd (–)."""
-
-
-class KnownParameters(RigDynamics):
-    """What is known beforehand: for the stability check, gains of pd, and the perturbation."""
-
-    robot_inertia: Vector
-    """Inertia of the robot in the posture, M_r(θ_0), n×n row by row (kg·m²)."""
-    arm_inertia: Vector
-    """Expected inertia of the arm, M_h, n×n row by row (kg·m²)."""
-    arm_frequency: PositiveVector = (8.0,)
-    """Expected natural frequency of the arm, sqrt(K_kk/M_kk), for optimal perturbations and limits
-    of the angle (rad/s); one value for all joints or one for each."""
-    arm_damping_ratio: PositiveVector = (0.3,)
-    """Expected damping ratio of the arm, B_kk/(2·sqrt(K_kk·M_kk)) (–); one value for all joints or
-    one for each."""
+from armimp_control.stability import check_stability
 
 
 class ControllerParameters(Schema):
@@ -145,46 +103,21 @@ class ControllerParameters(Schema):
             safety=presets.safety(n, max(perturbing.peak), preset.internal_model),
         )
 
-    def law_config(self) -> LawConfig:
+    def control_law(self) -> Law:
         """The law that was chosen."""
-        return self.imbic_config() if self.law.kind == "imbic" else self.pd_config()
-
-    def imbic_config(self) -> ImbicConfig:
-        """The law of the study, whichever was chosen."""
-        law, observer = self.law, None
-        if law.internal_model == "observer":
-            observer = Observer(
-                resolution=law.encoder_resolution,
-                delay=self.known.command_delay,
-                perturbed=self._each("law.perturbed_walk"),
-                locked=self._each("law.locked_walk"),
-            )
-        return ImbicConfig(
-            target=self.target,
-            model_inertia=self._matrix("law.model_inertia"),
-            gamma=law.gamma,
-            observer=observer,
-        )
+        return LAWS[self.law.kind](target=self.target, law=self.law, known=self.known)
 
     def priors(self) -> tuple[JointPrior, ...]:
         """What is expected of each joint while it is perturbed."""
-        target = self.target
-        inertia = np.diag(self._matrix("known.arm_inertia"))
-        omega, zeta = self._each("known.arm_frequency"), self._each("known.arm_damping_ratio")
+        target, known, n = self.target, self.known, len(self.joints)
+        inertia = np.diag(matrix("known.arm_inertia", known.arm_inertia, n))
+        omega = each("known.arm_frequency", known.arm_frequency, n)
+        zeta = each("known.arm_damping_ratio", known.arm_damping_ratio, n)
         arm = np.stack([inertia, 2.0 * zeta * omega * inertia, omega**2 * inertia], axis=1)
         targets = zip(target.inertia, target.damping, target.stiffness, strict=True)
         return tuple(
             JointPrior(arm=tuple(one), target=of_target)
             for one, of_target in zip(arm.tolist(), targets, strict=True)
-        )
-
-    def pd_config(self) -> PdConfig:
-        """The negative control, whichever was chosen; its gains follow from diag(M_r(θ_0))."""
-        return PdConfig(
-            target=self.target,
-            inertia=np.diag(self._matrix("known.robot_inertia")).copy(),
-            frequency=self.law.pd_frequency,
-            damping_ratio=self.law.pd_damping_ratio,
         )
 
     @property
@@ -203,25 +136,12 @@ class ControllerParameters(Schema):
         n = len(self.joints)
         for name in ("target.posture", "target.inertia", "target.damping", "target.stiffness"):
             require_length(name, attrgetter(name)(self), n, n)
-        law = self.law_config()
         require_length("perturbation.peak", self.perturbation.peak, n, n)
-        self._each("perturbation.angle_limit")
+        each("perturbation.angle_limit", self.perturbation.angle_limit, n)
         self.priors()
+        law = self.control_law()
         self.safety.rules(law.target_posture, PERIOD)
-        return check_stability(
-            law,
-            robot_inertia=self._matrix("known.robot_inertia"),
-            arm_inertia=self._matrix("known.arm_inertia"),
-            dynamics=self.known,
-        )
-
-    def _each(self, name: str) -> FloatArray:
-        return each(name, attrgetter(name)(self), len(self.joints))
-
-    def _matrix(self, name: str) -> FloatArray:
-        values, n = attrgetter(name)(self), len(self.joints)
-        require_length(name, values, n, n * n)
-        return np.array(values).reshape(n, n)
+        return check_stability(law)
 
 
 def _flat(values: FloatArray) -> Vector:

@@ -52,7 +52,7 @@ class TrialSequencer:
         self.warnings = parameters.check()
         self._parameters, self._announce = parameters, announce
         n = len(parameters.joints)
-        self._law = Controller(parameters.law_config(), safety=parameters.safety)
+        self._law = Controller(parameters.control_law(), safety=parameters.safety)
         self._segments = timetable(parameters.sequence, joints=n, tare=parameters.tare)
         self._planned = round(parameters.sequence.duration / PERIOD)
         self._ticks = self._planned

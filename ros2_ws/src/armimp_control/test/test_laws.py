@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -14,14 +14,27 @@ from armimp_common.errors import ConfigurationError
 from armimp_control.laws import (
     ANGLE_GAIN,
     DISTURBANCE_GAIN,
+    INERTIA_MODEL,
     VELOCITY_GAIN,
+    Law,
+    LawParameters,
     TargetParameters,
 )
-from armimp_control.laws.imbic import ImbicConfig, Observer
+from armimp_control.laws.imbic import Imbic
 from armimp_control.laws.law import Controller
-from armimp_control.laws.pd import PdConfig
-from armimp_control.stability import RigDynamics, check_stability
-from support.laws import ARM, POSTURE, ROBOT, preset_law, torque_only, within_torque
+from armimp_control.laws.pd import Pd
+from armimp_control.rig import KnownParameters, RigDynamics
+from armimp_control.stability import check_stability
+from support.laws import (
+    ARM,
+    POSTURE,
+    ROBOT,
+    knowing,
+    preset_law,
+    torque_only,
+    with_law,
+    within_torque,
+)
 
 Array = NDArray[np.float64]
 PERIOD, GAMMA = 1e-3, 70.0
@@ -36,7 +49,7 @@ class Transcription(Protocol):
 
 
 def assert_law(
-    config: ImbicConfig | PdConfig,
+    config: Law,
     expected: Transcription,
     limit: float,
     perturbed: Callable[[int], int],
@@ -66,7 +79,7 @@ def assert_law(
 # --- IMBIC with time-delay estimation -----------------------------------------------------------
 
 
-def _delayed(n: int = 2, dither: float = 0.0) -> ImbicConfig:
+def _delayed(n: int = 2, dither: float = 0.0) -> Law:
     random = np.random.default_rng(n)
     target = TargetParameters(
         posture=tuple(random.uniform(-1.0, 1.0, n)),
@@ -80,7 +93,16 @@ def _delayed(n: int = 2, dither: float = 0.0) -> ImbicConfig:
         lock_dither_frequency=30.0,
     )
     model_inertia = 0.1 * np.eye(n) + random.uniform(-0.03, 0.03, (n, n))
-    return ImbicConfig(target=target, model_inertia=model_inertia, gamma=GAMMA, period=PERIOD)
+    law = LawParameters(
+        internal_model="tde", model_inertia=tuple(model_inertia.ravel()), gamma=GAMMA
+    )
+    return Imbic(target=target, law=law, known=_known(np.eye(n)))
+
+
+def _known(robot: Array) -> KnownParameters:
+    """A robot (n, n), kg·m², without an arm."""
+    flat = tuple(robot.ravel())
+    return KnownParameters(robot_inertia=flat, arm_inertia=(0.0,) * len(flat))
 
 
 @dataclass
@@ -91,7 +113,7 @@ class DelayedEquations:
     distance at that tick, plus the dither.
     """
 
-    config: ImbicConfig
+    config: Law
     limit: float
     positions: list[Array] = field(default_factory=list)
     perturbed: list[int] = field(default_factory=list)
@@ -119,7 +141,9 @@ class DelayedEquations:
             u[i] = (tau_delta[i] - felt - damping * velocity[i] - stiffness * deflection) / inertia
         self.accelerations.append(u)
         ideal_velocity = PERIOD * np.sum(self.accelerations, axis=0)
-        change = c.model_inertia @ (u + GAMMA * (ideal_velocity - velocity) - delayed_acceleration)
+        change = c.model(0)[INERTIA_MODEL] @ (
+            u + GAMMA * (ideal_velocity - velocity) - delayed_acceleration
+        )
         self.sent.append(within_torque(self.sent[-1] + change, self.limit))
         return self.sent[-1]
 
@@ -160,23 +184,20 @@ def test_inputs_of_another_shape_are_refused(which: int, shape: tuple[int, ...])
 # --- IMBIC with an observer ---------------------------------------------------------------------
 
 
-def _observed(n: int = 2, delay: int = 0) -> ImbicConfig:
+def _observed(n: int = 2, delay: int = 0) -> Law:
     """Default law, which knows that commands act so many periods late."""
     robot, posture = ROBOT, POSTURE
     if n != 2:
         root = np.random.default_rng(n).normal(size=(n, n))
         robot, posture = 0.05 * root @ root.T + 0.2 * np.eye(n), np.zeros(n)
-    config = preset_law(robot, posture, "observer")
-    assert config.observer is not None
-    return replace(config, observer=replace(config.observer, delay=delay))
+    return knowing(preset_law(robot, posture, "observer"), command_delay=delay)
 
 
 class ObserverEquations:
     """The equations with matrices, for one perturbed joint."""
 
-    def __init__(self, config: ImbicConfig, perturbed: int, limit: float) -> None:
-        assert config.observer is not None
-        self.config, self.limit, self.delay = config, limit, config.observer.delay
+    def __init__(self, config: Law, perturbed: int, limit: float) -> None:
+        self.config, self.limit, self.delay = config, limit, config.known.command_delay
         self.model = config.model(perturbed)
         self.locked = np.arange(config.joints) != perturbed
         target, omega = config.target, config.target.lock_frequency
@@ -189,7 +210,7 @@ class ObserverEquations:
         self.ticks = 0
 
     def tick(self, theta: Array, tau_h: Array, tau_delta: Array, _: int) -> Array:
-        config, inertia = self.config, self.config.model_inertia
+        config, inertia = self.config, self.model[INERTIA_MODEL]
         if self.ticks:
             acting = self.sent[-1 - self.delay] - tau_h
             known = np.linalg.inv(inertia) @ acting + self.unknown
@@ -206,7 +227,7 @@ class ObserverEquations:
         push = np.where(self.locked, 0.0, (tau_delta - tau_h) / config.target.inertia)
         u = push - self.damping * self.velocity - self.stiffness * (self.angle - goal)
         self.ideal = self.ideal + PERIOD * u
-        wanted = u + config.gamma * (self.ideal - self.velocity) - self.unknown
+        wanted = u + config.law.gamma * (self.ideal - self.velocity) - self.unknown
         command = inertia @ wanted + tau_h
         self.sent.append(within_torque(command, self.limit))
         self.ideal = self.ideal + PERIOD * np.linalg.inv(inertia) @ (self.sent[-1] - command)
@@ -227,8 +248,11 @@ def test_law_with_observer_is_that_of_its_equations(
 
 
 def test_gains_are_those_that_the_riccati_recursion_comes_to() -> None:
-    observer = Observer(
-        resolution=COUNT, perturbed=np.array([0.4, 0.2]), locked=np.array([0.02, 0.01])
+    law = with_law(
+        preset_law(ROBOT, POSTURE),
+        encoder_resolution=COUNT,
+        perturbed_walk=(0.4, 0.2),
+        locked_walk=(0.02, 0.01),
     )
     inverse, unit, none = np.linalg.inv(ROBOT), np.eye(2), np.zeros((2, 2))
     step = np.block(
@@ -245,7 +269,7 @@ def test_gains_are_those_that_the_riccati_recursion_comes_to() -> None:
         gain = covariance[:, :2] @ np.linalg.inv(covariance[:2, :2] + COUNT**2 / 12.0 * unit)
         covariance = covariance - gain @ covariance[:2]
     gain[4:] = -inverse @ gain[4:]
-    found = observer.gains(inverse, np.array([False, True]), PERIOD).reshape(6, 2)
+    found = law.model(0)[ANGLE_GAIN:].reshape(6, 2)
     assert found == pytest.approx(gain, rel=1e-6, abs=1e-9 * np.max(np.abs(gain)))
 
 
@@ -277,12 +301,7 @@ def test_a_fast_joint_that_gets_locked_comes_to_rest_though_commands_are_clipped
 
 def test_defaults_bear_one_late_period_and_any_arm_within_a_factor_of_three() -> None:
     def check(known: int, delay: int) -> tuple[str, ...]:
-        return check_stability(
-            _observed(delay=known),
-            robot_inertia=ROBOT,
-            arm_inertia=ARM,
-            dynamics=RigDynamics(command_delay=delay),
-        )
+        return check_stability(_observed(delay=known), RigDynamics(command_delay=delay))
 
     for delay in (0, 1):
         assert check(delay, delay) == ()
@@ -296,7 +315,7 @@ def test_defaults_bear_one_late_period_and_any_arm_within_a_factor_of_three() ->
 # --- Plain PD locking, the negative control -----------------------------------------------------
 
 
-def _plain(n: int) -> PdConfig:
+def _plain(n: int) -> Law:
     random = np.random.default_rng(n)
     target = TargetParameters(
         posture=tuple(random.uniform(-1.0, 1.0, n)),
@@ -304,22 +323,24 @@ def _plain(n: int) -> PdConfig:
         damping=tuple(random.uniform(1.0, 3.0, n)),
         stiffness=tuple(random.uniform(5.0, 15.0, n)),
     )
-    inertia = random.uniform(0.1, 0.4, n)
-    return PdConfig(target=target, inertia=inertia, frequency=25.0, damping_ratio=0.8)
+    robot = np.diag(random.uniform(0.1, 0.4, n))
+    law = LawParameters(model_inertia=(), pd_frequency=25.0, pd_damping_ratio=0.8)
+    return Pd(target=target, law=law, known=_known(robot))
 
 
 @dataclass
 class PdEquations:
     """Stiffness and damping of each joint: of its target if it is perturbed, else of its lock."""
 
-    config: PdConfig
+    config: Law
     limit: float
     last: Array | None = None
 
     def tick(self, theta: Array, _: Array, tau_delta: Array, perturbed: int) -> Array:
         c = self.config
         velocity = (theta - (theta if self.last is None else self.last)) / PERIOD
-        stiffness, damping = 25.0**2 * c.inertia, 2.0 * 0.8 * 25.0 * c.inertia
+        inertia = np.diag(np.reshape(c.known.robot_inertia, (theta.size, theta.size)))
+        stiffness, damping = 25.0**2 * inertia, 2.0 * 0.8 * 25.0 * inertia
         stiffness[perturbed] = c.target.stiffness[perturbed]
         damping[perturbed] = c.target.damping[perturbed]
         self.last = theta

@@ -11,6 +11,7 @@ from armimp_common.errors import ConfigurationError
 from armimp_common.schema import build, flatten
 from armimp_common.topics import PERIOD
 from armimp_control import presets
+from armimp_control.laws import INERTIA_MODEL
 from armimp_control.parameters import ControllerParameters
 from armimp_control.safety_limiter import SafetyParameters
 from support.controller import controller_parameters
@@ -89,4 +90,4 @@ def test_law_for_other_numbers_of_joints_follows_the_robot(n: int) -> None:
     assert target.inertia == pytest.approx(0.56 * np.diag(robot))
     assert np.divide(target.damping, target.inertia) == pytest.approx(np.full(n, 10.0))
     assert np.divide(target.stiffness, target.inertia) == pytest.approx(np.full(n, 100.0))
-    assert np.array_equal(config.model_inertia, robot)
+    assert np.array_equal(config.model(0)[INERTIA_MODEL], robot)

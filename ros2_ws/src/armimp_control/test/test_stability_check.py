@@ -10,11 +10,12 @@ import pytest
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
-from armimp_control.laws import NO_JOINT
-from armimp_control.laws.imbic import ImbicConfig
+from armimp_common.topics import PERIOD
+from armimp_control.laws import NO_JOINT, Law
 from armimp_control.laws.law import Controller
-from armimp_control.stability import RigDynamics, check_stability, spectral_radius
-from support.laws import ARM, POSTURE, ROBOT, preset_law, torque_only
+from armimp_control.rig import RigDynamics
+from armimp_control.stability import check_stability, spectral_radius
+from support.laws import ARM, POSTURE, ROBOT, preset_law, torque_only, with_law
 
 Array = NDArray[np.float64]
 
@@ -23,11 +24,11 @@ TDE = preset_law(ROBOT, POSTURE, "tde")
 STEPS = 20
 
 
-def _late(config: ImbicConfig, perturbed: int, dynamics: RigDynamics, *, ticks: int) -> Array:
+def _late(law: Law, perturbed: int, dynamics: RigDynamics, *, ticks: int) -> Array:
     """Largest acceleration (ticks,) after a push, of a rig of inertia alone, in small steps."""
-    controller = Controller(config, safety=torque_only(1e300))
+    controller = Controller(law, safety=torque_only(1e300))
     controller.perturb_joint(perturbed)
-    inverse, h = np.linalg.inv(ROBOT + ARM), config.period / STEPS
+    inverse, h = np.linalg.inv(ROBOT + ARM), PERIOD / STEPS
     lag = np.exp(-h / dynamics.actuator_lag) if dynamics.actuator_lag else 0.0
     low = np.exp(-2.0 * np.pi * dynamics.torque_cutoff * h) if dynamics.torque_cutoff else 0.0
     theta, velocity = POSTURE.copy(), np.zeros(2)
@@ -54,11 +55,11 @@ def _late(config: ImbicConfig, perturbed: int, dynamics: RigDynamics, *, ticks: 
 
 DEFAULT = preset_law(ROBOT, POSTURE)
 STIFF = DEFAULT.target.model_copy(update={"lock_frequency": 200.0})
-WITH_OBSERVER = replace(DEFAULT, gamma=200.0, target=STIFF)
+WITH_OBSERVER = replace(with_law(DEFAULT, gamma=200.0), target=STIFF)
 
 
 @pytest.mark.parametrize(
-    ("config", "dynamics"),
+    ("law", "dynamics"),
     [
         (TDE, RigDynamics(torque_delay=0.02)),
         (TDE, RigDynamics(torque_delay=0.0175, torque_cutoff=300.0)),
@@ -66,26 +67,24 @@ WITH_OBSERVER = replace(DEFAULT, gamma=200.0, target=STIFF)
         (TDE, RigDynamics(actuator_lag=0.003, torque_delay=0.0015)),
         (TDE, RigDynamics(command_delay=2)),
         (TDE, RigDynamics(command_delay=1, actuator_lag=0.001, torque_delay=0.0005)),
-        (replace(TDE, model_inertia=4.0 * TDE.model_inertia), RigDynamics()),
+        (with_law(TDE, model_inertia=[4.0 * one for one in TDE.law.model_inertia]), RigDynamics()),
         (WITH_OBSERVER, RigDynamics(command_delay=2)),
     ],
 )
 @pytest.mark.parametrize("perturbed", [0, NO_JOINT])
 def test_a_loop_grows_or_comes_to_rest_as_the_check_says(
-    config: ImbicConfig, dynamics: RigDynamics, perturbed: int
+    law: Law, dynamics: RigDynamics, perturbed: int
 ) -> None:
-    radius = spectral_radius(
-        config, perturbed=perturbed, robot_inertia=ROBOT, arm_inertia=ARM, dynamics=dynamics
-    )
+    radius = spectral_radius(law, dynamics, perturbed=perturbed)
     if perturbed == NO_JOINT and radius < 0.99:
         # Joints that are held do not feel torques, however late: it comes to rest.
-        sizes = _late(config, perturbed, dynamics, ticks=2000)
+        sizes = _late(law, perturbed, dynamics, ticks=2000)
         assert np.max(sizes[-100:]) < 1e-6 * np.max(sizes)
         return
     assert radius > 1.002
     # By a factor of some hundred altogether; swinging modes make single sizes erratic.
     third = int(2.0 / np.log(radius)) + 50
-    sizes = _late(config, perturbed, dynamics, ticks=3 * third)
+    sizes = _late(law, perturbed, dynamics, ticks=3 * third)
     grown = np.max(sizes[2 * third :]) / np.max(sizes[third : 2 * third])
     assert np.log(grown) / third == pytest.approx(np.log(radius), rel=0.15)
 
@@ -106,12 +105,7 @@ def test_the_law_of_the_study_bears_the_delays_that_the_documents_say(
     borne: dict[str, float], refused: dict[str, float]
 ) -> None:
     def check(known: dict[str, float]) -> None:
-        check_stability(
-            TDE,
-            robot_inertia=ROBOT,
-            arm_inertia=ARM,
-            dynamics=RigDynamics(**known),  # type: ignore[arg-type]
-        )
+        check_stability(TDE, RigDynamics(**known))  # type: ignore[arg-type]
 
     check(borne)
     with pytest.raises(ConfigurationError, match="unstable when sampled"):
@@ -119,7 +113,7 @@ def test_the_law_of_the_study_bears_the_delays_that_the_documents_say(
 
 
 def test_the_default_is_accepted_without_a_warning_and_tde_with_one_of_late_commands() -> None:
-    assert check_stability(DEFAULT, robot_inertia=ROBOT, arm_inertia=ARM) == ()
-    (warning,) = check_stability(TDE, robot_inertia=ROBOT, arm_inertia=ARM)
+    assert check_stability(DEFAULT) == ()
+    (warning,) = check_stability(TDE)
     assert "commands that act 1 ms later" in warning
     assert warning.endswith("while all joints are locked")

@@ -1,18 +1,19 @@
-"""What all laws share: the target of the joints, and the rows of the arrays that they work on."""
+"""What all laws share: their parameters, and the rows of the arrays that they work on."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
 from armimp_common.arrays import BoolArray, FloatArray
 from armimp_common.schema import PositiveVector, Schema, Vector
-from armimp_common.topics import PERIOD, RATE
-
-MOST_DELAY = 20
-"""Control periods by which commands may be known to act late, at most."""
+from armimp_common.topics import RATE
+from armimp_control import presets
+from armimp_control.rig import MOST_DELAY, KnownParameters
 
 THETA_1, THETA_2, IDEAL_VELOCITY, TICKS, OFFSET, SENSED_BEFORE = range(6)
 """Memory between ticks: the last two positions, ∫ u dt, ticks since the start, distance of the
@@ -78,14 +79,44 @@ class TargetParameters(Schema):
     perturbation (Hz)."""
 
 
+class LawParameters(Schema):
+    """Which law; internal model and ideal-velocity feedback of IMBIC; assumptions."""
+
+    kind: Literal["imbic", "pd"] = "imbic"
+    """Control law: imbic, or pd, plain PD locking as the negative control."""
+    internal_model: presets.InternalModel = "observer"
+    """Internal model of imbic: observer, or tde, time-delay estimation with raw differences of the
+    encoders."""
+    model_inertia: Vector
+    """Inertia M̄ of the internal model of imbic, n×n row by row (kg·m²)."""
+    encoder_resolution: float = Field(default=presets.FINEST, ge=1e-6, le=0.1)
+    """Rounding of the encoders that the observer expects (rad); a smaller one makes it faster, and
+    less patient with late commands."""
+    perturbed_walk: PositiveVector = (0.4,)
+    """Rms change within a control period of the unknown torque, mostly friction, that the observer
+    expects of a joint while it is perturbed (N·m); one value for all joints or one for each."""
+    locked_walk: PositiveVector = (0.02,)
+    """The same of a joint while it is locked (N·m); one value for all joints or one for each."""
+    gamma: float = Field(default=100.0, gt=0.0)
+    """Gain Γ of the ideal-velocity feedback of imbic (rad/s)."""
+    pd_frequency: float = Field(default=25.0, gt=0.0)
+    """Natural frequency of joints locked by the law pd (rad/s)."""
+    pd_damping_ratio: float = Field(default=1.0, gt=0.0)
+    """Damping ratio of joints locked by the law pd (–)."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
-class TargetLaw:
-    """What every law has."""
+class Law(ABC):
+    """A law with the parameters of the controller that it is made from."""
 
     target: TargetParameters
-    """Target impedance, of n joints."""
-    period: float = PERIOD
-    """L, s."""
+    law: LawParameters
+    known: KnownParameters
+
+    @property
+    @abstractmethod
+    def kind(self) -> int:
+        """Which law it is in compiled code."""
 
     @property
     def joints(self) -> int:
@@ -98,6 +129,17 @@ class TargetLaw:
         return np.array(self.target.posture)
 
     def locked(self, perturbed: int | None) -> BoolArray:
-        """Which joints (n,) are locked, see :meth:`armimp_control.laws.imbic.ImbicConfig.role`."""
+        """Which joints (n,) are locked, see :meth:`role`."""
         every = np.arange(self.joints)
         return np.asarray(every != (every if perturbed is None else perturbed))
+
+    @abstractmethod
+    def role(self, perturbed: int | None) -> FloatArray:
+        """Law parameters (ROLE_ROWS, n) while joint ``perturbed`` (0-based) yields, others lock.
+
+        With None all joints yield, with NO_JOINT all lock.
+        """
+
+    def model(self, _perturbed: int | None) -> FloatArray:
+        """Internal model (MODEL_ROWS, n, n) in the same trial; zeros of a law that has none."""
+        return np.zeros((MODEL_ROWS, self.joints, self.joints))

@@ -46,6 +46,8 @@ import numpy as np
 
 from armimp_common.arrays import BoolArray, FloatArray
 from armimp_common.compiled import inlined
+from armimp_common.schema import each, matrix
+from armimp_common.topics import PERIOD
 from armimp_control.laws import (
     ANGLE,
     ANGLE_GAIN,
@@ -63,7 +65,6 @@ from armimp_control.laws import (
     INERTIA_MODEL,
     INVERSE,
     LATE,
-    MODEL_ROWS,
     OFFSET,
     ROLE_ROWS,
     SECOND_TONE,
@@ -76,54 +77,68 @@ from armimp_control.laws import (
     TICKS,
     VELOCITY,
     VELOCITY_GAIN,
-    TargetLaw,
+    Law,
 )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Observer:
-    """What the observer has to expect; its gains are those of a steady-state Kalman filter.
+class Imbic(Law):
+    """Target impedance and internal model: an observer, or time-delay estimation."""
 
-    Rounding of the encoders counts as white noise of variance δ²/12. Torques that nobody knows,
-    mostly friction, count as random walks. They act on all joints through M̄⁻¹, so that friction
-    which is seen in the motion of the perturbed joint is known at the locked ones before they move.
-    """
+    _models: dict[int | None, FloatArray] = field(default_factory=dict, init=False, repr=False)
 
-    resolution: float
-    """δ, rad."""
-    perturbed: FloatArray
-    locked: FloatArray
-    """(n,) rms change within a period of the unknown torque of each joint while it is perturbed and
-    while it is locked, N·m."""
-    delay: int = 0
-    """D, periods by which commands act later than right after the sample that they answer."""
+    @property
+    def kind(self) -> int:
+        """Which of the two internal models it has."""
+        return IMBIC_OBSERVER if self.law.internal_model == "observer" else IMBIC
 
-    def gains(self, inverse: FloatArray, locked: BoolArray, period: float) -> FloatArray:
-        """G_θ, G_v (1/s) and G_d (1/s²), together (3, n, n).
+    def model(self, perturbed: int | None) -> FloatArray:
+        """See :meth:`Law.model`; don't change it.
+
+        Gains take some ten control periods to be worked out, so they are kept.
+        """
+        if perturbed not in self._models:
+            rows = super().model(perturbed)
+            inertia = matrix("law.model_inertia", self.law.model_inertia, self.joints)
+            rows[INERTIA_MODEL] = inertia
+            if self.kind == IMBIC_OBSERVER:
+                rows[INVERSE] = np.linalg.inv(inertia)
+                rows[ANGLE_GAIN:] = self._gains(rows[INVERSE], self.locked(perturbed))
+            self._models[perturbed] = rows
+        return self._models[perturbed]
+
+    def _gains(self, inverse: FloatArray, locked: BoolArray) -> FloatArray:
+        """G_θ, G_v (1/s) and G_d (1/s²), together (3, n, n): those of a steady-state Kalman filter.
+
+        Rounding of the encoders counts as white noise of variance δ²/12. Torques that nobody knows,
+        mostly friction, count as random walks. They act on all joints through M̄⁻¹, so that friction
+        which is seen in the motion of the perturbed joint is known at the locked ones before they
+        move.
 
         Parameters
         ----------
         inverse : (n, n) M̄⁻¹, 1/(kg·m²)
         locked : (n,) which joints are
-        period : L, s
         """
         # Only this law has to wait for the import.
         from scipy.linalg import solve_discrete_are
 
-        n = len(inverse)
+        n, law = len(inverse), self.law
         unit, none = np.eye(n), np.zeros((n, n))
         # Angles, velocities, and the unknown torques against them.
         transition = np.block(
             [
-                [unit, period * unit, -0.5 * period**2 * inverse],
-                [none, unit, -period * inverse],
+                [unit, PERIOD * unit, -0.5 * PERIOD**2 * inverse],
+                [none, unit, -PERIOD * inverse],
                 [none, none, unit],
             ]
         )
         reads = np.hstack([unit, none, none])
         walk = np.zeros((3 * n, 3 * n))
-        walk[2 * n :, 2 * n :] = np.diag(np.where(locked, self.locked, self.perturbed) ** 2)
-        rounding = self.resolution**2 / 12.0 * unit
+        while_locked = each("law.locked_walk", law.locked_walk, n)
+        while_perturbed = each("law.perturbed_walk", law.perturbed_walk, n)
+        walk[2 * n :, 2 * n :] = np.diag(np.where(locked, while_locked, while_perturbed) ** 2)
+        rounding = law.encoder_resolution**2 / 12.0 * unit
         covariance = solve_discrete_are(transition.T, reads.T, walk, rounding)
         innovation = reads @ covariance @ reads.T + rounding
         solved = np.linalg.solve(innovation, reads @ covariance)
@@ -131,46 +146,12 @@ class Observer:
         gains[2] = -inverse @ gains[2]
         return gains
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ImbicConfig(TargetLaw):
-    """Target impedance and internal model."""
-
-    model_inertia: FloatArray
-    """(n, n) M̄, kg·m²."""
-    gamma: float = 100.0
-    """Γ, rad/s."""
-    observer: Observer | None = None
-    """The internal model; None for time-delay estimation."""
-    _models: dict[int | None, FloatArray] = field(default_factory=dict, init=False, repr=False)
-
-    @property
-    def kind(self) -> int:
-        """Which law it is in compiled code."""
-        return IMBIC if self.observer is None else IMBIC_OBSERVER
-
-    def model(self, perturbed: int | None) -> FloatArray:
-        """Internal model (MODEL_ROWS, n, n) in the same trial as :meth:`role`; don't change it.
-
-        Gains take some ten control periods to be worked out, so they are kept.
-        """
-        if perturbed not in self._models:
-            rows = np.zeros((MODEL_ROWS, self.joints, self.joints))
-            rows[INERTIA_MODEL] = self.model_inertia
-            if self.observer is not None:
-                rows[INVERSE] = np.linalg.inv(self.model_inertia)
-                locked = self.locked(perturbed)
-                rows[ANGLE_GAIN:] = self.observer.gains(rows[INVERSE], locked, self.period)
-            self._models[perturbed] = rows
-        return self._models[perturbed]
-
     def role(self, perturbed: int | None) -> FloatArray:
-        """Law parameters (ROLE_ROWS, n) while joint ``perturbed`` (0-based) yields, others lock.
+        """See :meth:`Law.role`.
 
-        With None all joints yield, with NO_JOINT all lock. Rows: share of τ_h' sensed (1 or 0),
-        M_rd (kg·m²), B_rd (N·m·s/rad), K_rd (N·m/rad), what a tick leaves of the distance between
-        target and θ_rd, amplitude (rad) and angle per tick (rad) of the dither in the target, tare
-        (N·m; 0), periods by which commands act late.
+        Rows: share of τ_h' sensed (1 or 0), M_rd (kg·m²), B_rd (N·m·s/rad), K_rd (N·m/rad), what a
+        tick leaves of the distance between target and θ_rd, amplitude (rad) and angle per tick
+        (rad) of the dither in the target, tare (N·m; 0), periods by which commands act late.
         """
         locked = self.locked(perturbed)
         target, rows = self.target, np.empty((ROLE_ROWS, self.joints))
@@ -182,7 +163,7 @@ class ImbicConfig(TargetLaw):
             rows[DAMPING, locked] = 2.0 * target.lock_damping_ratio * frequency * inertia
             rows[STIFFNESS, locked] = frequency**2 * inertia
         approach = target.lock_approach
-        rows[APPROACH] = np.exp(-self.period / approach) if approach else 0.0
+        rows[APPROACH] = np.exp(-PERIOD / approach) if approach else 0.0
         # The target has to move further than the joint, which follows like a low-pass.
         turning = 2.0 * np.pi * target.lock_dither_frequency
         moving = 1j * math.sqrt(SECOND_TONE) * turning
@@ -190,9 +171,9 @@ class ImbicConfig(TargetLaw):
         asked = (rows[INERTIA] * moving + rows[DAMPING]) * moving + stiffness
         attenuation = np.abs(asked) / np.where(stiffness > 0.0, stiffness, np.inf)
         rows[DITHER] = np.where(locked, target.lock_dither * attenuation, 0.0)
-        rows[DITHER_ANGLE] = turning * self.period
+        rows[DITHER_ANGLE] = turning * PERIOD
         rows[TARE] = 0.0
-        rows[LATE] = 0.0 if self.observer is None else self.observer.delay
+        rows[LATE] = self.known.command_delay if self.kind == IMBIC_OBSERVER else 0.0
         return rows
 
 
@@ -247,9 +228,9 @@ def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     ----------
     observer : whether it is the internal model
     theta, tau_h, tau_delta : (n,) rad, N·m, N·m: encoders, torque transducers, perturbation
-    role : (ROLE_ROWS, n) from :meth:`ImbicConfig.role`
+    role : (ROLE_ROWS, n) from :meth:`Imbic.role`
     target : (n,) θ_rd, rad
-    model : (MODEL_ROWS, n, n) from :meth:`ImbicConfig.model`
+    model : (MODEL_ROWS, n, n) from :meth:`Imbic.model`
     gamma, period : rad/s, s
     memory : (MEMORY_ROWS, n), updated; zeros before the first tick; COMMAND holds what was sent
     command : (n,) N·m, written

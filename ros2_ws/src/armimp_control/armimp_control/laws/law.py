@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TypeAlias
+from collections.abc import Mapping, Sequence
+from typing import Final
 
 import numpy as np
 
 from armimp_common.arrays import FloatArray
 from armimp_common.compiled import compiled, compiled_entry, inlined
 from armimp_common.status import Cause
+from armimp_common.topics import PERIOD
 from armimp_control.laws import (
     COMMAND,
     IMBIC_OBSERVER,
@@ -19,9 +20,10 @@ from armimp_control.laws import (
     PD,
     ROLE_ROWS,
     TARE,
+    Law,
 )
-from armimp_control.laws.imbic import ImbicConfig, forgo, imbic
-from armimp_control.laws.pd import PdConfig, pd
+from armimp_control.laws.imbic import Imbic, forgo, imbic
+from armimp_control.laws.pd import Pd, pd
 from armimp_control.safety_limiter import (
     CLIPPED,
     FAULT,
@@ -42,7 +44,8 @@ from armimp_control.safety_limiter import (
     stop_commands,
 )
 
-LawConfig: TypeAlias = ImbicConfig | PdConfig
+LAWS: Final[Mapping[str, type[Law]]] = {"imbic": Imbic, "pd": Pd}
+"""The laws by the parameter ``law.kind``."""
 
 
 def _unpacked(
@@ -99,7 +102,7 @@ def packed_tick(law: int, n: int, w: FloatArray) -> int:
 
     Parameters
     ----------
-    law : `kind` of the configuration of the law
+    law : `kind` of the law
     n : number of joints
     w : (packed_size(n),) all that a controller works on, see :func:`_unpacked`; the sample comes
         first: θ (rad), τ_h and τ_Δ (N·m), then the command, which is written (N·m)
@@ -154,7 +157,8 @@ class Controller:
 
     Parameters
     ----------
-    config : ImbicConfig or PdConfig
+    law : one of :data:`LAWS`
+    safety : limits
     storage : (packed_size(n),) zeros for all that it works on, if it is to be there
 
     Attributes
@@ -169,25 +173,25 @@ class Controller:
     """
 
     def __init__(
-        self, config: LawConfig, *, safety: SafetyParameters, storage: FloatArray | None = None
+        self, law: Law, *, safety: SafetyParameters, storage: FloatArray | None = None
     ) -> None:
-        self.config = config
-        n = config.joints
-        self._law, self._joints = config.kind, n
+        self.law = law
+        n = law.joints
+        self._kind, self._joints = law.kind, n
         self._all = np.zeros(packed_size(n)) if storage is None else storage
         views = _unpacked(self._all, n)
         self.sample, posture, self.role, self.rules, self.memory, self._limiter = views[:6]
         self.model, self._journal, scalars = views[6:]
         self.command = posture[0]
-        posture[1] = config.target_posture
-        scalars[:] = config.gamma, config.period
-        self.rules[:] = safety.rules(config.target_posture, config.period)
+        posture[1] = law.target_posture
+        scalars[:] = law.law.gamma, PERIOD
+        self.rules[:] = safety.rules(law.target_posture, PERIOD)
         self._tare = np.zeros(n)
         # None of them is to be worked out between two samples.
         for joint in (NO_JOINT, *range(n)):
-            config.model(joint)
+            law.model(joint)
         self.perturb_joint(0)
-        self._ramp_ticks = safety.ramp_ticks(config.period)
+        self._ramp_ticks = safety.ramp_ticks(PERIOD)
         self._notes = self._journal.data  # read in half the time
 
     @property
@@ -215,7 +219,7 @@ class Controller:
 
         With NO_JOINT all are held.
         """
-        self.role[:], self.model[:] = self.config.role(joint), self.config.model(joint)
+        self.role[:], self.model[:] = self.law.role(joint), self.law.model(joint)
         self.role[TARE] = self._tare
 
     def tare(self, offset: Sequence[float]) -> None:
@@ -267,4 +271,4 @@ class Controller:
 
     def compute(self) -> int:
         """:meth:`tick` of what was written into :attr:`sample`."""
-        return _tick(self._law, self._joints, self._all)
+        return _tick(self._kind, self._joints, self._all)

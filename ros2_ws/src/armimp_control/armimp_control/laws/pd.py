@@ -18,56 +18,37 @@ resolution level 3, as much as its Coulomb friction at level 3. (Sampling alone 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
-
 import numpy as np
 
 from armimp_common.arrays import FloatArray
 from armimp_common.compiled import inlined
+from armimp_common.schema import matrix
 from armimp_control.laws import (
     DAMPING,
     INERTIA,
-    MODEL_ROWS,
     PD,
     ROLE_ROWS,
     STIFFNESS,
     THETA_1,
     TICKS,
-    TargetLaw,
+    Law,
 )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PdConfig(TargetLaw):
-    """Gains of plain PD locking."""
+class Pd(Law):
+    """Plain PD locking."""
 
-    inertia: FloatArray
-    """(n,) M that the gains of locked joints are made for, kg·m²."""
-    frequency: float = 25.0
-    """Natural frequency ω of a locked joint, rad/s."""
-    damping_ratio: float = 1.0
-    """Its ζ."""
-
-    kind: ClassVar[int] = PD
-    gamma: ClassVar[float] = 0.0
-
-    def model(self, _perturbed: int | None) -> FloatArray:
-        """There is no internal model: (MODEL_ROWS, n, n) zeros."""
-        return np.zeros((MODEL_ROWS, self.joints, self.joints))
+    kind = PD
 
     def role(self, perturbed: int | None) -> FloatArray:
-        """Law parameters (ROLE_ROWS, n) while joint ``perturbed`` (0-based) yields, others lock.
-
-        With None all joints yield, with NO_JOINT all lock. Rows as of
-        :meth:`armimp_control.laws.imbic.ImbicConfig.role`; no joint senses τ_h.
-        """
-        locked, target = self.locked(perturbed), self.target
+        """See :meth:`Law.role`; no joint senses τ_h."""
+        locked, target, omega = self.locked(perturbed), self.target, self.law.pd_frequency
+        inertia = np.diag(matrix("known.robot_inertia", self.known.robot_inertia, self.joints))
         rows = np.zeros((ROLE_ROWS, self.joints))
-        rows[INERTIA] = self.inertia
-        gain = 2.0 * self.damping_ratio * self.frequency * self.inertia
+        rows[INERTIA] = inertia
+        gain = 2.0 * self.law.pd_damping_ratio * omega * inertia
         rows[DAMPING] = np.where(locked, gain, target.damping)
-        rows[STIFFNESS] = np.where(locked, self.frequency**2 * self.inertia, target.stiffness)
+        rows[STIFFNESS] = np.where(locked, omega**2 * inertia, target.stiffness)
         return rows
 
 
@@ -86,7 +67,7 @@ def pd(
     Parameters
     ----------
     theta, tau_delta : (n,) rad, N·m: encoders, perturbation
-    role : (ROLE_ROWS, n) from :meth:`PdConfig.role`
+    role : (ROLE_ROWS, n) from :meth:`Pd.role`
     target : (n,) θ_rd, rad
     period : s
     memory : (MEMORY_ROWS, n), updated; zeros before the first tick
