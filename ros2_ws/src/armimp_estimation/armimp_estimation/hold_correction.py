@@ -380,7 +380,7 @@ def _from_motion(records: Sequence[TrialRecord]) -> HoldCorrection:
     return HoldCorrection(
         torque=transmission,
         slope=np.zeros_like(transmission),
-        error=_OFF * np.sqrt((1.0 - explained) / by_jumps),
+        error=_OFF * np.sqrt(np.maximum(1.0 - explained, 0.0) / by_jumps),
     )
 
 
