@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
+from multiprocessing import get_context
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from armimp_bringup.bench import available_cores
 from armimp_bringup.study import LEVELS, Condition
 from armimp_bringup.study.scores import COHERENCE_SCORES, FIT_SCORES, Score, Table, statistics
+from armimp_common.errors import DataError
 from armimp_estimation.figures import TWO_COLUMNS, element_figure, matrix_figure, save_figure
 from armimp_estimation.mbk import MBK
 from armimp_estimation.report.plots import (
@@ -31,8 +36,11 @@ from armimp_estimation.report.plots import (
 from armimp_estimation.summary import ImpedanceCurve
 
 Curves = Callable[[Condition], Mapping[str, ImpedanceCurve]]
+_Drawing = Callable[[Any, Any], Figure]
 
 _LEAST_PANEL: Final = 2.3  # inches; with many joints Figure 2 is a poster
+_WORTH_A_PROCESS: Final = 3
+"""Figures that take longer to draw than another process takes to start."""
 
 _TRUE: Final = replace(TRUE, width=2.0)
 _TARGET: Final = Stroke(name="target", colour="--soft", dash="dash", width=1.2)
@@ -210,11 +218,8 @@ def write_figures(
     DataError
         If curves can't be read, or a figure not be written.
     """
-    files: dict[str, str] = {}
-
-    def draw(name: str, figure: Figure, shown: str) -> None:
-        files.update({path.name: shown for path in save_figure(figure, directory / name)})
-
+    drawings: list[tuple[str, _Drawing, Any, Any]] = []
+    shown: list[str] = []
     for of_estimator in np.moveaxis(table, 1, 0):
         name = of_estimator["estimator"].flat[0]
         for level in LEVELS["perturbation"]:
@@ -224,16 +229,35 @@ def write_figures(
                 if (one.perturbation, one.seed) == (level, conditions[0].seed)
             }
             if of_level:
-                draw(
-                    f"fig2-{name}-perturbation{level}",
-                    impedance_figure(of_level, truth),
-                    f"impedance in all conditions over the truth, {name}, perturbation {level}",
+                where = f"fig2-{name}-perturbation{level}"
+                drawings.append((where, impedance_figure, of_level, truth))
+                shown.append(
+                    f"impedance in all conditions over the truth, {name}, perturbation {level}"
                 )
-        fit = levels_figure(of_estimator, FIT_SCORES)
-        draw(f"fig3-{name}", fit, f"VAF and R² by level, {name}")
-        coherence = levels_figure(of_estimator, COHERENCE_SCORES)
-        draw(f"fig4-{name}", coherence, f"coherences by level, {name}")
-    return files
+        drawings.append((f"fig3-{name}", levels_figure, of_estimator, FIT_SCORES))
+        drawings.append((f"fig4-{name}", levels_figure, of_estimator, COHERENCE_SCORES))
+        shown += [f"VAF and R² by level, {name}", f"coherences by level, {name}"]
+    files = _drawn(directory, drawings)
+    return {path.name: one for one, paths in zip(shown, files, strict=True) for path in paths}
+
+
+def _drawn(
+    directory: Path, drawings: Sequence[tuple[str, _Drawing, Any, Any]]
+) -> Iterator[list[Path]]:
+    """Files of the figures, in their order; many are drawn side by side."""
+    workers = min(available_cores(), len(drawings) // _WORTH_A_PROCESS)
+    if workers < 2:
+        yield from (_draw(directory, *one) for one in drawings)
+        return
+    try:
+        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+            yield from pool.map(_draw, itertools.repeat(directory), *zip(*drawings, strict=True))
+    except BrokenProcessPool:
+        raise DataError("figures: a process that draws them ended early") from None
+
+
+def _draw(directory: Path, name: str, draw: _Drawing, *arguments: Any) -> list[Path]:
+    return save_figure(draw(*arguments), directory / name)
 
 
 def impedance_figure(curves: Mapping[Condition, ImpedanceCurve], truth: MBK) -> Figure:
