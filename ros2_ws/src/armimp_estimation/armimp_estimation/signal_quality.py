@@ -104,9 +104,7 @@ def judge_signals(record: TrialRecord) -> list[Problem]:
     """
     # What was interpolated with all that is recorded did the same to cause and effect.
     resampled = repeating(record.perturbation[record.perturbed_joint]) > 0.0
-    share, name = aliased(record), record.joint_names[record.perturbed_joint]
-    folded = [problem(ProblemCode.ALIASED, trial=record.trial, name=name, percent=100.0 * share)]
-    return (folded if share < 1.0 else []) + [
+    return [
         problem(code, trial=record.trial, stream=stream, name=name, **values)
         for stream in (JOINT_STATES, TORQUE_SENSORS)
         for joint, name in enumerate(record.joint_names)
@@ -133,6 +131,8 @@ def _faults(record: TrialRecord, stream: str, joint: int) -> Iterator[tuple[Prob
         dropped, share = dropouts(signal, partner, kicked)
         if share > DROPPED:
             yield ProblemCode.DROPPED, {"count": dropped, "percent": 100.0 * share}
+    if joint == k and not torques and (share := aliased(record)) < 1.0:
+        yield ProblemCode.ALIASED, {"percent": 100.0 * share}
     if torques and (count := zeros_beyond_chance(signal)):
         yield ProblemCode.DEAD_ZONE, {"count": count, "percent": 100.0 * count / signal.size}
     if torques and (share := repeating(signal)):
