@@ -47,7 +47,9 @@ from armimp_estimation.trial import TrialData, segments_for
 _RATE = NS_PER_S / PERIOD_NS
 _ROUND = 1000
 _SEEN_EVERY = 1.0
-"""Wall time between two estimates from the running trial (s); each takes some 20 ms."""
+"""Least wall time to an estimate from the running trial, from its beginning or the last one (s)."""
+_SHARE = 30.0
+"""Estimates from the running trial take at most about one part in so many of the time."""
 _ORDER = (JOINT_STATES, TORQUE_SENSORS, PERTURBATION, COMMANDS)
 """Messages of a tick in the order in which they are recorded."""
 _KEPT_BETWEEN = 3000
@@ -235,9 +237,13 @@ class TrialRecorder:
                 shown = trial.position_channel(joint), trial.torque_channel(joint)
                 motion, torque = (coherence(trial.spectra, 0, one) for one in shown)
                 self._coherence = float(np.mean(motion)), float(np.mean(torque))
-            # Round numbers: the Fourier transform of others may take several times as long.
-            record = record.part(0, record.samples // _ROUND * _ROUND)
-        self._fit(record)
+        if (began := time.monotonic()) >= self._look_at:
+            if record is not None:
+                # Round numbers: the Fourier transform of others may take several times as long.
+                record = record.part(0, record.samples // _ROUND * _ROUND)
+            self._fit(record)
+            ended = time.monotonic()
+            self._look_at = ended + max(_SEEN_EVERY, _SHARE * (ended - began))
 
     def decide(self) -> StoppingDecision | None:
         """Decide whether the present trial has lasted long enough, if it is time."""
@@ -263,8 +269,6 @@ class TrialRecorder:
         if record is not None and record.samples:
             with suppress(DataError):  # too few samples
                 self._column = self._lpm.column(record, self._past)
-                # From the end of the estimate on, which leaves a slow machine time for others.
-                self._look_at = time.monotonic() + _SEEN_EVERY
         return self._column
 
     def stop(self) -> None:
@@ -296,6 +300,7 @@ class TrialRecorder:
     def _begin(self, status: TrialStatus, start_ns: int) -> None:
         """Begin with the samples of a trial, and keep what came before."""
         self._start_ns, self._began = start_ns, time.monotonic()
+        self._look_at = self._began + _SEEN_EVERY
         stamps = np.array([_stamp(message) for message in self._between[PERTURBATION]])
         first = _last_step_back(stamps, start_ns)
         waiting = {topic: list(raws)[first:] for topic, raws in self._between.items()}

@@ -16,6 +16,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
+from itertools import accumulate, chain, repeat
 from pathlib import Path
 from typing import Final
 
@@ -184,30 +185,30 @@ class BagWriter:
             If they cannot be written: disk full, bag closed, unknown topic, bad time.
         """
         with self._one_line():
-            channels = {self._channel(topic): raws for topic, raws in messages.items()}
-            head, entry, offset = MESSAGE_HEAD.pack, _ENTRY.pack, len(self._chunk)
-            records: list[bytes] = []
-            index: list[tuple[int, bytes]] = []
-            for number, time_ns in enumerate(log_times):
-                for channel, raws in channels.items():
-                    raw = raws[number]
-                    times = time_ns, time_ns
-                    records += head(MESSAGE, BEYOND_LENGTH + len(raw), channel, 0, *times), raw
-                    index.append((channel, entry(time_ns, offset)))
-                    offset += MESSAGE_HEAD.size + len(raw)
+            channels = [self._channel(topic) for topic in messages]
+            # Loops of the interpreter's own: a head and a message, for each topic of each time.
+            columns: list[Iterable[bytes]] = []
+            for channel, raws in zip(channels, messages.values(), strict=True):
+                lengths = (BEYOND_LENGTH + len(raw) for raw in raws)
+                fixed = repeat(MESSAGE), lengths, repeat(channel), repeat(0)
+                columns += map(MESSAGE_HEAD.pack, *fixed, log_times, log_times), raws
+            records = list(chain.from_iterable(zip(*columns, strict=True)))
             # Nothing has changed so far, if a time is impossible.
+            offsets = list(accumulate(map(len, records), initial=len(self._chunk)))
+            for place, channel in enumerate(channels):
+                beginnings = offsets[2 * place :: len(columns)]
+                self._index[channel] += b"".join(map(_ENTRY.pack, log_times, beginnings))
             first_ns, last_ns = log_times[0], log_times[-1]
             if not self._chunk:
                 self._start_ns, self._end_ns = first_ns, last_ns
             self._start_ns, self._end_ns = min(self._start_ns, first_ns), max(self._end_ns, last_ns)
             self._chunk += b"".join(records)
-            for channel, place in index:
-                self._index[channel] += place
-            self._pending += len(index)
+            count = len(log_times) * len(channels)
+            self._pending += count
             # Another block like this must not lead beyond what may be lost.
             if (
                 2 * last_ns - first_ns >= self._start_ns + FLUSH_INTERVAL_NS
-                or self._pending + len(index) > FLUSH_MESSAGES
+                or self._pending + count > FLUSH_MESSAGES
             ):
                 self._flush()
 
