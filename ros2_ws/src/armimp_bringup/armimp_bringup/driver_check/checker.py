@@ -29,7 +29,7 @@ from armimp_bringup.driver_check import (
 )
 from armimp_bringup.driver_check.conversation import Conversation, MotionGuard, Step, Torque
 from armimp_bringup.graph import GraphContext
-from armimp_bringup.terminal import Display
+from armimp_bringup.terminal import Display, say
 from armimp_common import topics
 from armimp_common.arrays import FloatArray
 from armimp_common.errors import GraphError
@@ -225,6 +225,8 @@ class Checker:
     def _record_at_rest(self) -> int:
         """Record, without commands or under zero torque; return the number of the first sample."""
         node, duration = self._node, self._options.duration
+        # Lines, as a display that refreshes itself would disturb the times that are measured here.
+        say(f"listening to the driver for {duration:g} s")
         if self.paced:
             first = node.samples
             node.wait(lambda: False, duration)
@@ -281,11 +283,15 @@ class Checker:
         moves, guard, node = Moves(), self._guard, self._node
         node.guard = guard
         try:
-            for joint in range(len(self._joints)):
+            for joint, name in enumerate(self._joints):
+                say(f"pushing {name}")
                 moves.pushes.append(self._watched(moves, partial(self._push, joint)))
             if self.paced:
+                say(f"keeping silent while {self._joints[0]} is pushed")
                 moves.stale = self._watched(moves, self._keep_silent)
+            say(f"calling the emergency stop while {self._joints[0]} is pushed")
             moves.stop = self._watched(moves, self._stop_under_torque)
+            say("commanding zero torque as a second publisher")
             moves.second = self._watched(moves, self._intrude)
         except _GivenUpError as error:
             moves.missing, moves.astray = str(error), bool(guard.objection)
@@ -305,6 +311,7 @@ class Checker:
         """Call the emergency stop of a rig at rest, if it has one."""
         if topics.SIM_STOP_SERVICE not in self._node.safety_services():
             return Moves()
+        say("calling the emergency stop")
         since = self._node.now()
         stop = self._node.call(topics.SIM_STOP_SERVICE, _TOLD, since)
         return Moves(stop=Ending(told=self._told(since), stop=stop, reset=self._reset()))
