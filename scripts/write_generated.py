@@ -18,7 +18,7 @@ from armimp_common import qos
 from armimp_common.schema import defaults, descriptions, flatten, leaves, to_params_yaml
 from armimp_common.status import Progress, StoppingDecision, TimingFigures, TrialStatus
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, MESSAGE_TYPES, SIM_NODE
-from armimp_estimation.alignment.assemble import StreamCount
+from armimp_estimation.alignment.stream_statistics import StreamCount
 from armimp_estimation.fit import CommonDelay
 from armimp_estimation.metadata import Timing
 from armimp_estimation.parameters import EstimatorParameters

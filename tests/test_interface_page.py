@@ -22,7 +22,8 @@ from armimp_common.status import (
 from armimp_common.topics import (
     MESSAGE_TYPES,
 )
-from armimp_estimation.alignment.assemble import StreamStatistics, Trial
+from armimp_estimation.alignment.assemble import Trial
+from armimp_estimation.alignment.stream_statistics import StreamStatistics
 from armimp_estimation.alignment.trial_windows import TrialWindow
 from armimp_estimation.estimators.registry import estimator_names
 from armimp_estimation.identify import identify

@@ -16,7 +16,7 @@ from pydantic import Field, JsonValue, ValidationError, computed_field
 from typing_extensions import Self
 
 from armimp_common.errors import DataError
-from armimp_estimation.alignment.assemble import StreamStatistics
+from armimp_estimation.alignment.stream_statistics import StreamStatistics
 from armimp_estimation.arm_models import ModelFit, supported
 from armimp_estimation.atomic_write import write_atomically
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
