@@ -7,8 +7,16 @@ import numpy as np
 
 from armimp_common.arrays import FloatArray
 from armimp_common.errors import DataError
+from armimp_common.topics import JOINT_STATES, TORQUE_SENSORS
 from armimp_estimation.periods import FEWEST_LINES, Periods
 from armimp_estimation.spectra import WelchConfig
+
+EXACT = 1e-9
+"""Differences of a signal, relative to its peak to peak value, that are rounding of numbers."""
+_BY_CHANCE = 10.0
+"""How much farther apart than by chance values that last are: e⁻¹⁰ is how often chance does it."""
+_ONCE = 0.4
+"""How often a value is shown that is none by accident, as a share of how often others are."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -103,6 +111,19 @@ class TrialRecord:
         parts = {name: values[:, first:end] for name, values in known.items()}
         return replace(self, **parts, start_ns=self.start_ns + round(1e9 * first / self.rate))
 
+    @property
+    def readings(self) -> dict[str, FloatArray]:
+        """Angles and torques by the topic of their sensors."""
+        return {JOINT_STATES: self.position, TORQUE_SENSORS: self.torque}
+
+    @cached_property
+    def resolution(self) -> dict[str, FloatArray]:
+        """What :func:`resolution_of` finds of each of these, rad and N·m; shapes (n,)."""
+        return {
+            topic: np.array([resolution_of(one) for one in signals])
+            for topic, signals in self.readings.items()
+        }
+
     @cached_property
     def periods(self) -> Periods | None:
         """Those of the perturbation, if it repeats itself with lines enough in the band."""
@@ -110,3 +131,23 @@ class TrialRecord:
         band = (WelchConfig.f_low, WelchConfig.f_high)
         few = found is None or found.lines_in(self.rate, band).size < FEWEST_LINES
         return None if few else found
+
+
+def resolution_of(signal: FloatArray) -> float:
+    """Least difference between two values of a signal; 0 if it rests.
+
+    Linear interpolation onto other instants adds values between readings, but none where these stay
+    the same. So only values that last for two samples count, if there are so many that chance isn't
+    what sets them apart: of n values anywhere in a range r, two are as a rule as near as ``r/n²``.
+    Those that do so seldom are two between readings that are equal by accident.
+    """
+    nothing = EXACT * float(np.ptp(signal))
+    starts = np.flatnonzero(np.concatenate(([True], np.abs(np.diff(signal)) > nothing)))
+    lasting = signal[starts[np.diff(starts, append=signal.size) > 1]]
+    for shown, chance in ((lasting, _BY_CHANCE / max(lasting.size, 1) ** 2), (signal, 0.0)):
+        values, times = np.unique(shown, return_counts=True)
+        gaps = np.diff(values[times > _ONCE * np.median(np.append(times, 1))])
+        gaps = gaps[gaps > nothing]
+        if gaps.size and (least := float(np.min(gaps))) > chance * float(np.sum(gaps)):
+            return least
+    return 0.0

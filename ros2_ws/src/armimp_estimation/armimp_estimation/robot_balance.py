@@ -28,6 +28,7 @@ import numpy as np
 
 from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_common.errors import DataError
+from armimp_common.topics import JOINT_STATES
 from armimp_estimation.estimators.estimate import ImpedanceEstimate, variance_of
 from armimp_estimation.estimators.local_polynomial import LocalResponse
 from armimp_estimation.estimators.lpm import (
@@ -51,7 +52,7 @@ from armimp_estimation.hold_correction import (
 from armimp_estimation.plausibility import least_eigenvalue, uneven
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.signal_quality import lost_motion, resolution_of, speed_of
+from armimp_estimation.signal_quality import lost_motion, speed_of
 from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.trial import TrialData
 
@@ -654,7 +655,7 @@ def judge_answers(
 def _rounds(record: TrialRecord) -> bool:
     """Whether angles change from sample to sample by their rounding rather than by motion."""
     power = np.mean(np.diff(record.position, n=2) ** 2, axis=1)
-    return bool((power <= _ROUNDED * np.array([*map(resolution_of, record.position)]) ** 2).all())
+    return bool((power <= _ROUNDED * record.resolution[JOINT_STATES] ** 2).all())
 
 
 def _nothing_confirmed(

@@ -14,11 +14,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.arrays import BoolArray, FloatArray
+from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_common.topics import JOINT_STATES, TORQUE_SENSORS
 from armimp_estimation.hold_correction import command_steps, regress
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
-from armimp_estimation.record import TrialRecord
+from armimp_estimation.record import EXACT, TrialRecord, resolution_of
 
 Values = dict[str, Any]
 
@@ -63,11 +63,6 @@ _TELLING_MOST = 16384
 _REPEATED = 0.15
 _BESIDE = 9.0
 _BROAD = 0.5
-_EXACT = 1e-9
-_CHANCE = 10.0
-"""How much farther apart than by chance values that last are: e⁻¹⁰ is how often chance does it."""
-_ONCE = 0.4
-"""How often a value is shown that is none by accident, as a share of how often others are."""
 _LOST = 0.16
 _LEADING, _MOST_LED, _UNGATHERED, _LEAD_ERROR = 0.12, 0.1, 0.2, 0.5
 """Assumptions for :func:`rounding_lead`: its factor, a lead times the speed in the band at most, in
@@ -116,24 +111,25 @@ def judge_signals(record: TrialRecord) -> list[Problem]:
 def _faults(record: TrialRecord, stream: str, joint: int) -> Iterator[tuple[ProblemCode, Values]]:
     """What is wrong with one signal, with the values of each problem."""
     k, torques = record.perturbed_joint, stream == TORQUE_SENSORS
-    signal = (record.torque if torques else record.position)[joint]
-    for value, count in clipping(signal):
+    signal, step = record.readings[stream][joint], float(record.resolution[stream][joint])
+    for value, count in clipping(signal, step):
         yield ProblemCode.CLIPPED, {"value": value, "unit": _UNITS[stream], "count": count}
     if torques or joint == k:
-        counts = counts_of(signal)
+        counts = float(np.ptp(signal)) / step if step else 0.0
         if counts < RESOLVED[stream]:
             yield ProblemCode.UNRESOLVED, {"counts": counts}
         partner = (record.position if torques else record.torque)[k]
-        longest, count, limit = sticking(signal, record.rate, partner)
-        if count:
-            yield ProblemCode.STUCK, {"longest": longest, "count": count, "limit": limit}
+        if counts >= _TELLING_COUNTS:
+            longest, count, limit = sticking(signal, record.rate, partner)
+            if count:
+                yield ProblemCode.STUCK, {"longest": longest, "count": count, "limit": limit}
         kicked = None if joint == k else record.position[joint]
         dropped, share = dropouts(signal, partner, kicked)
         if share > DROPPED:
             yield ProblemCode.DROPPED, {"count": dropped, "percent": 100.0 * share}
     if joint == k and not torques and (share := aliased(record)) < 1.0:
         yield ProblemCode.ALIASED, {"percent": 100.0 * share}
-    if torques and (count := zeros_beyond_chance(signal)):
+    if torques and (count := zeros_beyond_chance(signal, step)):
         yield ProblemCode.DEAD_ZONE, {"count": count, "percent": 100.0 * count / signal.size}
     if torques and (share := repeating(signal)):
         yield ProblemCode.TORQUE_REPEATS, {"percent": 100.0 * share}
@@ -165,7 +161,7 @@ def mended(record: TrialRecord) -> tuple[TrialRecord, list[Problem]]:
         How many samples of which signals; errors where they are too many.
     """
     problems, k = [], np.arange(record.samples)
-    whole = {JOINT_STATES: record.position.copy(), TORQUE_SENSORS: record.torque.copy()}
+    whole = {stream: signals.copy() for stream, signals in record.readings.items()}
     known = {JOINT_STATES: np.zeros_like(record.position), TORQUE_SENSORS: _of_commands(record)}
     for stream, signals in whole.items():
         for joint, (name, signal) in enumerate(zip(record.joint_names, signals, strict=True)):
@@ -173,7 +169,7 @@ def mended(record: TrialRecord) -> tuple[TrialRecord, list[Problem]]:
             height = np.maximum(_over_opening(rest), _over_opening(-rest))
             if record.command is not None:
                 height[:_PERIODS] = 0.0  # which follow commands that nobody recorded
-            usual = max(float(np.quantile(height, _USUAL)), resolution_of(signal))
+            usual = max(float(np.quantile(height, _USUAL)), record.resolution[stream][joint])
             away = height > max(_AWAY * usual, _SMALL * float(np.std(signal)))
             if not away.any():
                 continue
@@ -216,7 +212,7 @@ def _over_opening(signal: FloatArray) -> FloatArray:
     return np.asarray(signal - opened)
 
 
-def clipping(signal: FloatArray) -> list[tuple[float, int]]:
+def clipping(signal: FloatArray, step: float) -> list[tuple[float, int]]:
     """Values at which a signal is clipped, and in how many samples.
 
     A signal that turns where it likes has fewer samples at its extreme value than at the next
@@ -232,13 +228,15 @@ def clipping(signal: FloatArray) -> list[tuple[float, int]]:
     Parameters
     ----------
     signal : ndarray, shape (N,)
+    step : float
+        Its resolution.
     """
-    levels = _levels(signal)
+    levels = np.rint(signal / (step or 1.0))
     values, counts = np.unique(levels, return_counts=True)
     if values.size <= _NEIGHBOURS:
         return []
     steps = np.abs(np.diff(signal))
-    reach = _REACH * float(np.median(steps[steps > 0.0])) / resolution_of(signal)
+    reach = _REACH * float(np.median(steps[steps > 0.0])) / step
     above = max(_NEIGHBOURS, int(np.sum(values <= values[0] + reach)) - 1)
     below = max(_NEIGHBOURS, int(np.sum(values >= values[-1] - reach)) - 1)
     found, visits = [], 0
@@ -265,31 +263,6 @@ def _arrivals(rank: NDArray[np.int_]) -> NDArray[np.int_]:
     return came
 
 
-def resolution_of(signal: FloatArray) -> float:
-    """Least difference between two values of a signal; 0 if it rests.
-
-    Linear interpolation onto other instants adds values between readings, but none where these stay
-    the same. So only values that last for two samples count, if there are so many that chance isn't
-    what sets them apart: of n values anywhere in a range r, two are as a rule as near as ``r/n²``.
-    Those that do so seldom are two between readings that are equal by accident.
-    """
-    nothing = _EXACT * float(np.ptp(signal))
-    starts = np.flatnonzero(np.concatenate(([True], np.abs(np.diff(signal)) > nothing)))
-    lasting = signal[starts[np.diff(starts, append=signal.size) > 1]]
-    for shown, chance in ((lasting, _CHANCE / max(lasting.size, 1) ** 2), (signal, 0.0)):
-        values, times = np.unique(shown, return_counts=True)
-        gaps = np.diff(values[times > _ONCE * np.median(np.append(times, 1))])
-        gaps = gaps[gaps > nothing]
-        if gaps.size and (least := float(np.min(gaps))) > chance * float(np.sum(gaps)):
-            return least
-    return 0.0
-
-
-def _levels(signal: FloatArray) -> FloatArray:
-    """Signal in units of its resolution, without what was interpolated between these."""
-    return np.asarray(np.rint(signal / (resolution_of(signal) or 1.0)))
-
-
 def lost_motion(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]:
     """Motion that follows the perturbation and that the encoders of locked joints may not show.
 
@@ -314,7 +287,7 @@ def lost_motion(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]
     """
     shares, beside = np.zeros((2, len(records), len(records)))
     for joint, k in np.ndindex(shares.shape):
-        step = resolution_of(records[joint].position[joint])
+        step = float(records[joint].resolution[JOINT_STATES][joint])
         size = round(_WINDOW * records[k].rate)
         if k == joint or step == 0.0 or records[k].samples < size:
             continue
@@ -361,7 +334,7 @@ def rounding_lead(
     for k, record in enumerate(records):
         speeds = np.mean(np.abs(_speeds(record, inertia, band_end)), axis=1)
         for joint, (angle, speed) in enumerate(zip(record.position, speeds, strict=True)):
-            step = resolution_of(records[joint].position[joint])
+            step = float(records[joint].resolution[JOINT_STATES][joint])
             steps = np.abs(np.diff(angle)) / step if step > 0.0 else np.zeros(1)
             stepping = float(np.mean(np.minimum(steps, 1.0)))
             if np.sum(steps) < _CHANGES - 0.5 or not speed > 0.0:
@@ -414,15 +387,22 @@ def without_slow(records: Sequence[TrialRecord]) -> BoolArray:
     return np.asarray(powers[0] < _LITTLE * powers[1])
 
 
-def followed(cause: FloatArray, signal: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Coherence of a signal, (N,), with its cause, and the power of both, by `_BINS` bins, (m,)."""
-    bins, window = cause.size // 2 // _BINS * _BINS, np.hanning(cause.size)
-    push, shown = (
-        np.fft.rfft((one - one.mean()) * window)[:bins].reshape(-1, _BINS)
-        for one in (cause, signal)
-    )
-    power, answer = (np.sum(np.abs(one) ** 2, axis=1) for one in (push, shown))
-    cross = np.abs(np.sum(np.conj(push) * shown, axis=1)) ** 2
+def spectrum_by_bins(signal: FloatArray) -> ComplexArray:
+    """Spectrum of a signal, (N,), behind a Hann window, by bins of `_BINS` frequencies, (m, 10)."""
+    bins = signal.size // 2 // _BINS * _BINS
+    spectrum = np.fft.rfft((signal - signal.mean()) * np.hanning(signal.size))
+    return np.asarray(spectrum[:bins].reshape(-1, _BINS))
+
+
+def followed(
+    cause: ComplexArray, signal: ComplexArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Coherence of a signal with its cause, and the power of both, by bins, (m,).
+
+    Both are taken as :func:`spectrum_by_bins` gives them.
+    """
+    power, answer = (np.sum(np.abs(one) ** 2, axis=1) for one in (cause, signal))
+    cross = np.abs(np.sum(np.conj(cause) * signal, axis=1)) ** 2
     return cross / np.maximum(answer * power, _TINY), power, answer
 
 
@@ -437,14 +417,15 @@ def aliased(record: TrialRecord) -> float:
     """
     k = record.perturbed_joint
     angle = record.position[k]
-    share, power, answer = followed(record.perturbation[k, 1:-1], np.diff(angle, n=2))
+    signals = record.perturbation[k, 1:-1], np.diff(angle, n=2)
+    share, power, answer = followed(*map(spectrum_by_bins, signals))
     f = (np.arange(share.size) + 0.5) * _BINS * record.rate / (record.samples - 2)
     slow, quick = (f > 3.0) & (f < 8.0), (f > 15.0) & (f < 40.0)
     told = slow.any() and quick.any()
     if not told or np.mean(power[f > 0.375 * record.rate]) < _FOLDED * np.mean(power[quick]):
         return 1.0
     # Second differences of rounding, of the power q²/12, behind a Hann window.
-    rounding = resolution_of(angle) ** 2 / 12.0 * 0.375 * record.samples * _BINS
+    rounding = record.resolution[JOINT_STATES][k] ** 2 / 12.0 * 0.375 * record.samples * _BINS
     moved = np.maximum(1.0 - rounding * (2.0 * np.sin(np.pi * f / record.rate)) ** 4 / answer, 0.02)
     shares = [float(np.mean((share / moved)[one])) for one in (slow, quick)]
     return max(shares) if max(shares) < _FOLLOWING and shares[1] > _ALIKE * shares[0] else 1.0
@@ -458,30 +439,21 @@ def speed_of(angle: FloatArray, rate: float, band_end: float) -> FloatArray:
     return np.asarray(np.fft.irfft(spectrum, angle.size))
 
 
-def counts_of(signal: FloatArray) -> float:
-    """Peak to peak motion in units of its resolution; 0 if it rests."""
-    least = resolution_of(signal)
-    return float(np.ptp(signal)) / least if least else 0.0
-
-
-def sticking(
-    signal: FloatArray, rate: float, partner: FloatArray | None = None
-) -> tuple[float, int, float]:
+def sticking(signal: FloatArray, rate: float, partner: FloatArray) -> tuple[float, int, float]:
     """Longest time for which a signal keeps one value, how often it does so for too long, and that.
 
     What is too long follows from the signal: 6 times the time for which it keeps a value but in one
-    of a hundred moments, and no less than 100 ms. Signals of fewer than 50 counts may rest as they
-    like, and so may one whose partner rests as well: a joint that friction holds has a steady
-    torque. If the person pushes against that friction, it has not, but such a joint sets off
-    slowly: unless its record ends there, a signal is stuck only if it then jumps by more than 4
-    times the usual step.
+    of a hundred moments, and no less than 100 ms. A signal may rest as it likes where its partner
+    rests as well: a joint that friction holds has a steady torque. If the person pushes against
+    that friction, it has not, but such a joint sets off slowly: unless its record ends there, a
+    signal is stuck only if it then jumps by more than 4 times the usual step.
 
     Parameters
     ----------
     signal : ndarray, shape (N,)
     rate : float
         Samples per second, Hz.
-    partner : ndarray, shape (N,), optional
+    partner : ndarray, shape (N,)
         Signal that moves whenever this one does: the torque of an angle, or the angle of a torque.
 
     Returns
@@ -491,8 +463,6 @@ def sticking(
     """
     edges = np.flatnonzero(np.diff(signal) != 0.0)
     runs = np.diff(np.concatenate(([-1], edges, [signal.size - 1])))
-    if counts_of(signal) < _TELLING_COUNTS:
-        return 0.0, 0, 0.0
     typical = float(np.quantile(runs, 0.99))
     limit = max(STUCK * rate, _STUCK_TIMES * typical)
     starts = np.concatenate(([0], edges + 1))
@@ -502,7 +472,7 @@ def sticking(
     long = [
         int(run)
         for start, run in zip(starts[chosen], runs[chosen], strict=True)
-        if partner is None or not _rests(partner, start, run)
+        if not _rests(partner, start, run)
     ]
     return max(long, default=int(np.max(runs))) / rate, len(long), limit / rate
 
@@ -548,7 +518,7 @@ def dropouts(
     return int(np.sum(found)), float(np.sum(runs[found])) / signal.size
 
 
-def zeros_beyond_chance(signal: FloatArray) -> int:
+def zeros_beyond_chance(signal: FloatArray, step: float) -> int:
     """In how many samples a signal is 0 where it passes that; 0 if chance explains it.
 
     Torques that are small are shown as none by a dead zone, and lost ones by a bus. A sound signal
@@ -559,13 +529,15 @@ def zeros_beyond_chance(signal: FloatArray) -> int:
     Parameters
     ----------
     signal : ndarray, shape (N,)
+    step : float
+        Its resolution.
     """
     zero = np.concatenate(([False], signal == 0.0, [False]))
     edges = np.flatnonzero(zero[1:] != zero[:-1])
     passed = int(np.sum(np.minimum(edges[1::2] - edges[::2], _PASSED)))
     if edges.size < 2 * _CLIPPED or passed < _FELT * signal.size:
         return 0
-    values, counts = np.unique(_levels(signal), return_counts=True)
+    values, counts = np.unique(np.rint(signal / (step or 1.0)), return_counts=True)
     place = int(np.searchsorted(values, 0.0))
     around = counts[max(place - _NEIGHBOURS, 0) : place + _NEIGHBOURS + 1]
     few = around.size <= 2 * _NEIGHBOURS or np.sum(around) > _BROAD * signal.size
@@ -588,8 +560,9 @@ def repeating(signal: FloatArray) -> float:
     signal : ndarray, shape (N,)
     """
     signal = signal[: 2 * _TELLING_SAMPLES]
-    counts = np.unique(_levels(signal), return_inverse=True)[1]
-    unit = max(_EXACT * float(np.ptp(signal)), _TINY)
+    levels = np.rint(signal / (resolution_of(signal) or 1.0))
+    counts = np.unique(levels, return_inverse=True)[1]
+    unit = max(EXACT * float(np.ptp(signal)), _TINY)
     changes, bends = np.diff(counts), np.rint(np.diff(signal, n=2) / unit)
     for steps in (changes, bends[changes[1:] != 0]):
         still = float(np.mean(steps == 0.0)) if steps.size else 1.0

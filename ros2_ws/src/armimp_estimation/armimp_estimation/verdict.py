@@ -22,7 +22,7 @@ from armimp_estimation.json_model import JsonModel
 from armimp_estimation.plausibility import judge_matrices
 from armimp_estimation.problems import Concern, Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.signal_quality import followed
+from armimp_estimation.signal_quality import followed, spectrum_by_bins
 from armimp_estimation.torque_timing import TorqueReading
 
 LOCK_RATIO = 0.02
@@ -144,13 +144,17 @@ def judge_trials(records: Sequence[TrialRecord]) -> list[Problem]:
         One trial for each joint, in order.
     """
     problems = []
+    samples = min(record.samples for record in records)
+    pushes = [
+        spectrum_by_bins(record.perturbation[k, :samples]) for k, record in enumerate(records)
+    ]
     for (k, record), (i, other) in permutations(enumerate(records), 2):
-        samples = min(record.samples, other.samples)
-        pushes = record.perturbation[k, :samples], other.perturbation[i, :samples]
-        for seen, there in ((record.position, other.position), (record.torque, other.torque)):
-            if np.std(seen[i]) < _AS_MUCH * np.std(there[i]):
+        for stream, readings in record.readings.items():
+            seen = readings[i]
+            if np.std(seen) < _AS_MUCH * np.std(other.readings[stream][i]):
                 continue
-            told = [followed(one, seen[i, :samples]) for one in pushes]
+            shown = spectrum_by_bins(seen[:samples])
+            told = [followed(pushes[one], shown) for one in (k, i)]
             here, elsewhere = (float(share @ power / np.sum(power)) for share, power, _ in told)
             if elsewhere > _FOLLOWS and here < 0.5 * elsewhere:
                 names = record.joint_names
