@@ -22,6 +22,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -29,13 +30,9 @@ import numpy as np
 from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_common.errors import DataError
 from armimp_common.topics import JOINT_STATES
-from armimp_estimation.estimators.estimate import ImpedanceEstimate, variance_of
+from armimp_estimation.estimators.estimate import variance_of
 from armimp_estimation.estimators.local_polynomial import LocalResponse
-from armimp_estimation.estimators.lpm import (
-    covariance_of,
-    responses,
-    unresolved,
-)
+from armimp_estimation.estimators.lpm import HiddenMotion, covariance_of, responses
 from armimp_estimation.estimators.welch import invert, multiply
 from armimp_estimation.fit import (
     Calibration,
@@ -52,7 +49,7 @@ from armimp_estimation.hold_correction import (
 from armimp_estimation.plausibility import least_eigenvalue, uneven
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.signal_quality import lost_motion, speed_of
+from armimp_estimation.signal_quality import speed_of
 from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.trial import TrialData
 
@@ -65,9 +62,9 @@ ASYMMETRY = 0.25
 
 Friction that holds a locked joint takes up to a fifth of its element.
 """
-_TERMS = 7
-_HOLDING = 4
-"""Place of κ among the terms."""
+_FLOOR = 0.2
+"""Relative error that the weights of the fit allow for beside the variance."""
+_TINY = float(np.finfo(np.float64).tiny)
 _ERRORS = 5.0
 _NEGATIVE = 4.0
 _MOST_ORDERS = 4
@@ -110,12 +107,10 @@ them is rounding, half of that square."""
 class RobotBalance:
     """What commands less torques move."""
 
-    terms: FloatArray
-    """Inertia, viscosity and stiffness of the robot; β and κ of the friction of locked joints, and
-    of their drives the lag and its second order, which are 0 on the diagonal; SI units; shape
-    (7, n, n)."""
+    values: FloatArray
+    """Inertia, viscosity and stiffness of the robot, SI units; shape (3, n, n)."""
     covariance: FloatArray
-    """Of the terms of each element, with their lack of fit; shape (7, 7, n, n)."""
+    """Of those of each element, with their lack of fit; shape (3, 3, n, n)."""
     friction: FloatArray
     """Share of what moves the robot that the friction of locked joints takes; shape (n, n)."""
     unseen: FloatArray
@@ -140,7 +135,7 @@ class RobotBalance:
     @property
     def M(self) -> FloatArray:
         """Inertia of the robot, kg·m², shape (n, n)."""
-        return np.asarray(self.terms[0])
+        return np.asarray(self.values[0])
 
     @property
     def M_se(self) -> FloatArray:
@@ -154,23 +149,18 @@ class RobotBalance:
         hidden = self.friction > _HIDDEN * (1.0 - self.undamped)
         share *= np.where(hidden, 1.0, _TAKEN)
         taken = share * np.maximum(np.abs(self.M), np.abs(self.M.T))
-        own = np.diag(np.abs(np.diag(self.terms[1]))) / (2.0 * np.pi * BAND[1])
-        return np.asarray(np.hypot(self._errors[0], taken + own))
-
-    @property
-    def B_se(self) -> FloatArray:
-        """Standard errors of the viscosity of the robot, N·m·s/rad, shape (n, n)."""
-        return np.asarray(self._errors[1])
+        own = np.diag(np.abs(np.diag(self.values[1]))) / (2.0 * np.pi * BAND[1])
+        return np.asarray(np.hypot(self.errors[0], taken + own))
 
     @property
     def K(self) -> FloatArray:
         """Stiffness of the robot, N·m/rad, shape (n, n)."""
-        return np.asarray(self.terms[2])
+        return np.asarray(self.values[2])
 
     @property
     def K_se(self) -> FloatArray:
         """Its standard errors."""
-        return np.asarray(self._errors[2])
+        return np.asarray(self.errors[2])
 
     @property
     def impossible(self) -> bool:
@@ -180,7 +170,8 @@ class RobotBalance:
         return bool(value < -_ERRORS * error or uneven(M, self.M_se, ASYMMETRY).any())
 
     @property
-    def _errors(self) -> FloatArray:
+    def errors(self) -> FloatArray:
+        """Standard errors of the values, but for what friction may hide of them; (3, n, n)."""
         return np.asarray(np.sqrt(np.einsum("aaij->aij", self.covariance)))
 
 
@@ -192,13 +183,12 @@ class RobotResponses:
     """One trial for each joint, in order."""
     columns: tuple[LocalResponse, ...]
     """Of angles, torques and commands, by trial."""
+    stacked: ComplexArray
+    """The same, (3n, n, n_freq)."""
     inverse: ComplexArray
     """``R⁻¹``; shape (n, n, n_freq)."""
-    unseen: FloatArray
-    undamped: FloatArray
-    """As a :class:`RobotBalance` has them."""
-    pace: FloatArray
-    """Rms speed over rms angle of each joint in its own trial, 1/s; shape (n,)."""
+    hidden: HiddenMotion
+    """Of locked joints."""
 
     @classmethod
     def of(cls, records: Sequence[TrialRecord]) -> RobotResponses | None:
@@ -210,20 +200,19 @@ class RobotResponses:
         ]
         if len(channels) < len(records):
             return None
+        n = len(records)
         try:
             columns = responses(records, channels, BAND)
-            angles = np.stack([one.response[: len(records)] for one in columns], axis=1)
-            inverse = invert(angles, columns[0].f)
+            stacked = np.stack([one.response for one in columns], axis=1)
+            inverse = invert(stacked[:n], columns[0].f)
         except DataError:
             return None
-        undamped, pace = _not_of_a_damper(records)
         return cls(
             records=tuple(records),
             columns=tuple(columns),
+            stacked=stacked,
             inverse=inverse,
-            unseen=lost_motion(records)[0],
-            undamped=undamped,
-            pace=pace,
+            hidden=HiddenMotion(records, stacked[:n], stacked[n : 2 * n], inverse, columns[0].f),
         )
 
     def order(self) -> tuple[int, ...]:
@@ -273,44 +262,101 @@ class RobotResponses:
             mixed[i, 2 * n + order[i]] = step / turn
         if jump is not None:
             mixed[:, 2 * n + np.array(order)] -= step * torques[:, n:]
-        stacked = np.stack([one.response for one in self.columns], axis=1)
-        moving = multiply(mixed, stacked)
-        impedance = multiply(moving, self.inverse)
+        impedance = multiply(multiply(mixed, self.stacked), self.inverse)
         coefficients = mixed.copy()
         coefficients[:, :n] -= impedance
-        angles, shown = stacked[:n], stacked[n : 2 * n]
-        ahead, leads, lost = unresolved(self.records, impedance, angles, shown, self.inverse, f)
-        impedance = impedance + ahead
+        ahead, leads, lost = self.hidden.effects(impedance)
         systematics = leads + lost
         if delay is not None:
-            torque = multiply(mixed[:, n : 2 * n], shown)
+            torque = multiply(mixed[:, n : 2 * n], self.stacked[n : 2 * n])
             systematics.append(delay.error * turn * rate * multiply(torque, self.inverse))
         disturbance = covariance_of(self.columns, coefficients)
-        estimate = ImpedanceEstimate(
-            name="robot",
-            f=f,
-            Z=impedance,
-            variance=variance_of(disturbance, self.inverse, systematics),
-            systematics=tuple(systematics),
-            bin_correlation=self.columns[0].bin_correlation(),
-            averages=self.columns[0].freedom + 1.0,
-            T=moving,
-            R=stacked[:n],
+        variance = variance_of(disturbance, self.inverse, systematics)
+        values, covariance, friction = self._fit(
+            impedance + ahead,
+            variance,
+            multiply(multiply(mixed[:, 2 * n :], self.stacked[2 * n :]), self.inverse),
         )
-        locked = stacked[:n] * np.einsum("jjf->jf", self.inverse)
-        driven = multiply(multiply(mixed[:, 2 * n :], stacked[2 * n :]), self.inverse)
-        terms, covariance, friction = _fit_robot(estimate, locked, driven)
-        rubbing = np.abs(np.diag(terms[1])) * np.diag(self.undamped) * self.pace
+        undamped, pace = self._not_of_a_damper
         return RobotBalance(
-            terms=terms,
+            values=values,
             covariance=covariance,
             friction=friction,
-            unseen=self.unseen,
-            undamped=self.undamped,
-            rubbing=rubbing,
+            unseen=self.hidden.share,
+            undamped=undamped,
+            rubbing=np.abs(np.diag(values[1])) * np.diag(undamped) * pace,
             answered=self._answered(order),
             order=order,
         )
+
+    def _fit(
+        self, impedance: ComplexArray, variance: FloatArray, driven: ComplexArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Fit what commands move by robot, friction of locked joints and lag of their drives.
+
+        Parameters
+        ----------
+        impedance, variance, driven : ndarray, shape (n, n, n_freq)
+            What they move, and its variance; the part of it that is the commands'.
+
+        Returns
+        -------
+        values, covariance, friction : ndarray
+            As a :class:`RobotBalance` has them.
+        """
+        n, f = len(self.records), self.columns[0].f
+        s, correlation = 2j * np.pi * f, self.columns[0].bin_correlation()
+        locked = self.stacked[:n] * np.einsum("jjf->jf", self.inverse)
+        found, errors = np.zeros((3, n, n)), np.zeros((3, 3, n, n))
+        friction = np.zeros((n, n))
+        for i, j in np.ndindex(n, n):
+            terms = np.stack([s**2, s, np.ones_like(s)])
+            held = np.stack([locked[i, j] * s, locked[i, j]])
+            lag = np.stack([driven[i, j] * s, driven[i, j] * s**2])
+            if i != j:
+                terms = np.concatenate([terms, held, lag])
+            given = f, impedance[i, j], variance[i, j], correlation
+            values, covariance = _least_squares(*given, terms)
+            taken = values[3:5] @ held if i != j else 0.0
+            if i != j and values[4] <= 0.0:
+                # Friction resists: where it would have to push, none holds the joint.
+                values, covariance = _least_squares(*given, np.delete(terms, 4, axis=0))
+                taken = values[3] * held[0]
+            found[:, i, j], errors[:, :, i, j] = values[:3], covariance[:3, :3]
+            whole = float(np.linalg.norm(impedance[i, j] / s))
+            friction[i, j] = float(np.linalg.norm(taken / s)) / max(whole, _TINY)
+        return found, errors, friction
+
+    @cached_property
+    def _not_of_a_damper(self) -> tuple[FloatArray, FloatArray]:
+        """Torque of friction that may follow the perturbation, but not as that of a damper does.
+
+        Friction ``f sign(v)`` of a Gaussian speed v is a damper's torque and what has to do with
+        nothing that is linear (Bussgang). Of f² the damper's part is the square of the mean speed,
+        without its sign, over the rms. Where that is less than the Gaussian 2/π, as where a joint
+        is pushed and then sticks away from where it would rest, the rest may be like a spring, of
+        either sign.
+
+        Returns
+        -------
+        undamped : ndarray, shape (n, n)
+            Of each joint in each trial, relative to the torque that is a damper's.
+        pace : ndarray, shape (n,)
+            Rms speed over rms angle of each joint in its own trial, 1/s.
+        """
+        n = len(self.records)
+        undamped, pace = np.zeros((n, n)), np.zeros(n)
+        for joint, k in np.ndindex(undamped.shape):
+            angle = self.records[k].position[joint]
+            speed = speed_of(angle, self.records[k].rate, 2.0 * BAND[1])
+            rms = float(np.std(speed))
+            if rms == 0.0:
+                continue
+            excess = 2.0 / np.pi * (rms / np.mean(np.abs(speed))) ** 2 - 1.0
+            undamped[joint, k] = np.sqrt(max(excess, 0.0))
+            if joint == k:
+                pace[k] = rms / np.std(angle)
+        return undamped, pace
 
     def _answered(self, order: tuple[int, ...]) -> BoolArray:
         """Whether the command of each joint answers the perturbation of its trial, (n,)."""
@@ -319,79 +365,19 @@ class RobotResponses:
             place = 2 * len(order) + row
             variance = column.gain * column.noise[place, place].real
             power = np.abs(column.response[place]) ** 2
-            answers[k] = np.median(power / np.maximum(variance, np.finfo(np.float64).tiny))
+            answers[k] = np.median(power / np.maximum(variance, _TINY))
         return np.asarray(answers > _ANSWERS)
 
 
-def _not_of_a_damper(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]:
-    """Torque of friction that may follow the perturbation, but not as that of a damper does.
-
-    Friction ``f sign(v)`` of a Gaussian speed v is a damper's torque and what has to do with
-    nothing that is linear (Bussgang). Of f² the damper's part is the square of the mean speed,
-    without its sign, over the rms. Where that is less than the Gaussian 2/π, as where a joint is
-    pushed and then sticks away from where it would rest, the rest may be like a spring, of either
-    sign.
-
-    Returns
-    -------
-    undamped : ndarray, shape (n, n)
-        Of each joint in each trial, relative to the torque that is a damper's.
-    pace : ndarray, shape (n,)
-        Rms speed over rms angle of each joint in its own trial, 1/s.
-    """
-    undamped, pace = np.zeros((len(records), len(records))), np.zeros(len(records))
-    for joint, k in np.ndindex(undamped.shape):
-        angle = records[k].position[joint]
-        speed = speed_of(angle, records[k].rate, 2.0 * BAND[1])
-        rms = float(np.std(speed))
-        if rms == 0.0:
-            continue
-        excess = 2.0 / np.pi * (rms / np.mean(np.abs(speed))) ** 2 - 1.0
-        undamped[joint, k] = np.sqrt(max(excess, 0.0))
-        if joint == k:
-            pace[k] = rms / np.std(angle)
-    return undamped, pace
-
-
-def _fit_robot(
-    estimate: ImpedanceEstimate,
-    locked: ComplexArray,
-    driven: ComplexArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Fit what the commands move by robot, friction of locked joints and lag of their drives.
-
-    Returns
-    -------
-    terms, covariance, friction : ndarray
-        As a :class:`RobotBalance` has them.
-    """
-    n, s = estimate.joints, 2j * np.pi * estimate.f
-    terms, covariance = np.zeros((_TERMS, n, n)), np.zeros((_TERMS, _TERMS, n, n))
-    friction = np.zeros((n, n))
-    for i, j in np.ndindex(n, n):
-        beside = [locked[i, j] * s, locked[i, j], driven[i, j] * s, driven[i, j] * s**2]
-        regressors = np.stack([s**2, s, np.ones_like(s), *beside])
-        used = list(range(3 if i == j else _TERMS))
-        values, errors = _least_squares(estimate, i, j, regressors[used])
-        if i != j and values[_HOLDING] <= 0.0:
-            # Friction resists: where it would have to push, there is none that holds the joint.
-            used.remove(_HOLDING)
-            values, errors = _least_squares(estimate, i, j, regressors[used])
-        terms[used, i, j] = values
-        rows, columns = np.ix_(used, used)
-        covariance[rows, columns, i, j] = errors
-        taken = terms[3:5, i, j] @ regressors[3:5]
-        whole = float(np.linalg.norm(estimate.Z[i, j] / s))
-        friction[i, j] = float(np.linalg.norm(taken / s)) / max(whole, np.finfo(float).tiny)
-    return terms, covariance, friction
-
-
 def _least_squares(
-    estimate: ImpedanceEstimate, i: int, j: int, regressors: ComplexArray
+    f: FloatArray,
+    Z: ComplexArray,
+    variance: FloatArray,
+    correlation: FloatArray,
+    regressors: ComplexArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Real coefficients (p,) of regressors (p, n_freq) in an element, and their covariance."""
-    f, Z, variance = estimate.f, estimate.Z[i, j], estimate.variance[i, j]
-    weights = fit_weights(f, Z, variance, estimate.weight_floor)
+    weights = fit_weights(f, Z, variance, _FLOOR)
     scale = np.linalg.norm(np.sqrt(weights) * regressors, axis=1)
     scale[scale == 0.0] = 1.0
     design = regressors / scale[:, None]
@@ -399,9 +385,7 @@ def _least_squares(
     values = (np.conj(functionals) @ Z).real
     ratio = np.abs(Z - values @ design) ** 2 / variance
     lack = max(1.0, float(np.sum(ratio)) / max(f.size - 0.5 * values.size, 1.0))
-    covariance = lack * covariance_of_sums(
-        functionals * np.sqrt(variance), estimate.bin_correlation
-    )
+    covariance = lack * covariance_of_sums(functionals * np.sqrt(variance), correlation)
     return values / scale, covariance / np.outer(scale, scale)
 
 
@@ -435,12 +419,12 @@ def _imbalance(
     covariance[2, 2] += other**2
     known = np.moveaxis(covariance[np.ix_(used, used)], (0, 1), (2, 3))
     information = others[:, :, None, None] * np.linalg.pinv(known)
-    residual = robot.terms[used]
+    residual = robot.values[used]
     arms = np.stack((arm.mbk.M, arm.mbk.B, arm.mbk.K))[used]
     arms_se = np.stack((arm.M_se, arm.B_se, arm.K_se))[used]
     # Of joint i, by the row of the arm whose torque it may show, and by j.
     part = np.einsum("arj,ijab,brj->irj", arms, information, arms)
-    square = np.finfo(np.float64).tiny + np.sum(part, axis=2)
+    square = _TINY + np.sum(part, axis=2)
     mixed = np.einsum("arj,ijab,bij->ir", arms, information, residual)
     left = np.einsum("aij,ijab,bij->i", residual, information, residual)
     taken, damped, held = (
@@ -475,8 +459,9 @@ def _gains_above_one(
     Shares and standard errors, (n,), are 0 where there is none beyond chance. Friction may hide a
     part of each. Given are those of the joints themselves of :func:`imbalance`.
     """
-    own = np.diagonal(robot.terms[1:3], axis1=1, axis2=2)
-    own_error = np.stack((np.diag(robot.B_se), np.diag(robot.K_se)))
+    own, own_error = (
+        np.diagonal(one[1:], axis1=1, axis2=2) for one in (robot.values, robot.errors)
+    )
     arms = np.stack((np.diag(arm.mbk.B), np.diag(arm.mbk.K)))
     least = GAIN_TOLERANCE * arms + _NEGATIVE * own_error
     least[1] += robot.rubbing
@@ -499,8 +484,8 @@ def _springs(robot: RobotBalance, arm: MBKFit) -> FloatArray:
     """
     own, error, K = np.diag(robot.K), np.diag(robot.K_se), np.abs(np.diag(arm.mbk.K))
     hidden = np.where(own < 0.0, robot.rubbing, 0.0)
-    whole = np.stack((own, own - hidden)) / np.maximum(K, np.finfo(np.float64).tiny)
-    rubbing = _RUBBING * np.abs(np.diag(robot.terms[1]))
+    whole = np.stack((own, own - hidden)) / np.maximum(K, _TINY)
+    rubbing = _RUBBING * np.abs(np.diag(robot.values[1]))
     beyond = np.abs(own) - np.stack((np.zeros_like(own), rubbing)) > _SPRING * error
     return np.asarray(np.where(beyond, np.maximum(whole, -1.0), 0.0))
 
@@ -540,7 +525,7 @@ def _may_be_spring(shares: FloatArray) -> BoolArray:
 
 def _explained_better(shares: FloatArray, errors: FloatArray) -> BoolArray:
     """Where a share is the most significant one of its row, (n, n)."""
-    sure = np.abs(shares) / np.maximum(errors, np.finfo(np.float64).tiny)
+    sure = np.abs(shares) / np.maximum(errors, _TINY)
     return np.asarray(sure == np.max(sure, axis=1, keepdims=True))
 
 

@@ -145,7 +145,7 @@ class LpmFull:
         every = _unit(2 * n, 3 * n, f)
         coefficients = every[n:].copy()
         every[n:, :n], coefficients[:, :n] = near.impedance(f), -beside
-        ahead, told, lost = unresolved(records, impedance, R, torque, inverse, f)
+        ahead, told, lost = HiddenMotion(records, R, torque, inverse, f).effects(impedance)
         impedance = impedance + ahead
         half_period = 0.5 / rate
         delay_uncertainty = self._delay_uncertainty(jump, rate)
@@ -459,47 +459,71 @@ def _without_drift(record: TrialRecord) -> TrialRecord:
     return drift.removed_from(record) if drift is not None and drift.significant else record
 
 
-def unresolved(
-    records: Sequence[TrialRecord],
-    impedance: ComplexArray,
-    R: ComplexArray,
-    T: ComplexArray,
-    inverse: ComplexArray,
-    f: FloatArray,
-) -> tuple[ComplexArray, list[ComplexArray], list[ComplexArray]]:
-    """What motion of locked joints that their encoders don't show may do to the impedance.
+class HiddenMotion:
+    """Motion of locked joints that their encoders don't show.
 
     Readings are ahead of the responses R by a lead, a share of ``jω`` times that. Rounding takes
-    a share off them, or adds it. What isn't seen at all
-    follows the torque on the joint, which is a spring to that, or a damper: with ``S = T`` or
-    ``T/s``, a motion of a is a response ``δR = a S / rms(S x)``. The effect of either is
-    ``δZ = -Z δR R⁻¹``.
+    a share off them, or adds it. What isn't seen at all follows the torque on the joint, which is a
+    spring to that, or a damper: with ``S = T`` or ``T/s``, a motion of a is a response
+    ``δR = a S / rms(S x)``.
 
-    Returns
-    -------
-    ahead : (n, n, n_freq) NDArray
-        What the impedance lacks, as readings lead.
-    leads, lost : list of (n, n, n_freq) NDArray
-        Standard errors, of that and of the rest. The shape over frequency of leads alone is known
-        so well that data can tell their size.
+    Parameters
+    ----------
+    records : sequence of TrialRecord
+        One trial for each joint, in order.
+    R, T, inverse : ndarray, shape (n, n, n_freq)
+        Responses of angles and torques, and ``R⁻¹``.
+    f : ndarray, shape (n_freq,)
+        Frequencies, Hz.
     """
-    share, beside = lost_motion(records)
-    inertia = _possible(_inertia(multiply(T, inverse), f))
-    lead, error = rounding_lead(records, inertia, float(f[-1]))
-    ahead = np.zeros_like(impedance)
-    leads, lost = [], []
-    for joint, k in np.argwhere(share + beside + error > 0.0):
-        responses = [share[joint, k] * R[joint, k]]
-        for shape in (T[joint, k], T[joint, k] / (2j * np.pi * f)):
-            caused = np.sqrt(np.mean(np.abs(shape) ** 2)) * np.std(records[k].perturbation[k])
-            responses.append(beside[joint, k] / max(float(caused), _TINY) * shape)
-        effect = impedance[:, joint, None] * inverse[None, k]
-        lost += [one * effect for one in responses if one.any()]
-        if error[joint, k] > 0.0:
-            moved = 2j * np.pi * f * R[joint, k] * effect
-            ahead += lead[joint, k] * moved
-            leads.append(error[joint, k] * moved)
-    return ahead, leads, lost
+
+    def __init__(
+        self,
+        records: Sequence[TrialRecord],
+        R: ComplexArray,
+        T: ComplexArray,
+        inverse: ComplexArray,
+        f: FloatArray,
+    ) -> None:
+        self.share, beside = lost_motion(records)
+        inertia = _possible(_inertia(multiply(T, inverse), f))
+        lead, error = rounding_lead(records, inertia, float(f[-1]))
+        self._inverse = inverse
+        self._lost: list[tuple[int, int, ComplexArray]] = []
+        self._leads: list[tuple[int, int, ComplexArray, float, float]] = []
+        for joint, k in np.argwhere(self.share + beside + error > 0.0).tolist():
+            responses = [self.share[joint, k] * R[joint, k]]
+            for shape in (T[joint, k], T[joint, k] / (2j * np.pi * f)):
+                caused = np.sqrt(np.mean(np.abs(shape) ** 2)) * np.std(records[k].perturbation[k])
+                responses.append(beside[joint, k] / max(float(caused), _TINY) * shape)
+            self._lost += [(joint, k, one) for one in responses if one.any()]
+            if error[joint, k] > 0.0:
+                moved = 2j * np.pi * f * R[joint, k]
+                self._leads.append((joint, k, moved, lead[joint, k], error[joint, k]))
+
+    def effects(
+        self, impedance: ComplexArray
+    ) -> tuple[ComplexArray, list[ComplexArray], list[ComplexArray]]:
+        """What it may do to an impedance: of a response δR it is ``δZ = -Z δR R⁻¹``.
+
+        Returns
+        -------
+        ahead : (n, n, n_freq) NDArray
+            What the impedance lacks, as readings lead.
+        leads, lost : list of (n, n, n_freq) NDArray
+            Standard errors, of that and of the rest. The shape over frequency of leads alone is
+            known so well that data can tell their size.
+        """
+
+        def effect(joint: int, k: int, response: ComplexArray) -> ComplexArray:
+            return np.asarray(response * (impedance[:, joint, None] * self._inverse[None, k]))
+
+        ahead, leads = np.zeros_like(impedance), []
+        for joint, k, moved, lead, error in self._leads:
+            one = effect(joint, k, moved)
+            ahead += lead * one
+            leads.append(error * one)
+        return ahead, leads, [effect(*one) for one in self._lost]
 
 
 _APART = 0.02
