@@ -524,7 +524,8 @@ def zeros_beyond_chance(signal: FloatArray, step: float) -> int:
     Torques that are small are shown as none by a dead zone, and lost ones by a bus. A sound signal
     of which most is larger than that is 0 about as often as it has, to its resolution, any of the 8
     values on either side: 4 times as much is more. Where it rests, it does so at any value, and is
-    counted for 20 samples.
+    counted for 20 samples. It has to come from larger values and go to larger ones within 20 samples:
+    without a perturbation a relaxed arm has no torque.
 
     Parameters
     ----------
@@ -532,17 +533,23 @@ def zeros_beyond_chance(signal: FloatArray, step: float) -> int:
     step : float
         Its resolution.
     """
+    levels = np.rint(signal / (step or 1.0))
+    away = np.cumsum(np.pad(np.abs(levels) > _NEIGHBOURS, (_PASSED + 1, _PASSED)))
+    before = away[_PASSED : -_PASSED] > away[: -2 * _PASSED]
+    after = away[2 * _PASSED :] > away[_PASSED : -_PASSED]
     zero = np.concatenate(([False], signal == 0.0, [False]))
     edges = np.flatnonzero(zero[1:] != zero[:-1])
-    passed = int(np.sum(np.minimum(edges[1::2] - edges[::2], _PASSED)))
-    if edges.size < 2 * _CLIPPED or passed < _FELT * signal.size:
+    starts, ends = edges[::2], edges[1::2]
+    passed = np.minimum(ends - starts, _PASSED)[before[starts] & after[ends]]
+    count, passing = int(np.sum(passed)), (before | after)[1:]
+    if passed.size < _CLIPPED or count < _FELT * signal.size:
         return 0
-    values, counts = np.unique(np.rint(signal / (step or 1.0)), return_counts=True)
+    values, counts = np.unique(levels[passing], return_counts=True)
     place = int(np.searchsorted(values, 0.0))
     around = counts[max(place - _NEIGHBOURS, 0) : place + _NEIGHBOURS + 1]
     few = around.size <= 2 * _NEIGHBOURS or np.sum(around) > _BROAD * signal.size
     others = np.delete(around, min(place, _NEIGHBOURS))
-    return 0 if few or passed <= _HEAPED * float(np.max(others)) else passed
+    return 0 if few or count <= _HEAPED * float(np.max(others)) else count
 
 
 def repeating(signal: FloatArray) -> float:
