@@ -24,6 +24,8 @@ _SAME = 1e-9
 
 Perturbations that are recorded with six digits are within it.
 """
+_FADES_IN = 0.25
+"""Largest part of a record in which a perturbation may fade in."""
 _LINE = 1e-3
 """Amplitude relative to the largest from which on a harmonic is a line."""
 _POWERLESS = 1e-4
@@ -70,38 +72,44 @@ class Periods:
 
     @classmethod
     def of(cls, signal: FloatArray) -> Periods | None:
-        """Find those of a signal, (N,).
+        """Find those of a signal, (N,), which may fade in.
 
         Returns
         -------
         Periods or None
             None if fewer than two are there, or fewer than three lines.
         """
-        total = float(np.sum(signal**2))
-        if not total > 0.0:
-            return None
-        # Σ (x(n) - x(n - lag))², from the sums of squares and the correlation.
         size = signal.size
-        spectrum = np.fft.rfft(signal, 2 * size)
-        correlation = np.fft.irfft(np.abs(spectrum) ** 2, 2 * size)[: size // 2 + 1]
-        squares = np.concatenate(([0.0], np.cumsum(signal**2)))
-        lags = np.arange(size // 2 + 1)
-        common = (squares[-1] - squares[lags]) + squares[size - lags]
-        # A smooth signal hardly changes within a sample or two.
-        differs = np.flatnonzero(common - 2.0 * correlation > 0.01 * total)
-        if differs.size == 0:
+        samples = _period(signal) or _period(signal[int(_FADES_IN * size) :])
+        if not samples:
             return None
-        same = np.flatnonzero(common - 2.0 * correlation < _SAME * total)
-        same = same[same > differs[0]]
-        if same.size == 0:
-            return None
-        samples = int(same[0])
-        count = size // samples
+        changes = (signal[samples:] - signal[:-samples])[size % samples :]
+        differs = np.sum(changes.reshape(-1, samples) ** 2, axis=1)[::-1] >= _SAME * signal @ signal
+        count = 1 + int(np.argmax(np.append(differs, True)))
         amplitudes = np.abs(np.fft.rfft(signal[size - samples :]))
         lines = 1 + np.flatnonzero(amplitudes[1:] > _LINE * np.max(amplitudes[1:]))
         if lines.size < FEWEST_LINES:
             return None
         return cls(samples=samples, count=count, lines=lines)
+
+
+def _period(signal: FloatArray) -> int:
+    """Samples after which a signal, (N,), repeats itself, at least twice; 0 if it doesn't."""
+    total = float(np.sum(signal**2))
+    if not total > 0.0:
+        return 0
+    # Σ (x(n) - x(n - lag))², from the sums of squares and the correlation.
+    size = signal.size
+    spectrum = np.fft.rfft(signal, 2 * size)
+    correlation = np.fft.irfft(np.abs(spectrum) ** 2, 2 * size)[: size // 2 + 1]
+    squares = np.concatenate(([0.0], np.cumsum(signal**2)))
+    lags = np.arange(size // 2 + 1)
+    common = (squares[-1] - squares[lags]) + squares[size - lags]
+    # A smooth signal hardly changes within a sample or two.
+    differs = np.flatnonzero(common - 2.0 * correlation > 0.01 * total)
+    same = np.flatnonzero(common - 2.0 * correlation < _SAME * total)
+    same = same[same > differs[0]] if differs.size else same[:0]
+    return int(same[0]) if same.size else 0
 
 
 def common_periods(found: Sequence[Periods | None]) -> Periods | None:
