@@ -524,7 +524,7 @@ def zeros_beyond_chance(signal: FloatArray, step: float) -> int:
     Torques that are small are shown as none by a dead zone, and lost ones by a bus. A sound signal
     of which most is larger than that is 0 about as often as it has, to its resolution, any of the 8
     values on either side: 4 times as much is more. Where it rests, it does so at any value, and is
-    counted for 20 samples. It has to come from larger values and go to larger ones within 20 samples:
+    counted for 20 samples. It has to come from larger values and go on to others within as many:
     without a perturbation a relaxed arm has no torque.
 
     Parameters

@@ -53,6 +53,14 @@ def test_periods_and_lines_are_found_in_the_signal_itself() -> None:
     assert full.segment == 2 * PERIOD
 
 
+def test_periods_are_those_after_a_perturbation_has_faded_in() -> None:
+    signal, fading = multisine(5.3), round(0.8 * PERIOD)
+    signal[:fading] *= np.linspace(0.0, 1.0, fading)
+    found = Periods.of(signal)
+    assert found is not None
+    assert (found.samples, found.count) == (PERIOD, 4)
+
+
 @pytest.mark.parametrize("digits", [6, 4])
 def test_a_signal_that_was_rounded_on_its_way_still_repeats_itself(digits: int) -> None:
     assert Periods.of(np.round(multisine(3.1), digits)) is not None

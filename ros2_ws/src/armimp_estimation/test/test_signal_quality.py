@@ -211,6 +211,8 @@ def test_a_sound_signal_has_no_zeros_too_many_even_if_it_rests_there(step: float
     assert zeros(signal) == 0
     crossing = int(np.argmin(np.abs(signal)))
     assert zeros(np.insert(signal, crossing, np.zeros(20_000))) == 0
+    resting = np.random.default_rng(2).normal(scale=0.6, size=20_000)
+    assert zeros(np.insert(signal, crossing, step * np.round(resting))) == 0
 
 
 def lively(seed: int, step: float) -> np.ndarray:
