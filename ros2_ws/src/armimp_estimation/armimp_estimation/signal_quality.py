@@ -535,8 +535,8 @@ def zeros_beyond_chance(signal: FloatArray, step: float) -> int:
     """
     levels = np.rint(signal / (step or 1.0))
     away = np.cumsum(np.pad(np.abs(levels) > _NEIGHBOURS, (_PASSED + 1, _PASSED)))
-    before = away[_PASSED : -_PASSED] > away[: -2 * _PASSED]
-    after = away[2 * _PASSED :] > away[_PASSED : -_PASSED]
+    before = away[_PASSED:-_PASSED] > away[: -2 * _PASSED]
+    after = away[2 * _PASSED :] > away[_PASSED:-_PASSED]
     zero = np.concatenate(([False], signal == 0.0, [False]))
     edges = np.flatnonzero(zero[1:] != zero[:-1])
     starts, ends = edges[::2], edges[1::2]
