@@ -13,9 +13,9 @@ from armimp_bringup.offline import run_offline, simulate
 from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_bringup.study import Condition, select_conditions
 from armimp_bringup.study.engine import (
-    Batch,
     condition_config,
     estimate_condition,
+    software,
     split_evenly,
 )
 from armimp_control.sequence import SequenceParameters
@@ -104,9 +104,8 @@ def _per_trial(rigs: Sequence[NodeParameters], duration: float, *, threads: int 
 
 def _per_estimate(base: ExperimentConfig, condition: Condition) -> float:
     """Time for all estimates of a condition, s."""
-    batch = Batch(base=base, conditions=(condition,))
-    (experiment,) = simulate([condition_config(base, condition)])
-    return _shortest(lambda: estimate_condition(batch, condition, experiment), 1)
+    here, (experiment,) = software(), simulate([condition_config(base, condition)])
+    return _shortest(lambda: estimate_condition(here, condition, experiment), 1)
 
 
 def _shortest(work: Callable[[], object], threads: int) -> float:

@@ -22,7 +22,6 @@ from armimp_bringup.study import (
     select_conditions,
 )
 from armimp_bringup.study.engine import (
-    Batch,
     cluster,
     run_batch,
     software,
@@ -41,9 +40,9 @@ ONE = (Condition(friction=3, resolution=3, perturbation=1, seed=5),)
 def test_other_software_and_unknown_estimators_are_refused() -> None:
     other = {**software(), "versions": {"numpy": "0.1"}}
     with pytest.raises(DataError, match=rf"numpy {np.__version__}, the study is made with 0\.1"):
-        run_batch(Batch(base=BASE, conditions=ONE, software=other))
+        run_batch(BASE, other, ONE)
     with pytest.raises(ConfigurationError, match="guess"):
-        run_batch(Batch(base=BASE.model_copy(update={"estimators": ("guess",)}), conditions=ONE))
+        run_batch(BASE.model_copy(update={"estimators": ("guess",)}), software(), ONE)
 
 
 @given(st.integers(0, 500), st.integers(1, 9))

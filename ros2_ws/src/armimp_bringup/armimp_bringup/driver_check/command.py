@@ -93,9 +93,9 @@ def report(
     }
 
 
-def print_findings(findings: Sequence[Finding], console: Console | None = None) -> None:
+def print_findings(findings: Sequence[Finding]) -> None:
     """Print a table of all findings, and the outcome."""
-    out = console if console is not None else Console(soft_wrap=True)
+    out = Console(soft_wrap=True)
     table = Table(box=SIMPLE_HEAD)
     for column in ("check", "", "found", "limit"):
         table.add_column(column)

@@ -13,7 +13,6 @@ from pydantic import TypeAdapter
 
 from armimp_common.errors import ConfigurationError
 from armimp_control.presets import LEVELS as PERTURBATION_LEVELS
-from armimp_estimation.identify import EstimatorResult
 from armimp_estimation.summary import ImpedanceCurve, Summary, read_frf, write_frf, write_summary
 from armimp_sim.presets import LEVELS as SIMULATOR_LEVELS
 
@@ -139,14 +138,6 @@ class StudyEntry(Summary):
         return Condition(seed=self.seed, **levels)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ConditionResult:
-    """The result of one condition, and its curves by name of the estimator."""
-
-    entry: StudyEntry
-    results: dict[str, EstimatorResult]
-
-
 _ENTRIES = TypeAdapter(list[StudyEntry])
 
 
@@ -155,19 +146,17 @@ def study_text(entries: Sequence[StudyEntry]) -> str:
     return _ENTRIES.dump_json(list(entries), indent=1, by_alias=True).decode() + "\n"
 
 
-def save_result(directory: Path, result: ConditionResult) -> None:
-    """Write result and curves of a condition.
+def save_result(directory: Path, entry: StudyEntry, curves: Mapping[str, ImpedanceCurve]) -> None:
+    """Write the result of a condition, and its curves by name of the estimator.
 
     Raises
     ------
     DataError
         If they can't be written.
     """
-    name = result.entry.condition.name
-    write_frf(
-        directory / f"{name}.npz", {n: ImpedanceCurve.of(one) for n, one in result.results.items()}
-    )
-    write_summary(directory / f"{name}.json", result.entry)
+    name = entry.condition.name
+    write_frf(directory / f"{name}.npz", curves)
+    write_summary(directory / f"{name}.json", entry)
 
 
 def saved_curves(directory: Path, condition: Condition) -> dict[str, ImpedanceCurve]:

@@ -7,40 +7,30 @@ import itertools
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Executor, ThreadPoolExecutor, as_completed
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 from armimp_bringup.bench import available_cores
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import SimulatedExperiment, simulate
-from armimp_bringup.study import Condition, ConditionResult, StudyEntry
+from armimp_bringup.study import Condition, StudyEntry
 from armimp_common.errors import ArmimpError, ConfigurationError, DataError
 from armimp_common.versions import git_revision, versions
-from armimp_estimation.summary import TrialSummary
+from armimp_estimation.summary import ImpedanceCurve, TrialSummary
 from armimp_sim.dynamics import WIDTH
 from armimp_sim.plant import IntegrationError
 
 Task = TypeVar("Task")
 Done = TypeVar("Done")
+Result: TypeAlias = tuple[StudyEntry, dict[str, ImpedanceCurve]]
+"""Of one condition, with its curves by name of the estimator."""
 _CONNECT_TIMEOUT = 10.0  # s
 
 
 def software() -> dict[str, Any]:
     """Versions and git revision of what runs here."""
     return {"versions": dict(versions()), "git_revision": git_revision()}
-
-
-@dataclass(frozen=True, kw_only=True)
-class Batch:
-    """Conditions to run side by side; can be pickled, and run anywhere."""
-
-    base: ExperimentConfig
-    """Everything but levels and seed."""
-    conditions: tuple[Condition, ...]
-    """One for each lane."""
-    software: Mapping[str, Any] = field(default_factory=software)
-    """That of the process which asks for it."""
 
 
 def split_evenly(conditions: Sequence[Condition], workers: int) -> list[tuple[Condition, ...]]:
@@ -63,8 +53,19 @@ def split_evenly(conditions: Sequence[Condition], workers: int) -> list[tuple[Co
     return [tuple(conditions[first:last]) for first, last in itertools.pairwise(bounds)]
 
 
-def run_batch(batch: Batch) -> list[ConditionResult]:
-    """Simulate the conditions of a batch and identify the impedance in each.
+def run_batch(
+    base: ExperimentConfig, made_with: Mapping[str, Any], conditions: Sequence[Condition]
+) -> list[Result]:
+    """Simulate conditions side by side, and identify the impedance in each.
+
+    Parameters
+    ----------
+    base : ExperimentConfig
+        Everything but levels and seed.
+    made_with : mapping
+        `software` of the process that asks for it, which may be another one.
+    conditions : sequence of Condition
+        One for each lane.
 
     Raises
     ------
@@ -74,19 +75,19 @@ def run_batch(batch: Batch) -> list[ConditionResult]:
         If a condition cannot be simulated or estimated, or the software here is another one.
     """
     here = versions()
-    for name, version in batch.software["versions"].items():
+    for name, version in made_with["versions"].items():
         if here.get(name) != version:
             raise DataError(
                 f"a worker has {name} {here.get(name)}, the study is made with {version}"
             )
     try:
-        experiments = simulate([condition_config(batch.base, one) for one in batch.conditions])
+        experiments = simulate([condition_config(base, one) for one in conditions])
     except IntegrationError as error:
-        ends = dict.fromkeys(map(str, (batch.conditions[0], batch.conditions[-1])))
+        ends = dict.fromkeys(map(str, (conditions[0], conditions[-1])))
         raise DataError(f"{' to '.join(ends)}: {error}") from None
     return [
-        estimate_condition(batch, condition, one)
-        for condition, one in zip(batch.conditions, experiments, strict=True)
+        estimate_condition(made_with, condition, one)
+        for condition, one in zip(conditions, experiments, strict=True)
     ]
 
 
@@ -96,9 +97,9 @@ def condition_config(base: ExperimentConfig, condition: Condition) -> Experiment
 
 
 def estimate_condition(
-    batch: Batch, condition: Condition, experiment: SimulatedExperiment
-) -> ConditionResult:
-    """Identify the impedance in one condition of a batch, from its trials.
+    made_with: Mapping[str, Any], condition: Condition, experiment: SimulatedExperiment
+) -> Result:
+    """Identify the impedance in one condition, from its trials.
 
     Raises
     ------
@@ -119,7 +120,7 @@ def estimate_condition(
         joint_names=identification.joint_names,
         truth=identification.truth,
         # The software that the study as a whole is made with, wherever this runs.
-        config=described | dict(batch.software),
+        config=described | dict(made_with),
         seed=condition.seed,
         problems=list(identification.problems),
         trials=[
@@ -130,7 +131,8 @@ def estimate_condition(
         resolution=condition.resolution,
         perturbation=condition.perturbation,
     )
-    return ConditionResult(entry=entry, results=identification.estimators)
+    found = identification.estimators
+    return entry, {name: ImpedanceCurve.of(one) for name, one in found.items()}
 
 
 @dataclass(frozen=True, kw_only=True)

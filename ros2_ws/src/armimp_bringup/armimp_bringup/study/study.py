@@ -25,7 +25,6 @@ from armimp_bringup.study import (
 )
 from armimp_bringup.study.engine import (
     Backend,
-    Batch,
     condition_config,
     run_batch,
     software,
@@ -105,16 +104,13 @@ def run_study(
     described = json.loads(base.model_dump_json(exclude=_VARIED))
     described = {"schema": 1, "experiment": described, **here}
     write_text(directory / CONFIG_FILE, json.dumps(described, indent=1) + "\n")
-    batches = [
-        Batch(base=base, conditions=part, software=here)
-        for part in split_evenly(conditions, backend.workers)
-    ]
+    batches = split_evenly(conditions, backend.workers)
     found: dict[Condition, StudyEntry] = {}
     display().progress(0, len(conditions), things="conditions")
-    for batch in backend.run(run_batch, batches):
-        for result in batch:
-            save_result(results, result)
-            found[result.entry.condition] = result.entry
+    for batch in backend.run(partial(run_batch, base, here), batches):
+        for entry, of_estimators in batch:
+            save_result(results, entry, of_estimators)
+            found[entry.condition] = entry
         display().progress(len(found), len(conditions), things="conditions")
     entries = [found[condition] for condition in conditions]
     table = results_table(entries)
