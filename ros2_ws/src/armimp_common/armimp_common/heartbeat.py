@@ -26,7 +26,7 @@ from std_msgs.msg import String
 
 from armimp_common import qos, topics
 from armimp_common.executor import steady_timer
-from armimp_common.process import Life, identity, life_of
+from armimp_common.process import STOPPED, identity, state_of
 
 _CHECK_PERIOD = 0.02
 
@@ -154,9 +154,9 @@ class HeartbeatMonitor:
         if self._process and self._process == self._own_process:
             alive, silent = alive + silent, 0
         elif alive or silent:
-            life = life_of(self._process)
-            process_lives = life.there
-            if life is Life.STOPPED:
+            state = state_of(self._process)
+            process_lives = None if state is None else state != ""
+            if state in STOPPED:
                 alive, silent = 0, alive + silent
         presence = self.presence.after(alive, silent, process_lives)
         if not process_lives:

@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from enum import Enum
 from functools import cache
 from ipaddress import ip_address
 from pathlib import Path
@@ -24,21 +23,8 @@ _PATIENCE: Final = 60.0
 """Seconds that an orphan has to end in order, which may include an estimate."""
 
 
-class Life(Enum):
-    """What the system tells of a process."""
-
-    RUNNING = "running"
-    STOPPED = "stopped"
-    """As by SIGSTOP."""
-    ENDED = "ended"
-    """Even if nobody has waited for it yet."""
-    UNKNOWN = "unknown"
-    """It can't be told from here."""
-
-    @property
-    def there(self) -> bool | None:
-        """Whether the process lives; None if it can't be told from here."""
-        return None if self is Life.UNKNOWN else self is not Life.ENDED
+STOPPED: Final = ("T", "t")
+"""States of processes that stand still, as after SIGSTOP."""
 
 
 def identity() -> str:
@@ -53,22 +39,24 @@ def identity() -> str:
         return ""
 
 
-def life_of(process: str) -> Life:
-    """Tell what has become of the process with this `identity`."""
+def state_of(process: str) -> str | None:
+    """Return the state of the process with this `identity`, a letter of proc_pid_stat(5).
+
+    It is empty if the process has ended, even if nobody has waited for it yet, and None if that
+    can't be told from here.
+    """
     place, _, rest = process.rpartition("] ")
     number, _, start = rest.partition(" ")
     try:
         if not number.isdecimal() or f"{place}]" != _place():
-            return Life.UNKNOWN
+            return None
     except OSError:
-        return Life.UNKNOWN
+        return None
     try:
         state, started = _state(number)
     except OSError:
-        return Life.ENDED
-    if started != start or state in ("Z", "X"):
-        return Life.ENDED
-    return Life.STOPPED if state in ("T", "t") else Life.RUNNING
+        return ""
+    return "" if started != start or state in ("Z", "X") else state
 
 
 def age() -> float:

@@ -36,13 +36,8 @@ def versions() -> dict[str, str]:
     return found
 
 
-def git_revision(directory: Path | None = None) -> str:
+def git_revision() -> str:
     """Return the git revision of the sources.
-
-    Parameters
-    ----------
-    directory
-        Where to ask; by default where this package's sources are.
 
     Returns
     -------
@@ -50,12 +45,11 @@ def git_revision(directory: Path | None = None) -> str:
         The commit hash, with ``+dirty`` after it if tracked files were changed since;
         ``"unknown"`` if there is no git, no repository or no commit.
     """
-    where = Path(__file__).resolve().parent if directory is None else directory
-    commit = _git(where, "rev-parse", "--verify", "HEAD")
+    commit = _git("rev-parse", "--verify", "HEAD")
     # A virtual environment inside another project's repository must not report that project.
-    if commit is None or (directory is None and _git(where, "ls-files", __file__) in (None, "")):
+    if commit is None or not _git("ls-files", __file__):
         return UNKNOWN
-    changes = _git(where, "status", "--porcelain", "--untracked-files=no")
+    changes = _git("status", "--porcelain", "--untracked-files=no")
     return f"{commit}+dirty" if changes else commit
 
 
@@ -67,7 +61,8 @@ def _version(distribution: str) -> str:
         return UNKNOWN
 
 
-def _git(directory: Path, *arguments: str) -> str | None:
+def _git(*arguments: str) -> str | None:
+    directory = Path(__file__).resolve().parent
     try:
         done = subprocess.run(
             ["git", "-C", str(directory), *arguments],

@@ -3,7 +3,9 @@
 import subprocess
 from pathlib import Path
 
-from armimp_common.versions import git_revision
+import pytest
+
+from armimp_common import versions
 
 
 def git(directory: Path, *arguments: str) -> str:
@@ -17,18 +19,22 @@ def git(directory: Path, *arguments: str) -> str:
     return done.stdout.strip()
 
 
-def test_git_revision_tells_commit_and_changes(tmp_path: Path) -> None:
-    assert git_revision(tmp_path) == "unknown", "no repository"
+def test_git_revision_tells_commit_and_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(versions, "__file__", str(tmp_path / "file"))
+    git_revision = versions.git_revision
+    assert git_revision() == "unknown", "no repository"
     git(tmp_path, "init", "--quiet")
-    assert git_revision(tmp_path) == "unknown", "no commit"
+    assert git_revision() == "unknown", "no commit"
 
     (tmp_path / "file").write_text("one")
     git(tmp_path, "add", "file")
     git(tmp_path, "commit", "--quiet", "--no-verify", "--message", "one")
     commit = git(tmp_path, "rev-parse", "HEAD")
-    assert git_revision(tmp_path) == commit
+    assert git_revision() == commit
 
     (tmp_path / "result").write_text("untracked files are no change of the sources")
-    assert git_revision(tmp_path) == commit
+    assert git_revision() == commit
     (tmp_path / "file").write_text("two")
-    assert git_revision(tmp_path) == f"{commit}+dirty"
+    assert git_revision() == f"{commit}+dirty"

@@ -10,7 +10,6 @@ from std_msgs.msg import UInt64
 
 from armimp_common import heartbeat, qos, topics
 from armimp_common.executor import Spinner
-from armimp_common.process import Life
 from armimp_common.schema import Value
 from armimp_common.status import Phase
 from armimp_common.topics import ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
@@ -113,10 +112,10 @@ def test_when_another_node_is_lost_expect_zero_torque_but_patience_with_those_th
 def test_when_this_process_was_held_up_expect_no_torque_for_a_rig_that_has_died_meanwhile(
     around: Surroundings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(heartbeat, "life_of", lambda _: Life.RUNNING)
+    monkeypatch.setattr(heartbeat, "state_of", lambda _: "R")
     around.activate()
     around.heard(SIM_NODE, alive=1, silent=0)
-    monkeypatch.setattr(heartbeat, "life_of", lambda _: Life.ENDED)
+    monkeypatch.setattr(heartbeat, "state_of", lambda _: "")
     # Nothing but the sample finds out: it waits before the timers of the monitors.
     for monitor in around.monitors:
         monitor._timer.cancel()
