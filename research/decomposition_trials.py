@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, TypeVar
 
 import numpy as np
@@ -151,7 +151,7 @@ def estimate(
             found = estimate_mimo(experiment.records, welch, largest_condition=np.inf)
             impedance, coupling = found.impedance, found.coupling
         else:
-            options = replace(experiment.options, welch=welch)
+            options = experiment.known.options(welch)
             reading = options.lpm.reading
             data = [TrialData.of(one, welch=welch, reading=reading) for one in experiment.records]
             impedance = make_estimator(name, options).estimate(data)

@@ -16,12 +16,10 @@ from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.alignment.trial_windows import HIGHEST, LOWEST
 from armimp_estimation.arm_models import ModelFit, supported
-from armimp_estimation.estimators.lpm import LpmConfig
-from armimp_estimation.fit import Calibration
 from armimp_estimation.mbk import MBK
+from armimp_estimation.metadata import Metadata
 from armimp_estimation.problems import Problem
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,17 +28,17 @@ class Recording:
 
     trials: tuple[TrialRecord, ...]
     """Perturbation (N·m), position (rad) and torque on the arm (N·m), of shape (n, N)."""
-    lpm: LpmConfig = field(default_factory=LpmConfig)
-    """When and how torques were read, and how well that instant is known."""
-    truth: MBK | None = None
-    """The arm that was simulated, if it was."""
-    calibration: Calibration = field(default_factory=Calibration.undeclared)
-    """What is known of transducers and encoders; by default what is assumed of any, 1 % of gain and
-    of cross-talk, 1.5 % of angles; :func:`dataclasses.replace` declares another one."""
-    model: str = "auto"
-    """Model of the arm that was asked for when it was recorded."""
+    known: Metadata = field(default_factory=Metadata)
+    """What is known beside these: how torques were read, of transducers and encoders, the arm that
+    was simulated. What is not told is assumed, such as 1 % of gain and of cross-talk and 1.5 % of
+    angles; its ``model_copy(update=...)`` tells more, for :func:`dataclasses.replace`."""
     problems: tuple[Problem, ...] = ()
     """What was wrong with the trials when they were read."""
+
+    @property
+    def truth(self) -> MBK | None:
+        """The arm that was simulated, if it was."""
+        return self.known.truth
 
     @classmethod
     def from_arrays(
@@ -82,13 +80,11 @@ class Recording:
         ------
         DataError
             If shapes disagree, a sample is not finite or not real, the perturbation of a trial is
-            zero, or the rate is not from 200 to 4000 Hz.
-        ConfigurationError
-            If the timing is unknown or the delay impossible.
+            zero, the rate is not from 200 to 4000 Hz, there is no such timing, or the delay is
+            impossible.
         """
-        timings = [one.value for one in TorqueTiming]
-        if timing not in timings:
-            raise ConfigurationError(f"timing: {timing!r} is none of {', '.join(timings)}")
+        told = {"torque_timing": timing, "torque_delay": float(torque_delay)}
+        known = Metadata.of({name: json.dumps(value) for name, value in told.items()})
         signals: list[Any] = [perturbation, position, torque]
         if command is not None:
             signals.append(command)
@@ -130,11 +126,7 @@ class Recording:
             )
             for number, trial in enumerate(trials, start=1)
         ]
-        try:
-            reading = TorqueReading(timing=TorqueTiming(timing), delay=torque_delay)
-        except ValueError:
-            raise ConfigurationError(f"torque_delay: {torque_delay} s is impossible") from None
-        return cls(trials=tuple(records), lpm=LpmConfig(reading=reading))
+        return cls(trials=tuple(records), known=known)
 
 
 def _numbers(values: ArrayLike) -> FloatArray:
@@ -219,13 +211,7 @@ def simulate(**options: Any) -> Recording:
 
     config = load_config(None, options)
     (experiment,) = run_without_ros([config])
-    return Recording(
-        trials=experiment.records,
-        lpm=experiment.options.lpm,
-        truth=experiment.truth,
-        calibration=experiment.options.calibration,
-        model=experiment.options.model,
-    )
+    return Recording(trials=experiment.records, known=experiment.known)
 
 
 def read_bag(*bags: str | Path, rate: float | None = None) -> Recording:
@@ -246,7 +232,7 @@ def read_bag(*bags: str | Path, rate: float | None = None) -> Recording:
         If the bags don't belong together, or a trial has lost samples.
     """
     from armimp_bringup.offline_estimate import read_bags
-    from armimp_estimation.metadata import Metadata, latest_metadata
+    from armimp_estimation.metadata import latest_metadata
     from armimp_estimation.result import problems_of
 
     if not bags:
@@ -263,13 +249,8 @@ def read_bag(*bags: str | Path, rate: float | None = None) -> Recording:
     if rate is not None:
         metadata["sampling_rate"] = json.dumps(float(rate))
     known = Metadata.of(metadata)
-    return Recording(
-        trials=tuple(records),
-        lpm=known.lpm,
-        calibration=known.calibration,
-        model=known.arm_model,
-        problems=tuple(problems_of(trials, known)),
-    )
+    problems = tuple(problems_of(trials, known))
+    return Recording(trials=tuple(records), known=known, problems=problems)
 
 
 def identify(recording: Recording, estimator: str = "lpm_full", model: str | None = None) -> Result:
@@ -291,9 +272,7 @@ def identify(recording: Recording, estimator: str = "lpm_full", model: str | Non
     DataError
         If the trials cannot be estimated.
     """
-    from armimp_estimation.estimators.registry import IdentifyConfig
-    from armimp_estimation.identify import identify as identify_trials
-    from armimp_estimation.trial import TrialData, segments_for
+    from armimp_estimation.identify import identify_records
 
     if not isinstance(recording, Recording):
         raise DataError(f"identify takes a Recording, not {type(recording).__name__}")
@@ -301,16 +280,10 @@ def identify(recording: Recording, estimator: str = "lpm_full", model: str | Non
         raise ConfigurationError(f"estimator: {estimator!r} is no name of one")
     if not recording.trials:
         raise DataError("there is no trial in the recording")
-    welch = segments_for([[trial] for trial in recording.trials])
-    reading = recording.lpm.reading
-    data = [TrialData.of(one, welch=welch, reading=reading) for one in recording.trials]
-    config = IdentifyConfig(
-        welch=welch,
-        lpm=recording.lpm,
-        model=recording.model if model is None else model,
-        calibration=recording.calibration,
-    )
-    found = identify_trials(data, [estimator], recording.truth, config)
+    known = recording.known
+    if model is not None:
+        known = known.model_copy(update={"arm_model": model})
+    found = identify_records([[one] for one in recording.trials], [estimator], known)
     found = replace(found, problems=(*recording.problems, *found.problems))
     one = found.estimators[estimator]
     best = supported(one.models)

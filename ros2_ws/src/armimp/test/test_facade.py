@@ -12,7 +12,7 @@ import pytest
 
 import armimp
 from armimp_bringup.offline_estimate import estimate_bags
-from armimp_estimation.estimators.lpm import LpmConfig
+from armimp_estimation.torque_timing import TorqueTiming
 from support.bag_files import write_bag
 from support.synthetic_bags import recorded_arm, synthetic_recording
 
@@ -91,7 +91,7 @@ def test_plain_arrays_give_the_bits_of_the_recording_and_the_perturbed_joint_is_
     command = [one.command for one in recording.trials]
     made = rebuilt(recording, command=command, timing="before_update")
     assert [one.perturbed_joint for one in made.trials] == [0, 1]
-    assert np.array_equal(armimp.identify(replace(made, lpm=recording.lpm)).K, result.K)
+    assert np.array_equal(armimp.identify(replace(made, known=recording.known)).K, result.K)
 
 
 @pytest.mark.parametrize(
@@ -143,7 +143,7 @@ def test_when_an_option_is_unknown_or_out_of_range_expect_its_name() -> None:
         armimp.simulate(frictoin=3)
     with pytest.raises(armimp.ArmimpError, match="'friction' = 7"):
         armimp.simulate(friction=7)
-    with pytest.raises(armimp.ArmimpError, match="timing: 'never'"):
+    with pytest.raises(armimp.ArmimpError, match=r"torque_timing: .* got 'never'"):
         armimp.Recording.from_arrays([], [], [], rate=1.0, timing="never")
 
 
@@ -190,15 +190,13 @@ def test_what_is_declared_of_how_linear_transducers_are_decides_the_errors_besid
     person = {"voluntary.rms": 0.3}
     bent = armimp.simulate(
         duration=2.0, arm_sim={**person, "sensors.torque.hysteresis": 0.05}
-    ).calibration
-    assert bent.linearity is None
+    ).known
+    assert bent.linearity_uncertainty is None
     recording = armimp.simulate(duration=20.0, seed=1, arm_sim=person)
-    known = recording.calibration
-    assert known.linearity == 0.0
-    declared, unknown, poor = (
-        armimp.identify(replace(recording, calibration=replace(known, linearity=one)))
-        for one in (0.0, None, 0.1)
-    )
+    known = recording.known
+    assert known.linearity_uncertainty == 0.0
+    others = (known.model_copy(update={"linearity_uncertainty": one}) for one in (0.0, None, 0.1))
+    declared, unknown, poor = (armimp.identify(replace(recording, known=one)) for one in others)
     assert np.array_equal(declared.B, unknown.B)
     assert (unknown.B_se > declared.B_se).all()
     assert (poor.B_se > 2.0 * declared.B_se).all()
@@ -232,7 +230,10 @@ def test_a_transducer_that_shows_the_torque_of_another_joint_is_named_with_its_s
 
 def test_an_arm_whose_torques_are_late_by_what_nobody_told_is_not_taken_for_bent() -> None:
     late = armimp.simulate(duration=20.0, seed=1, arm_sim={"sensors.torque.delay": 0.0015})
-    found = armimp.identify(replace(late, lpm=LpmConfig()))
+    untold = dict.fromkeys(("torque_delay", "torque_uncertainty"))
+    untold |= {"torque_timing": TorqueTiming.UNKNOWN}
+    known = late.known.model_copy(update=untold)
+    found = armimp.identify(replace(late, known=known))
     assert found.valid, found.problems
     assert any("late against angles by 1.5" in one for one in found.problems), found.problems
     assert not any("amplitude" in one or "hysteresis" in one for one in found.problems)

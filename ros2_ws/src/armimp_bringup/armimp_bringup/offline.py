@@ -25,12 +25,10 @@ from armimp_control.parameters import ControllerParameters
 from armimp_control.perturbation import perturbation
 from armimp_control.sequence import Segment, timetable
 from armimp_estimation.estimators.estimate import Estimator
-from armimp_estimation.estimators.registry import IdentifyConfig
-from armimp_estimation.identify import Identification, identify
+from armimp_estimation.identify import Identification, identify_records
 from armimp_estimation.mbk import MBK
 from armimp_estimation.metadata import Metadata
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.trial import TrialData, segments_for
 from armimp_sim.plant import Batch, Plant, check_ratio, tick
 from armimp_sim.real_rig import RealRig
 from armimp_sim.voluntary import reading_noise, voluntary_torque
@@ -219,10 +217,9 @@ class SimulatedExperiment:
         return MBK(M=arm.M, B=arm.B, K=arm.K)
 
     @property
-    def options(self) -> IdentifyConfig:
-        """Options of an estimate that suit the shortest record and the sensors."""
-        known = Metadata.of(self.parameters.estimator.bag_metadata())
-        return known.options(segments_for([[record] for record in self.records]))
+    def known(self) -> Metadata:
+        """What a bag of it would say beside the samples."""
+        return Metadata.of(self.parameters.estimator.bag_metadata())
 
     def identify(self, estimators: Sequence[str | Estimator]) -> Identification:
         """Estimate, compare with the truth and judge; see :func:`armimp_estimation.identify`.
@@ -234,12 +231,7 @@ class SimulatedExperiment:
         DataError
             If the records cannot be estimated.
         """
-        options = self.options
-        data = [
-            TrialData.of(record, welch=options.welch, reading=options.lpm.reading)
-            for record in self.records
-        ]
-        return identify(data, estimators, self.truth, options)
+        return identify_records([[one] for one in self.records], estimators, self.known)
 
 
 def simulate(configs: Sequence[ExperimentConfig]) -> list[SimulatedExperiment]:

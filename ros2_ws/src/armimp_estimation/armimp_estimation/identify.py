@@ -21,9 +21,11 @@ from armimp_estimation.fit import MBKFit, fit_impedance
 from armimp_estimation.frf import frf_matrix, order_trials
 from armimp_estimation.json_model import JsonModel, Number, Vector
 from armimp_estimation.mbk import MBK
+from armimp_estimation.metadata import Metadata
 from armimp_estimation.nonlinearity import judge_linearity
 from armimp_estimation.plausibility import judge_angles, mixed_channels
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
+from armimp_estimation.record import TrialRecord
 from armimp_estimation.robot_balance import (
     RobotBalance,
     RobotResponses,
@@ -32,7 +34,7 @@ from armimp_estimation.robot_balance import (
     judge_balance,
 )
 from armimp_estimation.signal_quality import RESOLVED_SHARE, judge_signals, lost_motion
-from armimp_estimation.trial import TrialData
+from armimp_estimation.trial import TrialData, segments_for
 from armimp_estimation.verdict import Verdict
 
 
@@ -142,6 +144,18 @@ class Identification:
 def _deciding(results: Mapping[str, EstimatorResult]) -> tuple[str, ...]:
     unbiased = [name for name, one in results.items() if one.estimate.unbiased]
     return tuple(unbiased or results)
+
+
+def identify_records(
+    trials: Sequence[Sequence[TrialRecord]], estimators: Sequence[str | Estimator], known: Metadata
+) -> Identification:
+    """Identify from the intact stretches of each trial, and from what is known beside them.
+
+    Welch segments are those that suit the shortest trial; see :func:`identify` for the rest.
+    """
+    options = known.options(segments_for(trials))
+    data = [TrialData.of(*one, welch=options.welch, reading=known.reading) for one in trials]
+    return identify(data, estimators, known.truth, options)
 
 
 def identify(

@@ -13,7 +13,7 @@ from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.alignment.trial_windows import TOLERANCE
 from armimp_estimation.bags import read_bag
 from armimp_estimation.estimators.estimate import Estimator
-from armimp_estimation.identify import Identification, TrialScores, identify
+from armimp_estimation.identify import Identification, TrialScores, identify_records
 from armimp_estimation.metadata import Metadata
 from armimp_estimation.problems import Problem, ProblemCode, problem
 from armimp_estimation.scores import coherence_significance
@@ -28,7 +28,6 @@ from armimp_estimation.summary import (
     write_frf,
     write_summary,
 )
-from armimp_estimation.trial import TrialData, segments_for
 
 MOST_EXCLUDED = 0.05
 """Largest share of the samples of a trial that may be left out of a valid result."""
@@ -122,9 +121,7 @@ def conclude(
     if not any(trial.refusals(allow_gaps=allow_gaps) for trial in trials):
         try:
             parts = [trial.segments for trial in trials]
-            config = known.options(segments_for(parts))
-            data = [TrialData.of(*one, welch=config.welch, reading=known.reading) for one in parts]
-            identification = identify(data, estimators, known.truth, config)
+            identification = identify_records(parts, estimators, known)
             found += identification.problems
         except DataError as error:
             found.append(Problem.of(error))
