@@ -14,12 +14,14 @@ from typing import Any, ClassVar, TypeAlias
 import pytest
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
 
 from armimp_bringup.cli import main
 from armimp_bringup.config import CheckOptions
 from armimp_bringup.driver_check import Finding, Outcome, with_outcome
 from armimp_bringup.driver_check.command import ask
 from armimp_common import topics
+from armimp_common.cdr import JointStateEncoder
 from armimp_common.errors import ConfigurationError
 from armimp_common.executor import steady_timer
 from armimp_common.pubsub import CommandPublisher, JointStatePublisher
@@ -67,13 +69,14 @@ class Plain(Node):
         super().__init__(topics.SIM_NODE, **options)
         hasty = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
         angles = JointStatePublisher(self, topics.JOINT_STATES, JOINTS, "position")
-        torques = JointStatePublisher(self, topics.TORQUE_SENSORS, JOINTS, "effort", profile=hasty)
+        torques = self.create_publisher(JointState, topics.TORQUE_SENSORS, hasty)
+        encoder = JointStateEncoder(JOINTS, "effort")
         stamps = itertools.count(0, 2 * PERIOD_NS)
 
         def publish() -> None:
             stamp_ns = next(stamps)
             angles.publish(stamp_ns, (1.0, 1.0))
-            torques.publish(stamp_ns, (0.0, 0.0))
+            torques.publish(encoder.encode(stamp_ns, (0.0, 0.0)))
 
         steady_timer(self, 2.0 * topics.PERIOD, publish)
 

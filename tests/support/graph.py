@@ -64,11 +64,11 @@ def domain_id(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
         yield claim.domain_id
 
 
-def joined(domain_id: int) -> Context:
+def joined(domain_id: int, *arguments: str) -> Context:
     """A new context in a domain, to be shut down by the caller."""
     context = Context()
     rclpy.init(
-        args=[],
+        args=list(arguments),
         context=context,
         domain_id=domain_id,
         signal_handler_options=SignalHandlerOptions.NO,

@@ -27,27 +27,17 @@ import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Chunk, Header, McapRecord, Schema
 
-from armimp_common.cdr import CommandEncoder, JointStateEncoder, encode_trial_status
-from armimp_common.topics import (
-    COMMANDS,
-    DATA_STREAMS,
-    JOINT_STATES,
-    MESSAGE_TYPES,
-    PERIOD_NS,
-    PERTURBATION,
-    TORQUE_SENSORS,
-    TRIAL,
-)
+from armimp_common.cdr import JointStateEncoder, encode_trial_status
+from armimp_common.topics import DATA_STREAMS, MESSAGE_TYPES, PERIOD_NS, TRIAL
 from armimp_estimation.bags.mcap_reader import MAGIC
 from armimp_estimation.bags.writer import HEAD as OUR_HEAD
 from support.command import Told, call
 from support.streams import trial_status
-from support.synthetic_bags import recorded_arm
+from support.synthetic_bags import Message, recorded_arm, synthetic_recording
 
 T = TypeVar("T")
 Arguments: TypeAlias = tuple[str, ...]
 Attack: TypeAlias = Callable[[Path], Arguments]
-Message: TypeAlias = tuple[str, int, bytes]
 
 WITNESS: Final = "witness"
 _TOPICS: Final = (*DATA_STREAMS, TRIAL)
@@ -114,15 +104,8 @@ def repeated(piece: bytes, times: int, prefix: bytes = b"") -> bytes:
 
 def samples(ticks: int) -> Iterable[Message]:
     """Messages of so many ticks without any status."""
-    names = ("joint_1", "joint_2")
-    states, efforts = JointStateEncoder(names, "position"), JointStateEncoder(names, "effort")
-    commands = CommandEncoder(2)
-    for tick in range(ticks):
-        stamp = tick * PERIOD_NS
-        yield JOINT_STATES, stamp, states.encode(stamp, [float(tick), 0.1])
-        yield TORQUE_SENSORS, stamp, efforts.encode(stamp, [0.1, 0.2])
-        yield PERTURBATION, stamp, efforts.encode(stamp, [1.0 + tick % 7, 0.0])
-        yield COMMANDS, stamp, commands.encode([0.1, 0.2])
+    made = synthetic_recording(joint_names=("joint_1", "joint_2"), ticks=ticks, start_ns=0)
+    return (one for one in made.messages if one[0] != TRIAL)
 
 
 def zstd(data: bytes) -> bytes:
@@ -380,15 +363,6 @@ def links_in_a_circle(directory: Path) -> Arguments:
     for i in range(100):
         (directory / "bags" / f"trial_{i}").symlink_to(directory)
     (directory / "bags" / "bags").symlink_to("bags")
-    return "estimate", str(directory)
-
-
-@attack
-def thousands_of_links_to_one_bag(directory: Path) -> Arguments:
-    (directory / "one").mkdir()
-    mcap(directory / "one", HEAD, sound())
-    for i in range(1000):
-        (directory / f"bag_{i}").symlink_to("one")
     return "estimate", str(directory)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from armimp_bringup.parameters import NodeParameters
 from armimp_common.compiled import cache_folder
-from armimp_control.laws.law import Controller
+from armimp_control.laws.law import compile_law
 from armimp_control.perturbation import perturbation
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import Plant, tick
@@ -36,21 +36,15 @@ def compile_ahead(parameters: NodeParameters) -> None:
         start_new_session=True,  # Ctrl-C is for the parent
     )
     try:
-        _compile_law(parameters)
+        law = parameters.controller
+        compile_law(law.control_law(), law.safety)
+        prior = law.priors()[0]
+        perturbation(law.perturbation, joint=0, trial=1, ticks=1, seed=law.seed, prior=prior)
     finally:
         failed = plant.wait()
     with suppress(OSError):  # as on a full disk: it is done again, which is quick
         if not failed:
             mark.touch()
-
-
-def _compile_law(parameters: NodeParameters) -> None:
-    law = parameters.controller
-    controller = Controller(law.control_law(), safety=law.safety)
-    controller.compute()
-    controller.stop()
-    controller.continue_ramp(1)
-    perturbation(law.perturbation, joint=0, trial=1, ticks=1, seed=law.seed, prior=law.priors()[0])
 
 
 if __name__ == "__main__":

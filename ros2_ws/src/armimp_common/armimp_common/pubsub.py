@@ -35,8 +35,6 @@ class RawPublisher:
         Where to publish.
     message_type
         Message class of the topic.
-    profile
-        Quality of service.
 
     Attributes
     ----------
@@ -45,25 +43,16 @@ class RawPublisher:
         protected the publisher from being destroyed by another thread meanwhile: twice the time.
     """
 
-    def __init__(
-        self, node: Node, topic: str, message_type: type[Any], profile: QoSProfile = qos.SAMPLE
-    ) -> None:
-        self.publisher: Publisher = node.create_publisher(message_type, topic, profile)
+    def __init__(self, node: Node, topic: str, message_type: type[Any]) -> None:
+        self.publisher: Publisher = node.create_publisher(message_type, topic, qos.SAMPLE)
         self.send: Callable[[bytes], None] = self.publisher.handle.publish_raw
 
 
 class JointStatePublisher(RawPublisher):
     """Publisher of JointState messages of one layout; see `armimp_common.cdr.JointStateEncoder`."""
 
-    def __init__(
-        self,
-        node: Node,
-        topic: str,
-        names: Sequence[str],
-        field: ValueField,
-        profile: QoSProfile = qos.SAMPLE,
-    ) -> None:
-        super().__init__(node, topic, JointState, profile)
+    def __init__(self, node: Node, topic: str, names: Sequence[str], field: ValueField) -> None:
+        super().__init__(node, topic, JointState)
         self._encode = cdr.JointStateEncoder(names, field).encode
 
     def publish(self, stamp_ns: int, values: Sequence[float] | FloatArray) -> bytes:

@@ -7,18 +7,17 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import pytest
-import rclpy
 import yaml
 from pydantic import BaseModel, Field, field_validator, model_validator
 from rcl_interfaces.msg import ParameterType, SetParametersResult
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.signals import SignalHandlerOptions
 
 from armimp_common.errors import ConfigurationError
 from armimp_common.parameters import ParameterSet
 from armimp_common.schema import Schema, build, defaults, flatten, leaves, to_params_yaml
+from support.graph import joined
 
 
 class Sampling(str, Enum):
@@ -181,16 +180,9 @@ def make_node(domain_id: int, tmp_path: Path) -> Iterator[MakeNode]:
     def make(text: str = "", *args: str, name: str = "unit") -> Node:
         path = tmp_path / f"{len(contexts)}.yaml"
         path.write_text(text)
-        arguments = ["--ros-args", *(["--params-file", str(path)] if text else []), *args]
-        context = Context()
-        rclpy.init(
-            args=arguments,
-            context=context,
-            domain_id=domain_id,
-            signal_handler_options=SignalHandlerOptions.NO,
-        )
-        contexts.append(context)
-        nodes.append(Node(name, context=context))
+        given = ["--params-file", str(path)] if text else []
+        contexts.append(joined(domain_id, "--ros-args", *given, *args))
+        nodes.append(Node(name, context=contexts[-1]))
         return nodes[-1]
 
     yield make

@@ -13,7 +13,7 @@ from armimp_common.arrays import FloatArray
 from armimp_common.status import NOTICE_TICKS, Cause, Phase, StoppingDecision, TrialStatus
 from armimp_common.topics import PERIOD, PERIOD_NS, clock_step
 from armimp_control.laws import NO_JOINT
-from armimp_control.laws.law import Controller
+from armimp_control.laws.law import Controller, compile_law
 from armimp_control.parameters import ControllerParameters
 from armimp_control.perturbation import perturbation
 from armimp_control.safety_limiter import Limit, SafetyParameters, SaturationCounter
@@ -74,11 +74,7 @@ class TrialSequencer:
         self.cause, self.fault = Cause.NONE, ""
         self.tick = self.lost = 0
         self.finished = False
-        # Have the law compiled before time matters.
-        self._law.tick(np.zeros(n), np.zeros(n), np.zeros(n))
-        self._law.stop()
-        self._law.continue_ramp(1)
-        self._law.reset()
+        compile_law(self._law.law, parameters.safety)
 
     def answer(self, stamp_ns: int, theta: Sequence[float], tau_h: Sequence[float]) -> None:
         """Compute :attr:`command` and :attr:`tau_delta` for one sample.

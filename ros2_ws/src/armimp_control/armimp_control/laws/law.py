@@ -230,11 +230,6 @@ class Controller:
         self._tare[:] = offset
         self.role[TARE] = self._tare
 
-    def reset(self) -> None:
-        """Forget the past: the next tick starts from rest with zero torque."""
-        for memory in (self.memory, self._limiter, self._journal, self.command):
-            memory.fill(0.0)
-
     def stop(self) -> None:
         """Stop for a fault that the caller knows; the torque ramps down to zero."""
         stop_commands(self._ramp_ticks, True, self._limiter, self._journal)
@@ -272,3 +267,11 @@ class Controller:
     def compute(self) -> int:
         """:meth:`tick` of what was written into :attr:`sample`."""
         return _tick(self._kind, self._joints, self._all)
+
+
+def compile_law(law: Law, safety: SafetyParameters) -> None:
+    """Have all that a controller calls compiled, before time matters."""
+    spare = Controller(law, safety=safety)
+    spare.compute()
+    spare.stop()
+    spare.continue_ramp(1)
