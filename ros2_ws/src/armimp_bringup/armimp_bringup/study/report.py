@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 
 from armimp_bringup.study import LEVELS, Condition, StudyEntry
-from armimp_bringup.study.figures import level_stroke, levels_chart, overlay_chart
+from armimp_bringup.study.figures import Curves, level_stroke, levels_chart, overlay_chart
 from armimp_bringup.study.scores import (
     COHERENCE_SCORES,
     FIT_SCORES,
@@ -22,12 +21,7 @@ from armimp_bringup.study.scores import (
 )
 from armimp_bringup.study.scores import Table as Results
 from armimp_estimation.mbk import MBK
-from armimp_estimation.report.formats import (
-    NONE,
-    mark,
-    setting,
-    symbol,
-)
+from armimp_estimation.report.formats import mark, setting, symbol
 from armimp_estimation.report.page import Content, Section, Table, render_page
 from armimp_estimation.report.plots import (
     TRUE,
@@ -39,7 +33,6 @@ from armimp_estimation.report.plots import (
 from armimp_estimation.report.run import advised, assumptions
 from armimp_estimation.summary import ImpedanceCurve, OriginSummary
 
-Curves = Callable[[Condition], Mapping[str, ImpedanceCurve]]
 _COUNTS: Final = ("", "one", "two", "three", "four", "five", "six", "seven")
 _MOST_PROBLEMS: Final = 10
 _BUDGET: Final = 2_000_000  # bytes for all curves of a page
@@ -86,34 +79,24 @@ class StudyReport:
         """HTML document."""
         first = self.entries[0]
         friction = f"levels {_present(self.entries, 'friction')}"
-        found: list[tuple[str, str, str, Content | None]] = [
-            ("verdict", "Verdict", "study/verdict", self._verdict()),
-            ("conditions", "Conditions", "study/conditions", self._conditions()),
-            ("impedance", "Impedance (Fig. 2)", "study/impedance", self._impedance()),
-            ("scores", "VAF and R² (Fig. 3)", "study/levels", self._by_level("scores", FIT_SCORES)),
-            (
-                "coherence",
-                "Coherence (Fig. 4)",
-                "study/levels",
-                self._by_level("coherence", COHERENCE_SCORES),
-            ),
-            ("settings", "Settings", "report/settings", self._settings()),
-            (
-                "assumptions",
-                "Assumptions",
-                "report/assumptions",
-                assumptions(first.config, friction=friction),
-            ),
-            ("files", "Files", "study/files", {"files": self.files}),
+        scores = self._by_level("scores", FIT_SCORES)
+        coherence, levels = self._by_level("coherence", COHERENCE_SCORES), "study/levels.html"
+        assumed = assumptions(first.config, friction=friction)
+        sections = [
+            Section("verdict", "Verdict", self._verdict(), "study/verdict.html"),
+            Section("conditions", "Conditions", self._conditions(), "study/conditions.html"),
+            Section("impedance", "Impedance (Fig. 2)", self._impedance(), "study/impedance.html"),
+            Section("scores", "VAF and R² (Fig. 3)", scores, levels),
+            Section("coherence", "Coherence (Fig. 4)", coherence, levels),
+            Section("settings", "Settings", self._settings()),
+            Section("assumptions", "Assumptions", assumed),
+            Section("files", "Files", {"files": self.files}, "study/files.html"),
         ]
         return render_page(
             f"Study of {self.verdict.conditions} conditions: "
             f"{'targets met' if self.verdict.met else 'targets missed'}",
             "study/header.html",
-            [
-                Section(identifier=i, title=title, template=f"{template}.html", content=content)
-                for i, title, template, content in found
-            ],
+            sections,
             packages={"study": "armimp_bringup.study"},
             joints=first.joints,
             count=_COUNTS[first.joints],
@@ -166,7 +149,7 @@ class StudyReport:
         place = f"F{one.friction} R{one.resolution} P{one.perturbation}"
         return [
             one.quantity,
-            _shown(one.score, one.worst),
+            one.score.format(one.worst),
             one.target,
             "not judged" if one.met is None else mark(one.met),
             symbol(one.element[0], one.element[1:]),
@@ -185,7 +168,7 @@ class StudyReport:
                 worst, _ = score.worst(self._of(name), judged=limit is not None)
                 for row, members in zip(rows, self._groups().values(), strict=True):
                     badness = score.badness(worst[members])
-                    row.append(_shown(score, float(worst[members][np.argmax(badness)])))
+                    row.append(score.format(float(worst[members][np.argmax(badness)])))
             groups.append((name, rows))
         table = Table(
             caption="Worst value in each condition",
@@ -281,10 +264,6 @@ def _present(entries: Sequence[StudyEntry], factor: str) -> str:
     if len(levels) > 2 and levels == list(range(levels[0], levels[-1] + 1)):
         return f"{levels[0]} to {levels[-1]}"
     return " and ".join(map(str, levels))
-
-
-def _shown(score: Score, value: float) -> str:
-    return NONE if math.isnan(value) else score.format(value)
 
 
 def _thinned(curve: ImpedanceCurve, points: int) -> ImpedanceCurve:

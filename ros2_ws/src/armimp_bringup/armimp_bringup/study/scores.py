@@ -18,7 +18,7 @@ from armimp_common.arrays import BoolArray, FloatArray
 from armimp_estimation.json_model import Number
 from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import ProblemCode
-from armimp_estimation.report.formats import setting
+from armimp_estimation.report.formats import NONE, setting
 
 Table: TypeAlias = NDArray[np.void]
 
@@ -182,8 +182,8 @@ class Score:
     """Targets by estimator."""
 
     def format(self, value: float) -> str:
-        """Value with unit."""
-        return f"{value:.{self.digits}f}{self.unit}"
+        """Value with unit; a dash for what is not a number."""
+        return NONE if math.isnan(value) else f"{value:.{self.digits}f}{self.unit}"
 
     def limit(self, joints: int, estimator: str) -> float | None:
         """Target of an estimator, if there is one; with three joints errors have none."""
