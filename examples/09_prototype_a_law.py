@@ -15,7 +15,6 @@ from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_common.topics import PERIOD
 from armimp_control.laws import DAMPING, STIFFNESS
 from armimp_control.laws.pd import Pd
-from armimp_control.perturbation import perturbation
 from armimp_sim.plant import Plant
 
 SAMPLES = 5_000
@@ -51,13 +50,8 @@ for share in (0.0, 0.8):
         law = Law(parameters, share=share)
         plant = Plant([parameters.simulator])
         tau_delta = np.zeros((SAMPLES, 2))
-        tau_delta[:, joint] = perturbation(
-            parameters.controller.perturbation,
-            joint=joint,
-            trial=joint + 1,
-            ticks=SAMPLES,
-            seed=1,
-        )
+        signal = parameters.controller.signal(joint, trial=joint + 1, ticks=SAMPLES)
+        tau_delta[:, joint] = signal
         angles = np.empty((SAMPLES, 2))
         for k in range(SAMPLES):
             angles[k] = plant.position[0]

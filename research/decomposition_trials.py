@@ -19,7 +19,6 @@ from armimp_bringup.study.engine import threads
 from armimp_bringup.terminal import display
 from armimp_common.errors import ConfigurationError
 from armimp_common.status import Phase
-from armimp_control.perturbation import perturbation
 from armimp_control.sequence import Segment, timetable
 from armimp_estimation import scores
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
@@ -256,14 +255,9 @@ def run_together(
         tau_delta = np.zeros((segment.ticks, len(laws), n))
         if segment.phase is Phase.PERTURB:
             for (lane, one), joint in itertools.product(enumerate(laws), range(n)):
-                tau_delta[:, lane, joint] = perturbation(
-                    one.perturbation,
-                    joint=joint,
-                    trial=segment.joint * n + joint + 1,
-                    ticks=segment.ticks,
-                    seed=one.seed,
-                    prior=one.priors()[joint],
-                )
+                trial = segment.joint * n + joint + 1
+                signal = one.signal(joint, trial=trial, ticks=segment.ticks)
+                tau_delta[:, lane, joint] = signal
             for lane, matrix in enumerate(mixing or ()):
                 tau_delta[:, lane] = tau_delta[:, lane] @ matrix.T
         return tau_delta, None

@@ -16,7 +16,6 @@ import numpy as np
 from armimp_bringup.parameters import NodeParameters
 from armimp_common.compiled import cache_folder
 from armimp_control.laws.law import compile_law
-from armimp_control.perturbation import perturbation
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import Plant, tick
 
@@ -38,8 +37,7 @@ def compile_ahead(parameters: NodeParameters) -> None:
     try:
         law = parameters.controller
         compile_law(law.control_law(), law.safety)
-        prior = law.priors()[0]
-        perturbation(law.perturbation, joint=0, trial=1, ticks=1, seed=law.seed, prior=prior)
+        law.signal(0, trial=1, ticks=1)
     finally:
         failed = plant.wait()
     with suppress(OSError):  # as on a full disk: it is done again, which is quick

@@ -22,7 +22,6 @@ from armimp_common.topics import PERIOD_NS, RATE
 from armimp_control.laws import NO_JOINT
 from armimp_control.laws.law import Controller, packed_size, packed_tick
 from armimp_control.parameters import ControllerParameters
-from armimp_control.perturbation import perturbation
 from armimp_control.sequence import Segment, timetable
 from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.identify import Identification, identify_records
@@ -86,14 +85,8 @@ def _perturbations(
     tau_delta = np.zeros((segment.ticks, len(laws), len(laws[0].joints)))
     if segment.phase is Phase.PERTURB:
         for lane, one in enumerate(laws):
-            tau_delta[:, lane, segment.joint] = perturbation(
-                one.perturbation,
-                joint=segment.joint,
-                trial=segment.trial,
-                ticks=segment.ticks,
-                seed=one.seed,
-                prior=one.priors()[segment.joint],
-            )
+            signal = one.signal(segment.joint, trial=segment.trial, ticks=segment.ticks)
+            tau_delta[:, lane, segment.joint] = signal
     return tau_delta, segment.joint
 
 

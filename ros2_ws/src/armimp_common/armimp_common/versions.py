@@ -9,31 +9,19 @@ from typing import Final
 
 UNKNOWN: Final = "unknown"
 
-_DISTRIBUTIONS: Final = {
-    "numpy": "numpy",
-    "scipy": "scipy",
-    "numba": "numba",
-    "rclpy": "ros-jazzy-rclpy",
-    "rosbags": "rosbags",
-    "mcap": "mcap",
-    "armimp": "armimp",
-}
+_PACKAGES: Final = ("numpy", "scipy", "numba", "rclpy", "rosbags", "mcap", "armimp")
+_OTHER_NAMES: Final = {"rclpy": "ros-jazzy-rclpy", "armimp": "armimp_common"}
+"""In the wheels of ROS, and in a workspace that holds some of the packages of this project."""
 
 
 def versions() -> dict[str, str]:
     """Return the version of Python and of every package that can influence a result.
 
-    ``rclpy`` is the version of the PyPI wheel; in a full ROS installation, which has no such
-    distribution, it is that of rclpy itself. What is not installed is ``"unknown"``.
+    What is not installed is ``"unknown"``.
     """
-    found = {"python": platform.python_version()}
-    for name, distribution in _DISTRIBUTIONS.items():
-        found[name] = _version(distribution)
-    if found["rclpy"] == UNKNOWN:
-        found["rclpy"] = _version("rclpy")
-    if found["armimp"] == UNKNOWN:
-        found["armimp"] = _version("armimp_common")  # a workspace may hold some of the packages
-    return found
+    found = {name: _version(_OTHER_NAMES.get(name, name)) for name in _PACKAGES}
+    missing = {name: _version(name) for name, known in found.items() if known == UNKNOWN}
+    return {"python": platform.python_version(), **found, **missing}
 
 
 def git_revision() -> str:

@@ -15,7 +15,12 @@ from armimp_common.topics import PERIOD
 from armimp_control import presets
 from armimp_control.laws import Law, LawParameters, TargetParameters
 from armimp_control.laws.law import LAWS
-from armimp_control.perturbation import JointPrior, PerturbationKind, PerturbationParameters
+from armimp_control.perturbation import (
+    JointPrior,
+    PerturbationKind,
+    PerturbationParameters,
+    perturbation,
+)
 from armimp_control.rig import KnownParameters
 from armimp_control.safety_limiter import SafetyParameters
 from armimp_control.sequence import SequenceParameters, TareParameters
@@ -118,6 +123,17 @@ class ControllerParameters(Schema):
         return tuple(
             JointPrior(arm=tuple(one), target=of_target)
             for one, of_target in zip(arm.tolist(), targets, strict=True)
+        )
+
+    def signal(self, joint: int, *, trial: int, ticks: int) -> FloatArray:
+        """Perturbation (ticks,) of a joint, 0-based, in a trial, from 1; N·m."""
+        return perturbation(
+            self.perturbation,
+            joint=joint,
+            trial=trial,
+            ticks=ticks,
+            seed=self.seed,
+            prior=self.priors()[joint],
         )
 
     @property

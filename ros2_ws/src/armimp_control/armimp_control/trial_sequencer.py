@@ -15,7 +15,6 @@ from armimp_common.topics import PERIOD, PERIOD_NS, clock_step
 from armimp_control.laws import NO_JOINT
 from armimp_control.laws.law import Controller, compile_law
 from armimp_control.parameters import ControllerParameters
-from armimp_control.perturbation import perturbation
 from armimp_control.safety_limiter import Limit, SafetyParameters, SaturationCounter
 from armimp_control.sequence import Segment, Tare, timetable
 
@@ -222,14 +221,7 @@ class TrialSequencer:
         self._signal = self._make_signal(settle.joint) if made is None else made
 
     def _make_signal(self, joint: int) -> FloatArray:
-        return perturbation(
-            self._parameters.perturbation,
-            joint=joint,
-            trial=joint + 1,
-            ticks=self._planned,
-            seed=self._parameters.seed,
-            prior=self._parameters.priors()[joint],
-        )
+        return self._parameters.signal(joint, trial=joint + 1, ticks=self._planned)
 
     def _control(self, theta: Sequence[float], tau_h: Sequence[float]) -> None:
         segment = self._segment

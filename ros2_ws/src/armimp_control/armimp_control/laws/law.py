@@ -48,19 +48,7 @@ LAWS: Final[Mapping[str, type[Law]]] = {"imbic": Imbic, "pd": Pd}
 """The laws by the parameter ``law.kind``."""
 
 
-def _unpacked(
-    w: FloatArray, n: int
-) -> tuple[
-    FloatArray,
-    FloatArray,
-    FloatArray,
-    FloatArray,
-    FloatArray,
-    FloatArray,
-    FloatArray,
-    FloatArray,
-    FloatArray,
-]:
+def _unpacked(w: FloatArray, n: int) -> tuple[FloatArray, ...]:
     """Views of what a controller works on.
 
     They are sample; command and target posture; role; rules, memory of the law and of the limiter;
