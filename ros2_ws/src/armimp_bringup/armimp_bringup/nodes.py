@@ -23,7 +23,7 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from armimp_common.errors import GraphError
 from armimp_common.executor import NO_LOG_FILES, Spinner
 from armimp_common.heartbeat import HeartbeatMonitor, Presence
-from armimp_common.lifecycle import LifecycleManager, ask
+from armimp_common.lifecycle import LifecycleManager, ServiceClients
 from armimp_common.parameters import as_parameters
 from armimp_common.process import ParentWatchdog
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
@@ -47,7 +47,7 @@ _TO_END = 5.0
 _TO_ANSWER = 10.0
 
 
-class AskedParameters:
+class AskedParameters(ServiceClients):
     """The parameters that nodes are to have: given to them, and compared with those that they have.
 
     Parameters
@@ -65,19 +65,16 @@ class AskedParameters:
     def __init__(
         self, node: Node, spinner: Spinner, models: Mapping[str, BaseModel], record: Path
     ) -> None:
-        self.asked = {name: as_parameters(model) for name, model in models.items()}
-        self._spinner, self._record = spinner, record
         # Made early: where nodes are processes, discovery goes on while they start. Those of rclpy
         # block for a quarter of a second wherever discovery takes a moment.
-        self._clients = {
-            (name, service): node.create_client(kind, f"{name}/{service}")
-            for name in models
-            for service, kind in _SERVICES.items()
-        }
+        super().__init__(node, models, _SERVICES, spin_until=spinner.spin_until, timeout=_TO_ANSWER)
+        self.asked = {name: as_parameters(model) for name, model in models.items()}
+        self._record = record
 
     def names(self, name: str) -> set[str]:
         """Return the names of the parameters that a node has."""
-        return set(self._ask(name, "list_parameters", ListParameters.Request()).result.names)
+        request = ListParameters.Request()
+        return set(self._ask(name, "list_parameters", request, "name its parameters").result.names)
 
     def give(self, name: str) -> None:
         """Set all parameters of a node, or none.
@@ -89,7 +86,7 @@ class AskedParameters:
         """
         messages = [parameter.to_parameter_msg() for parameter in self.asked[name]]
         request = SetParametersAtomically.Request(parameters=messages)
-        result = self._ask(name, "set_parameters_atomically", request).result
+        result = self._ask(name, "set_parameters_atomically", request, "take parameters").result
         if not result.successful:
             raise GraphError(f"node {name} refused its parameters: {result.reason}")
 
@@ -100,7 +97,8 @@ class AskedParameters:
         for name, parameters in self.asked.items():
             wanted = {item.name: _plain(item.value) for item in parameters}
             names = sorted(self.names(name).union(wanted))
-            values = self._ask(name, "get_parameters", GetParameters.Request(names=names)).values
+            request = GetParameters.Request(names=names)
+            values = self._ask(name, "get_parameters", request, "tell its parameters").values
             found = map(_plain, map(parameter_value_to_python, values))
             active[name] = dict(zip(names, found, strict=False))
             problems += [
@@ -113,16 +111,6 @@ class AskedParameters:
             text = yaml.safe_dump(content, sort_keys=False)
             self._record.write_text(text, encoding="utf-8")
         return problems
-
-    def _ask(self, name: str, service: str, request: Any) -> Any:
-        return ask(
-            self._clients[name, service],
-            request,
-            f"node {name}",
-            "tell or take its parameters",
-            spin_until=self._spinner.spin_until,
-            timeout=_TO_ANSWER,
-        )
 
 
 def _plain(value: Any) -> Any:

@@ -6,7 +6,7 @@ import functools
 import math
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final, Literal, TypeAlias, TypeVar
 
 from lifecycle_msgs.msg import Transition
@@ -34,75 +34,23 @@ _CHECK_PERIOD: Final = 0.05
 _REPEAT: Final = 2.0
 
 
-def ask(
-    client: Client,
-    request: Any,
-    whom: str,
-    purpose: str,
-    *,
-    spin_until: SpinUntil,
-    timeout: float,
-    repeat: bool = True,
-    check: Callable[[], None] = lambda: None,
-) -> Any:
-    """Wait for a service, call it, and return the answer.
-
-    Parameters
-    ----------
-    client, request : what is asked
-    whom, purpose : for the words of errors: ``node x did not answer to configure``
-    spin_until : as for `LifecycleManager`
-    timeout : for the service to appear, and to answer (s)
-    repeat : whether the question is asked again where no answer comes
-    check : called often; what it raises ends the waiting
-
-    Raises
-    ------
-    GraphError
-        If there is no answer in time.
-    """
-    deadline = time.monotonic() + timeout
-    while not client.service_is_ready():
-        if time.monotonic() >= deadline:
-            raise GraphError(f"{whom} is not there to {purpose}")
-        check()
-        spin_until(Future(), _POLL)
-    while True:
-        # An answer gets lost if the node has not yet discovered this side.
-        end = min(deadline, time.monotonic() + (_REPEAT if repeat else math.inf))
-        future = client.call_async(request)
-        try:
-            while not spin_until(future, _CHECK_PERIOD):
-                check()
-                if time.monotonic() >= end:
-                    break
-            else:
-                return future.result()
-        finally:
-            if not future.done():
-                client.remove_pending_request(future)
-        if time.monotonic() >= deadline:
-            raise GraphError(f"{whom} did not answer to {purpose} in {timeout} s")
-
-
-class LifecycleManager:
-    """Asks lifecycle nodes, of this process or of others, to change their state.
-
-    A node of others may end with an exception when it is asked for a transition that its state does
-    not have (:class:`ManagedNode` does not), so what is possible is always asked first.
+class ServiceClients:
+    """Clients of services that some nodes have, each asked until there is an answer.
 
     Parameters
     ----------
     node
         A node to ask through; it must be spun by `spin_until`.
     names
-        Names of the managed nodes, absolute or relative to the namespace of `node`.
+        Names of the nodes, absolute or relative to the namespace of `node`.
+    kinds
+        Types of the services by name.
     spin_until
         Spins until a future is done or a time (s) is over, and tells whether it is done;
-        usually `armimp_common.executor.Spinner.spin_until`. If managed nodes are in the same
-        process it must spin them too.
+        usually `armimp_common.executor.Spinner.spin_until`. If the nodes are in the same process it
+        must spin them too.
     timeout
-        For each answer (s); discovery and a slow configuration count.
+        For each service to appear, and for each answer (s).
     check
         Called often while something is waited for; what it raises ends the waiting. To be used
         for what makes waiting vain, like the death of a process.
@@ -111,22 +59,68 @@ class LifecycleManager:
     def __init__(
         self,
         node: Node,
-        names: Sequence[str],
+        names: Iterable[str],
+        kinds: Mapping[str, Any],
         *,
         spin_until: SpinUntil,
-        timeout: float = 10.0,
+        timeout: float,
         check: Callable[[], None] = lambda: None,
     ) -> None:
-        self._node = node
-        self._check = check
-        self._spin_until = spin_until
-        self._timeout = timeout
-        self.names = tuple(names)
+        self._node, self._spin_until = node, spin_until
+        self._timeout, self._check = timeout, check
         self._clients: dict[tuple[str, str], Client] = {
             (name, service): node.create_client(kind, f"{name}/{service}")
             for name in names
-            for service, kind in _SERVICES.items()
+            for service, kind in kinds.items()
         }
+
+    def _ask(
+        self, name: str, service: str, request: Any, purpose: str, *, repeat: bool = True
+    ) -> Any:
+        """Wait for a service, call it, and return the answer.
+
+        The purpose is for the words of errors, and the question is repeated where no answer comes
+        if it may be. GraphError if there is no answer in time.
+        """
+        client, deadline = self._clients[name, service], time.monotonic() + self._timeout
+        while not client.service_is_ready():
+            if time.monotonic() >= deadline:
+                raise GraphError(f"node {name} is not there to {purpose}")
+            self._check()
+            self._spin_until(Future(), _POLL)
+        while True:
+            # An answer gets lost if the node has not yet discovered this side.
+            end = min(deadline, time.monotonic() + (_REPEAT if repeat else math.inf))
+            future = client.call_async(request)
+            try:
+                while not self._spin_until(future, _CHECK_PERIOD):
+                    self._check()
+                    if time.monotonic() >= end:
+                        break
+                else:
+                    return future.result()
+            finally:
+                if not future.done():
+                    client.remove_pending_request(future)
+            if time.monotonic() >= deadline:
+                raise GraphError(f"node {name} did not answer to {purpose} in {self._timeout} s")
+
+
+class LifecycleManager(ServiceClients):
+    """Asks lifecycle nodes, of this process or of others, to change their state.
+
+    A node of others may end with an exception when it is asked for a transition that its state does
+    not have (:class:`ManagedNode` does not), so what is possible is always asked first.
+
+    Parameters
+    ----------
+    node, names, options
+        As for :class:`ServiceClients`; discovery and a slow configuration take time.
+    """
+
+    def __init__(self, node: Node, names: Sequence[str], **options: Any) -> None:
+        super().__init__(node, names, _SERVICES, **options)
+        self.names = tuple(names)
 
     def wait_for_nodes(self, timeout: float | None = None) -> None:
         """Wait until the services of all managed nodes are there.
@@ -172,21 +166,9 @@ class LifecycleManager:
             )
         chosen = Transition(id=available[transition], label=transition)
         request = ChangeState.Request(transition=chosen)
-        if not self._ask(name, "change_state", request, transition).success:
+        # A question may be repeated; a transition may not, but questions about it go before.
+        if not self._ask(name, "change_state", request, transition, repeat=False).success:
             raise GraphError(f"node {name} failed to {transition}; its log tells why")
-
-    def _ask(self, name: str, service: str, request: Any, purpose: str) -> Any:
-        return ask(
-            self._clients[name, service],
-            request,
-            f"node {name}",
-            purpose,
-            spin_until=self._spin_until,
-            timeout=self._timeout,
-            # A question may be repeated; a transition may not, but questions about it go before.
-            repeat=service != "change_state",
-            check=self._check,
-        )
 
 
 class ManagedNode(LifecycleNode):
