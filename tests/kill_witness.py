@@ -32,7 +32,6 @@ from armimp_common.status import values_of
 from armimp_common.topics import CONTROLLER_NODE, SIM_NODE
 
 JOINTS = ("shoulder", "elbow")
-_PATIENCE = 60.0
 _MOVING = 300
 """Samples of a perturbation: three times as many as a bag may lack."""
 
@@ -78,7 +77,7 @@ class Witness(Node):
         if all(publisher_count(self, one) for one in self._subscriptions):
             self._timer.cancel()
             with suppress(GraphError):  # who was killed before does not answer any more
-                wait_for_partners(self, monitors=self._others, timeout_s=_PATIENCE)
+                wait_for_partners(self, monitors=self._others)
                 self._file.with_suffix(".known").touch()
 
     def _on_perturbation(self, stamp_ns: int, torque: tuple[float, ...]) -> None:

@@ -109,7 +109,6 @@ class ScriptedController:
             self.node,
             publishers=[self.commands],
             subscriptions=self.subscriptions,
-            timeout_s=PATIENCE,
         )
         assert rig.trigger_activate() is SUCCESS, getattr(rig, "transition_error", "")
 

@@ -268,7 +268,6 @@ class ScriptedDriver:
             self._node,
             publishers=self.channels.values(),
             subscriptions=[*self._subscriptions, self.trial],
-            timeout_s=PATIENCE,
         )
 
     @property

@@ -23,7 +23,7 @@ from armimp_common.topics import ValueField
 OnMalformed = Callable[[MalformedMessageError], None]
 _POLL = 0.005
 _PATIENCE = 30.0
-"""How long a node that becomes active waits for the others (s)."""
+"""How long a node that becomes active waits for the others, and then for their answers (s)."""
 
 
 class RawPublisher:
@@ -239,7 +239,6 @@ def wait_for_partners(
     publishers: Iterable[Publisher | RawPublisher] = (),
     subscriptions: Iterable[Subscription] = (),
     monitors: Iterable[HeartbeatMonitor] = (),
-    timeout_s: float = _PATIENCE,
 ) -> None:
     """Wait until a node and those which it needs know of one another.
 
@@ -261,8 +260,6 @@ def wait_for_partners(
         no heartbeat, as drivers of others may not, are not waited for; nor are those whose
         heartbeat is not known yet. It is once any other publisher of theirs is, as it is made
         first: so `subscriptions` should hold one to each of them.
-    timeout_s
-        How long to wait for peers, and then for an answer (s).
 
     Raises
     ------
@@ -278,7 +275,7 @@ def wait_for_partners(
             *(one.topic_name for one in listening if not publisher_count(node, one)),
         ]
 
-    _wait_until_none(lonely, "nobody at the other end of", timeout_s)
+    _wait_until_none(lonely, "nobody at the other end of")
     for monitor in monitors:
         if monitor.ghost:
             raise GraphError(monitor.sentence)
@@ -296,14 +293,14 @@ def wait_for_partners(
         return [name for name in probes if name not in answered]
 
     try:
-        _wait_until_none(silent, "no answer from", timeout_s)
+        _wait_until_none(silent, "no answer from")
     finally:
         for probe in probes.values():
             node.destroy_subscription(probe)
 
 
-def _wait_until_none(missing: Callable[[], list[str]], words: str, timeout_s: float) -> None:
-    deadline = time.monotonic() + timeout_s
+def _wait_until_none(missing: Callable[[], list[str]], words: str) -> None:
+    deadline = time.monotonic() + _PATIENCE
     while names := missing():
         if time.monotonic() >= deadline:
             raise GraphError(f"{words} {', '.join(names)}")

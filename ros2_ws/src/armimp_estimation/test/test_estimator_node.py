@@ -93,7 +93,7 @@ class Script:
         wait_until(
             lambda: all(one.get_subscription_count() >= 2 for one in publishers), "who listens"
         )
-        wait_for_partners(self.node, subscriptions=self.people, timeout_s=PATIENCE)
+        wait_for_partners(self.node, subscriptions=self.people)
 
     def play(self, spinner: Spinner, messages: Iterable[Message]) -> None:
         """Publish messages no faster than they are received."""

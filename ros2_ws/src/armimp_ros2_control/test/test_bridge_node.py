@@ -17,7 +17,7 @@ from armimp_common.topics import PERIOD_NS
 from armimp_ros2_control.node import EFFORTS, STATES, Ros2ControlBridge
 from armimp_ros2_control.parameters import BridgeParameters
 from support.controller import SUCCESS, ScriptedController
-from support.graph import CLOCK_STEPS, PATIENCE, Launch, a_moment, eventually, set_clock
+from support.graph import CLOCK_STEPS, Launch, a_moment, eventually, set_clock
 
 ZERO, PUSH = (0.0, 0.0), (5.0, -2.0)
 
@@ -101,7 +101,7 @@ def waiting(node: Node, spinner: Spinner, bridge: PatientBridge) -> World:
     """Both sides of it."""
     world = World(node, spinner)
     heard = [world.efforts, *world.subscriptions]
-    wait_for_partners(node, publishers=[world.commands], subscriptions=heard, timeout_s=PATIENCE)
+    wait_for_partners(node, publishers=[world.commands], subscriptions=heard)
     return world
 
 
@@ -109,8 +109,8 @@ def waiting(node: Node, spinner: Spinner, bridge: PatientBridge) -> World:
 def world(waiting: World, node: Node, bridge: PatientBridge) -> World:
     assert bridge.trigger_activate() is SUCCESS
     eventually(waiting.spinner, lambda: waiting.told == [ZERO], "no torque to begin with")
-    wait_for_partners(node, publishers=[waiting.states], timeout_s=PATIENCE)
-    wait_for_partners(bridge, subscriptions=[bridge._states], timeout_s=PATIENCE)
+    wait_for_partners(node, publishers=[waiting.states])
+    wait_for_partners(bridge, subscriptions=[bridge._states])
     return waiting
 
 

@@ -23,7 +23,7 @@ from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import IntegrationError
 from armimp_sim.simulator import RealtimeSimulator
 from support.controller import ScriptedController
-from support.graph import PATIENCE, Launch, a_moment, assert_locked_while_active, eventually, report
+from support.graph import Launch, a_moment, assert_locked_while_active, eventually, report
 from support.plants import in_lockstep, some_commands
 
 
@@ -60,7 +60,7 @@ def test_clock_and_health_are_published_now_and_then(world: World) -> None:
         times.append(to_ns(message.clock))
 
     subscription = world.node.create_subscription(Clock, CLOCK, hear, qos.CLOCK)
-    wait_for_partners(world.node, subscriptions=[subscription], timeout_s=PATIENCE)
+    wait_for_partners(world.node, subscriptions=[subscription])
 
     for _ in range(11):
         world.send([(0.0, 0.0)] * 100)
