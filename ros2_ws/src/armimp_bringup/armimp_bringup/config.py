@@ -11,7 +11,6 @@ import yaml
 from pydantic import (
     BaseModel,
     BeforeValidator,
-    ConfigDict,
     Field,
     JsonValue,
     ValidationError,
@@ -22,7 +21,7 @@ from pydantic import (
 from typing_extensions import Self
 
 from armimp_common.errors import ConfigurationError
-from armimp_common.schema import check_names, explain, load_yaml
+from armimp_common.schema import Schema, check_names, explain, load_yaml
 from armimp_common.topics import SIM_NODE
 from armimp_control.perturbation import PerturbationKind
 from armimp_estimation.atomic_write import read_text, require_text
@@ -30,7 +29,6 @@ from armimp_estimation.atomic_write import read_text, require_text
 Overrides = dict[str, JsonValue]
 ModelT = TypeVar("ModelT", bound=BaseModel)
 _MOST_BYTES = 1 << 18
-_FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 def _share(value: object) -> object:
@@ -48,14 +46,12 @@ def _share(value: object) -> object:
     return share
 
 
-class ExperimentConfig(BaseModel):
+class ExperimentConfig(Schema):
     """What a user decides; everything else has its default in the parameters of the nodes.
 
     Each field but those of single nodes is an option of ``armimp run``, whose help is made of the
     description.
     """
-
-    model_config = _FROZEN
 
     joints: Literal[1, 2, 3, 4, 5, 6, 7] = 2
     """Joints of the preset arm, 1 to 7; 2 is the paper's arm of shoulder and elbow."""
@@ -103,11 +99,11 @@ class ExperimentConfig(BaseModel):
     """End a trial once the relative standard errors of M, B, K are below: 2% or 0.02; 0: never."""
     torque_delay: float | None = Field(default=None, ge=0.0, le=0.1)
     """How late torque readings are, s, for the estimates to correct; by default as simulated."""
-    arm_sim: Overrides = {}
+    arm_sim: Overrides = Field(default_factory=dict)
     """Parameters of arm_sim to override."""
-    imbic_controller: Overrides = {}
+    imbic_controller: Overrides = Field(default_factory=dict)
     """Parameters of imbic_controller to override."""
-    impedance_estimator: Overrides = {}
+    impedance_estimator: Overrides = Field(default_factory=dict)
     """Parameters of impedance_estimator to override."""
 
     @field_validator("*", mode="before")
@@ -140,10 +136,8 @@ class ExperimentConfig(BaseModel):
         return values
 
 
-class Declared(BaseModel):
+class Declared(Schema):
     """What a user declares about a recording; it prevails over what the bags say, unless None."""
-
-    model_config = _FROZEN
 
     torque_timing: Literal["before", "after", "mid", "mean", "simultaneous"] | None = None
     """When torques are read: before, after, mid, mean or simultaneous; by default as recorded with
@@ -172,10 +166,8 @@ class Declared(BaseModel):
     """Sampling rate, Hz, if the recording has an unusual one."""
 
 
-class CheckOptions(BaseModel):
+class CheckOptions(Schema):
     """What a user asks of a check of a driver."""
-
-    model_config = _FROZEN
 
     joints: tuple[str, ...] = ("shoulder", "elbow")
     """Name of a joint, in the order of commands; repeat."""

@@ -134,8 +134,7 @@ class StudyEntry(Summary):
     @property
     def condition(self) -> Condition:
         """What the result is of."""
-        levels = {factor: getattr(self, factor) for factor in LEVELS}
-        return Condition(seed=self.seed, **levels)
+        return Condition(**self.model_dump(include={"seed", *LEVELS}))
 
 
 _ENTRIES = TypeAdapter(list[StudyEntry])

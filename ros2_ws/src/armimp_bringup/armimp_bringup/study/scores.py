@@ -11,11 +11,11 @@ from typing import Final, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from armimp_bringup.study import Condition, StudyEntry
 from armimp_common.arrays import BoolArray, FloatArray
-from armimp_estimation.json_model import Number
+from armimp_estimation.json_model import JsonModel, Number
 from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.report.formats import NONE, setting
@@ -286,14 +286,12 @@ COHERENCE_SCORES: Final = (
 # --- the verdict -------------------------------------------------------------------------------
 
 
-class WorstValue(BaseModel):
+class WorstValue(JsonModel):
     """The worst value of a quantity among the elements of all conditions that are judged.
 
     ``element`` is such as ``Z12``, ``M12`` or ``K21``. Where there is no target, limit and met
     are null.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     estimator: str
     quantity: str
@@ -319,7 +317,7 @@ class WorstValue(BaseModel):
 
     def __str__(self) -> str:
         """How far the value is from the target, and where that is."""
-        condition = Condition(**{name: getattr(self, name) for name in _LEVELS})
+        condition = Condition(**self.model_dump(include={*_LEVELS}))
         sign = "<" if self.score.floor else ">"
         limit = math.nan if self.limit is None else self.limit
         return (
@@ -328,14 +326,12 @@ class WorstValue(BaseModel):
         )
 
 
-class StudyVerdict(BaseModel):
+class StudyVerdict(JsonModel):
     """Content of ``verdict.json``: what a study reached, and whether that meets its targets.
 
     ``unresolved`` is the share of elements, over all conditions, that make too little torque to be
     judged.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
 
     schema_version: Literal[1] = Field(default=1, alias="schema")
     met: bool
