@@ -15,9 +15,9 @@ from armimp_bringup.study import Condition, select_conditions
 from armimp_bringup.study.engine import (
     condition_config,
     estimate_condition,
-    software,
     split_evenly,
 )
+from armimp_common.versions import software
 from armimp_control.sequence import SequenceParameters
 from armimp_sim.dynamics import WIDTH
 

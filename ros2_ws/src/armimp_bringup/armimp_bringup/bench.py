@@ -17,7 +17,7 @@ from typing import Any
 from armimp_bringup.terminal import Display
 from armimp_common.errors import ArmimpError, ConfigurationError, GraphError, InterruptionError
 from armimp_common.process import stop_on_signals
-from armimp_common.versions import git_revision, versions
+from armimp_common.versions import software
 from armimp_estimation.summary import Summary
 
 DURATION = 10.0
@@ -197,8 +197,7 @@ def _record(
     return {
         "schema": 1,
         "machine": {"cores": available_cores(), "system": platform.platform()},
-        "versions": versions(),
-        "git_revision": git_revision(),
+        **software(),
         "benchmarks": {
             name: {one.key: asdict(one) | {"met": not one.missed} for one in group}
             for name, group in measured.items()

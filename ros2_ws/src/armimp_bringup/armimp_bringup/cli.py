@@ -143,9 +143,10 @@ def _option(name: str, schema: dict[str, Any], described: str) -> inspect.Parame
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from armimp_common.versions import git_revision, versions
+        from armimp_common.versions import software
 
-        print(f"armimp {versions()['armimp']} ({git_revision()})")
+        here = software()
+        print(f"armimp {here['versions']['armimp']} ({here['git_revision']})")
         raise typer.Exit
 
 

@@ -15,7 +15,7 @@ from armimp_bringup.config import ExperimentConfig, ModelT, Overrides
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import build, dotted, flatten
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, RATE, SIM_NODE
-from armimp_common.versions import git_revision, versions
+from armimp_common.versions import software
 from armimp_control.parameters import ControllerParameters
 from armimp_control.presets import LawName
 from armimp_control.rig import RigDynamics
@@ -177,8 +177,7 @@ def bag_metadata(
         "experiment": config.model_dump(mode="json"),
         SIM_NODE: flatten(simulator),
         CONTROLLER_NODE: flatten(controller),
-        "versions": versions(),
-        "git_revision": git_revision(),
+        **software(),
     }
     truth = {"M": arm.M.tolist(), "B": arm.B.tolist(), "K": arm.K.tolist()}
     return {

@@ -24,12 +24,12 @@ from armimp_bringup.study import (
 from armimp_bringup.study.engine import (
     cluster,
     run_batch,
-    software,
     split_evenly,
     threads,
 )
 from armimp_bringup.study.study import run_study
 from armimp_common.errors import ConfigurationError, DataError
+from armimp_common.versions import software
 from armimp_sim.dynamics import WIDTH
 from support.graph import PATIENCE
 

@@ -3,9 +3,10 @@
 import functools
 import platform
 import subprocess
+from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 UNKNOWN: Final = "unknown"
 
@@ -14,14 +15,17 @@ _OTHER_NAMES: Final = {"rclpy": "ros-jazzy-rclpy", "armimp": "armimp_common"}
 """In the wheels of ROS, and in a workspace that holds some of the packages of this project."""
 
 
-def versions() -> dict[str, str]:
-    """Return the version of Python and of every package that can influence a result.
+@functools.cache
+def software() -> Mapping[str, Any]:
+    """Return the software that runs here, as it is stored with results.
 
-    What is not installed is ``"unknown"``.
+    ``versions`` are those of Python and of all packages that can influence a result, ``"unknown"``
+    for what is not installed; ``git_revision`` is that of the sources.
     """
     found = {name: _version(_OTHER_NAMES.get(name, name)) for name in _PACKAGES}
     missing = {name: _version(name) for name, known in found.items() if known == UNKNOWN}
-    return {"python": platform.python_version(), **found, **missing}
+    versions = {"python": platform.python_version(), **found, **missing}
+    return {"versions": versions, "git_revision": git_revision()}
 
 
 def git_revision() -> str:
@@ -41,7 +45,6 @@ def git_revision() -> str:
     return f"{commit}+dirty" if changes else commit
 
 
-@functools.cache
 def _version(distribution: str) -> str:
     try:
         return version(distribution)

@@ -16,7 +16,7 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import SimulatedExperiment, simulate
 from armimp_bringup.study import Condition, StudyEntry
 from armimp_common.errors import ArmimpError, ConfigurationError, DataError
-from armimp_common.versions import git_revision, versions
+from armimp_common.versions import software
 from armimp_estimation.summary import ImpedanceCurve, TrialSummary
 from armimp_sim.dynamics import WIDTH
 from armimp_sim.plant import IntegrationError
@@ -26,11 +26,6 @@ Done = TypeVar("Done")
 Result: TypeAlias = tuple[StudyEntry, dict[str, ImpedanceCurve]]
 """Of one condition, with its curves by name of the estimator."""
 _CONNECT_TIMEOUT = 10.0  # s
-
-
-def software() -> dict[str, Any]:
-    """Versions and git revision of what runs here."""
-    return {"versions": dict(versions()), "git_revision": git_revision()}
 
 
 def split_evenly(conditions: Sequence[Condition], workers: int) -> list[tuple[Condition, ...]]:
@@ -74,7 +69,7 @@ def run_batch(
     DataError
         If a condition cannot be simulated or estimated, or the software here is another one.
     """
-    here = versions()
+    here = software()["versions"]
     for name, version in made_with["versions"].items():
         if here.get(name) != version:
             raise DataError(

@@ -27,12 +27,12 @@ from armimp_bringup.study.engine import (
     Backend,
     condition_config,
     run_batch,
-    software,
     split_evenly,
 )
 from armimp_bringup.study.scores import SCORES, StudyVerdict, judge, results_csv, results_table
 from armimp_bringup.terminal import display, say
 from armimp_common.errors import DataError
+from armimp_common.versions import software
 from armimp_estimation.atomic_write import write_text
 from armimp_estimation.report.run import REPORT_FILE
 from armimp_estimation.summary import OriginSummary
