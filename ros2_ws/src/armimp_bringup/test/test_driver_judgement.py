@@ -41,7 +41,7 @@ from armimp_sim.simulator import SimulatedRig
 JOINTS = ("shoulder", "elbow")
 ZERO = (0.0, 0.0)
 SAMPLES = 1000
-PATIENCE, RAMP = 5, 10
+PATIENCE = 5
 Edit = Callable[[Message], Message]
 
 
@@ -82,20 +82,22 @@ class Driver(Answering):
         }
         self.errors: list[Error] = []
         self.commanded: Torque = ZERO
-        self.applied: Torque = ZERO
-        self.fault, self.silent, self.fading = "", -1, 0
+        self.silent = -1
         self.told_to_stop: float = math.inf
         self.waiting: list[tuple[str, bytes]] = []
 
     def obey(self, torque: Torque) -> None:
         self.silent, self.commanded = 0, torque
         if not self.latches:
-            self.fault = ""
+            self.rig.fault = ""
 
     def latch(self, fault: str) -> None:
-        if not self.fault:
-            self.fault, self.fading = fault, RAMP
+        if not self.rig.fault:
             self.errors.append(Error(self.now(), "arm_sim: rig", fault))
+        if self.lets_go:
+            self.rig.fade(fault)
+        else:
+            self.rig.fault = fault
 
     def step(self) -> None:
         self.time_ns += PERIOD_NS
@@ -106,13 +108,7 @@ class Driver(Answering):
             self.latch("no command")
         if self.moody and self.tick > 3000:
             self.latch("the mood")
-        if self.fault and self.lets_go:
-            self.fading = max(self.fading - 1, 0)
-            share = self.fading / RAMP
-            self.applied = (share * self.applied[0], share * self.applied[1])
-        elif not self.fault:
-            self.applied = self.commanded
-        self.rig.step(self.drive(self.applied))
+        self.rig.step(self.drive(self.commanded))
         for topic, values in (
             (JOINT_STATES, self.rig.position),
             (TORQUE_SENSORS, self.sign * self.rig.torque),
@@ -138,7 +134,7 @@ class Driver(Answering):
             return Call(success=True)
         if self.commanded != ZERO or not self.resets:
             return Call(success=False, message="there is torque")
-        self.fault = ""
+        self.rig.reset()
         return Call(success=True)
 
     @contextmanager
@@ -443,7 +439,7 @@ def test_a_driver_that_stops_by_itself_or_goes_astray_is_named_and_the_rest_is_i
     record = moved(driver)
     assert failed(record) == [named]
     assert unsure(record) >= LEFT
-    assert driver.fault == fault
+    assert driver.rig.fault == fault
 
 
 # --- The checker's limit of motion --------------------------------------------------------------

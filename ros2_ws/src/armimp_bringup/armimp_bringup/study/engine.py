@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import itertools
-import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Executor, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
@@ -109,13 +108,12 @@ def estimate_condition(
         raise
     except ArmimpError as error:
         raise DataError(f"{condition}: {error}") from None
-    described = json.loads(experiment.parameters.estimator.bag_metadata()["config"])
     entry = StudyEntry.of(
         identification,
         joint_names=identification.joint_names,
         truth=identification.truth,
         # The software that the study as a whole is made with, wherever this runs.
-        config=described | dict(made_with),
+        config=experiment.known.config | dict(made_with),
         seed=condition.seed,
         problems=list(identification.problems),
         trials=[
