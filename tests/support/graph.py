@@ -124,13 +124,13 @@ def spinner(node: Node) -> Iterator[Spinner]:
 OTHER = """
 from armimp_common import qos
 from armimp_common.executor import run_node
-from armimp_common.heartbeat import Heartbeat
+from armimp_common.heartbeat import offer_heartbeat
 from rclpy.node import Node
 from std_msgs.msg import String
 
 def make(*, context):
     node = Node("other", context=context)
-    node.sign = Heartbeat(node, "other")
+    offer_heartbeat(node, "other")
     publisher = node.create_publisher(String, "answer", qos.SAMPLE)
     node.create_subscription(String, "question", publisher.publish, qos.SAMPLE)
     return node

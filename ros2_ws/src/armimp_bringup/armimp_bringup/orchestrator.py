@@ -25,7 +25,7 @@ from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_common import qos, topics
 from armimp_common.errors import ArmimpError, DataError, GraphError, MalformedMessageError
 from armimp_common.executor import Spinner
-from armimp_common.heartbeat import Heartbeat
+from armimp_common.heartbeat import offer_heartbeat
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.realtime import require_precedence, seldom_collecting
 from armimp_common.schema import to_params_yaml
@@ -177,7 +177,7 @@ class Supervisor(Node):
         self._done = False
         self._answered: str | None = None
         self.last_news = time.monotonic()
-        self._sign = Heartbeat(self, topics.SUPERVISOR_NODE)
+        offer_heartbeat(self, topics.SUPERVISOR_NODE)
         self.create_subscription(
             DiagnosticStatus, topics.PROGRESS, self._on_progress_message, qos.PROGRESS
         )

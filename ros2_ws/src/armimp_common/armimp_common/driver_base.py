@@ -22,7 +22,7 @@ from std_srvs.srv import Trigger
 from armimp_common import qos, topics
 from armimp_common.errors import ArmimpError, GraphError
 from armimp_common.executor import steady_timer
-from armimp_common.heartbeat import Heartbeat, HeartbeatMonitor
+from armimp_common.heartbeat import HeartbeatMonitor
 from armimp_common.lifecycle import ManagedNode, reported
 from armimp_common.parameters import ParameterSet
 from armimp_common.protection import CommandSequence, Protection, TorqueLatch
@@ -131,7 +131,6 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         self._accused = False
         self._commanders = 0
         self._names: list[str] = []
-        self._heartbeat = Heartbeat(self, topics.SIM_NODE)
         self.controller = HeartbeatMonitor(self, topics.CONTROLLER_NODE, self._on_controller)
         self.create_service(Trigger, topics.SIM_STOP_SERVICE, self._on_stop)
         self.create_service(Trigger, topics.SIM_RESET_SERVICE, self._on_reset)

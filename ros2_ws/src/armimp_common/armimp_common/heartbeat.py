@@ -22,6 +22,7 @@ from enum import Enum
 
 from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from std_msgs.msg import String
 
 from armimp_common import qos, topics
@@ -73,8 +74,8 @@ class Presence(Enum):
         return Presence.LEFT if self is Presence.ALIVE else Presence.GONE
 
 
-class Heartbeat:
-    """Offers the heartbeat of the process that `node` is in, for as long as the node exists.
+def offer_heartbeat(node: Node, name: str) -> Publisher:
+    """Offer the heartbeat of the process that `node` is in, for as long as the publisher exists.
 
     Parameters
     ----------
@@ -83,10 +84,9 @@ class Heartbeat:
     name
         Name among the topics, which remapping of the node's own name leaves as it is.
     """
-
-    def __init__(self, node: Node, name: str) -> None:
-        self.publisher = node.create_publisher(String, topics.alive(name), qos.ALIVE)
-        self.publisher.publish(String(data=identity()))
+    publisher = node.create_publisher(String, topics.alive(name), qos.ALIVE)
+    publisher.publish(String(data=identity()))
+    return publisher
 
 
 class HeartbeatMonitor:
@@ -97,7 +97,7 @@ class HeartbeatMonitor:
     node
         The node that listens; callbacks run in its executor.
     name
-        Name of the other node, as for `Heartbeat`.
+        Name of the other node, as for `offer_heartbeat`.
     on_change
         Called with the monitor when `presence` has changed.
 

@@ -20,6 +20,7 @@ from rclpy.task import Future
 from rclpy.timer import Timer
 
 from armimp_common.errors import ArmimpError, GraphError
+from armimp_common.heartbeat import offer_heartbeat
 
 TransitionName: TypeAlias = Literal["configure", "activate", "deactivate", "cleanup", "shutdown"]
 SpinUntil: TypeAlias = Callable[[Future, float], bool]
@@ -174,7 +175,8 @@ class LifecycleManager(ServiceClients):
 class ManagedNode(LifecycleNode):
     """A lifecycle node that refuses a transition which there is not, where rclpy lets it end.
 
-    What is made at configuration is given to :meth:`own`; `on_cleanup` calls :meth:`disown`.
+    It offers a heartbeat under its name. What is made at configuration is given to :meth:`own`;
+    `on_cleanup` calls :meth:`disown`.
 
     Attributes
     ----------
@@ -185,6 +187,7 @@ class ManagedNode(LifecycleNode):
         self.transition_error = ""
         self._owned: list[Publisher | Subscription | Timer] = []
         super().__init__(name, **kwargs)
+        offer_heartbeat(self, name)
 
     def own(self, *things: Publisher | Subscription | Timer) -> None:
         """Have these destroyed by :meth:`disown`."""

@@ -8,7 +8,7 @@ from rclpy.node import Node
 
 from armimp_common import qos
 from armimp_common.executor import Spinner
-from armimp_common.heartbeat import Heartbeat, HeartbeatMonitor, Presence
+from armimp_common.heartbeat import HeartbeatMonitor, Presence, offer_heartbeat
 from support.graph import eventually, report
 
 
@@ -83,10 +83,10 @@ def test_when_a_process_is_stopped_for_a_moment_expect_it_stalled_and_alive_agai
 def test_when_the_lease_of_a_node_of_the_same_process_runs_out_expect_it_to_stay_alive(
     node: Node, watch: HeartbeatMonitor, spinner: Spinner, changes: list[Presence]
 ) -> None:
-    sign = Heartbeat(node, "other")
+    publisher = offer_heartbeat(node, "other")
     eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
     report(watch, alive=0, silent=1)
     assert watch.presence is Presence.ALIVE
 
-    node.destroy_publisher(sign.publisher)
+    node.destroy_publisher(publisher)
     eventually(spinner, lambda: watch.presence is Presence.LEFT, "the end")

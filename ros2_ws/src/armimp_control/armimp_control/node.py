@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 from armimp_common import qos, topics
 from armimp_common.errors import ArmimpError, GraphError, MalformedMessageError
 from armimp_common.executor import run_node, steady_timer
-from armimp_common.heartbeat import Heartbeat, HeartbeatMonitor, Presence
+from armimp_common.heartbeat import HeartbeatMonitor, Presence
 from armimp_common.lifecycle import ManagedNode, reported
 from armimp_common.parameters import ParameterSet
 from armimp_common.protection import first_bad
@@ -68,7 +68,6 @@ class ImbicControllerNode(ManagedNode):
         super().__init__(topics.CONTROLLER_NODE, **kwargs)
         self._active = self._lockstep = False
         self._sequencer: TrialSequencer | None = None
-        self._heartbeat = Heartbeat(self, topics.CONTROLLER_NODE)
         self._partners = [
             HeartbeatMonitor(self, topics.SIM_NODE, self._on_rig),
             HeartbeatMonitor(self, topics.ESTIMATOR_NODE, self._on_recorder),

@@ -28,7 +28,7 @@ from armimp_common.errors import (
     MalformedMessageError,
 )
 from armimp_common.executor import run_node, steady_timer
-from armimp_common.heartbeat import Heartbeat, HeartbeatMonitor
+from armimp_common.heartbeat import HeartbeatMonitor
 from armimp_common.lifecycle import ManagedNode, reported
 from armimp_common.parameters import ParameterSet
 from armimp_common.pubsub import (
@@ -76,7 +76,6 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         self.result: Result | None = None
         """What the trials since the last activation gave; None as long as there may be more."""
         self._active = False
-        self._sign = Heartbeat(self, topics.ESTIMATOR_NODE)
         self._rig = HeartbeatMonitor(self, topics.SIM_NODE, lambda _: None)
         self._controller = HeartbeatMonitor(self, topics.CONTROLLER_NODE, self._on_controller)
         # Not at configuration: a new subscription gets the last experiment's statuses again.
