@@ -17,12 +17,12 @@ from armimp_bringup.study.scores import (
     SCORES,
     Score,
     StudyVerdict,
+    Table,
     WorstValue,
 )
-from armimp_bringup.study.scores import Table as Results
 from armimp_estimation.mbk import MBK
 from armimp_estimation.report.formats import mark, setting, symbol
-from armimp_estimation.report.page import Content, Section, Table, render_page
+from armimp_estimation.report.page import Content, Rows, Section, render_page
 from armimp_estimation.report.plots import (
     TRUE,
     Plot,
@@ -46,7 +46,7 @@ class StudyReport:
 
     entries: Sequence[StudyEntry]
     """Results with the same estimators and number of joints, at least one."""
-    table: Results
+    table: Table
     """Their numbers; shape (n_conditions, n_estimators, n, n)."""
     verdict: StudyVerdict
     """Of these."""
@@ -71,7 +71,7 @@ class StudyReport:
     def _seeds(self) -> list[int]:
         return sorted({entry.seed for entry in self.entries})
 
-    def _of(self, estimator: str) -> Results:
+    def _of(self, estimator: str) -> Table:
         """Numbers of one estimator, shape (n_conditions, n, n)."""
         return self.table[:, self._estimators.index(estimator)]
 
@@ -128,11 +128,6 @@ class StudyReport:
                 invalid = f"{len(verdict.problems)} of {verdict.conditions} conditions not valid"
                 parts.append(invalid)
             title = ", ".join(parts)
-        groups = [
-            (name, [self._worst_row(one) for one in verdict.worst if one.estimator == name])
-            for name in self._estimators
-        ]
-        columns = ["quantity", "worst", "target", "verdict", "element", "condition"]
         return {
             "title": title,
             "met": verdict.met,
@@ -140,9 +135,10 @@ class StudyReport:
             "unresolved": f"{100.0 * verdict.unresolved:.1f}" if verdict.unresolved else None,
             "problems": advised(verdict.problems[:_MOST_PROBLEMS]),
             "more": len(verdict.problems) - _MOST_PROBLEMS,
-            "worst": Table(
-                caption="Worst values and targets", columns=columns, groups=groups, words=(3, 4, 5)
-            ),
+            "worst": [
+                (name, [self._worst_row(one) for one in verdict.worst if one.estimator == name])
+                for name in self._estimators
+            ],
         }
 
     def _worst_row(self, one: WorstValue) -> list[object]:
@@ -162,7 +158,7 @@ class StudyReport:
         """The worst of each score in each condition, over its seeds."""
         groups = []
         for name in self._estimators:
-            rows: list[list[object]] = [["F{} R{} P{}".format(*one)] for one in self._groups()]
+            rows: Rows = [["F{} R{} P{}".format(*one)] for one in self._groups()]
             for score in SCORES:
                 limit = score.limit(self.entries[0].joints, name)
                 worst, _ = score.worst(self._of(name), judged=limit is not None)
@@ -170,12 +166,8 @@ class StudyReport:
                     badness = score.badness(worst[members])
                     row.append(score.format(float(worst[members][np.argmax(badness)])))
             groups.append((name, rows))
-        table = Table(
-            caption="Worst value in each condition",
-            columns=["condition", *(score.name for score in SCORES)],
-            groups=groups,
-        )
-        return {"seeds": len(self._seeds), "table": table}
+        names = [score.name for score in SCORES]
+        return {"seeds": len(self._seeds), "scores": names, "worst": groups}
 
     def _groups(self) -> dict[tuple[int, int, int], list[int]]:
         """Numbers of the results of each combination of levels."""

@@ -32,25 +32,10 @@ from armimp_estimation.report.formats import (
 from armimp_estimation.report.plots import style_rule
 
 Content = dict[str, Any]
-Rows = Sequence[Sequence[object]]
+Rows = list[list[object]]
+"""Of a table: the first cell of each row is its header."""
 _FUNCTIONS = (symbol, code, setting, mark, uncertain, difference, written)
 """Functions of all templates."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Table:
-    """A table."""
-
-    caption: object
-    """Title."""
-    columns: Sequence[object]
-    """Header of each column."""
-    groups: Sequence[tuple[object, Rows]]
-    """Rows that belong together under a title, which may be None; the first cell of each row is its
-    header."""
-    words: Sequence[int] = ()
-    """Columns of words, aligned to the left as the first one is; numbers are aligned to the right.
-    """
 
 
 @dataclass(frozen=True)

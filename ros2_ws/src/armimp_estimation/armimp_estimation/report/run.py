@@ -25,7 +25,7 @@ from armimp_estimation.report.formats import (
     setting,
     symbol,
 )
-from armimp_estimation.report.page import Content, Section, Table, render_page
+from armimp_estimation.report.page import Content, Rows, Section, render_page
 from armimp_estimation.report.plots import (
     BAND,
     CONFIDENCE,
@@ -133,7 +133,7 @@ def _verdict(result: Result) -> Content:
             *(one.sentence for one in summary.problems if one.severity is Severity.NOTE),
             *(f"refused: {one}" for one in summary.refusals),
         ],
-        "limits": _limits_table(result) if summary.estimators else None,
+        "limits": _limits(result) if summary.estimators else None,
     }
 
 
@@ -168,8 +168,8 @@ def advised(problems: Iterable[tuple[ProblemCode, str]]) -> list[tuple[Kind, lis
     return list(groups.values())
 
 
-def _limits_table(result: Result) -> Table:
-    """What decides: the worst of each score, where it was found, and its limit."""
+def _limits(result: Result) -> Rows:
+    """What decides: the worst of each score, its limit, whether that is met, and where it is."""
     summary, names = result.summary, result.summary.joint_names
     first = next(iter(summary.estimators.values()))
     judged = next((one for one in summary.estimators.values() if one.decides), None)
@@ -186,7 +186,7 @@ def _limits_table(result: Result) -> Table:
     if judged is not None:
         for i, k in np.ndindex(summary.joints, summary.joints):
             lacks[symbol("Z", i + 1, k + 1)] = judged.lack_of_fit[i][k]
-    rows: list[list[object]] = []
+    rows: Rows = []
     scores: tuple[tuple[str, dict[object, float], float | None, str, float], ...] = (
         ("motion of held joints (%)", locks, 100.0 * LOCK_RATIO, ".2f", 1.0),
         ("bias that this may cause (%)", bounds, 100.0 * BIAS_BOUND, ".2f", 1.0),
@@ -207,12 +207,7 @@ def _limits_table(result: Result) -> Table:
     verdict = "left out" if lost and summary.valid else mark(not lost)
     silent = any(trial.without_commands for trial in summary.trials)
     rows.append(["lost samples", lost, "0", verdict, "commands not recorded" if silent else ""])
-    return Table(
-        caption="Worst values and limits",
-        columns=["quantity", "worst", "limit", "verdict", "where"],
-        groups=[(None, rows)],
-        words=(3, 4),
-    )
+    return rows
 
 
 def _scores(result: Result) -> Content | None:
