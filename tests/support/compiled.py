@@ -11,7 +11,7 @@ import numpy as np
 from armimp_bringup.config import load_config
 from armimp_bringup.offline import run_offline
 from armimp_bringup.parameters import NodeParameters, node_parameters
-from armimp_control.laws.law import Controller
+from armimp_control.laws.law import compile_law
 from armimp_control.safety_limiter import SafetyParameters
 from armimp_sim import presets as sim_presets
 from armimp_sim.plant import Plant
@@ -54,10 +54,7 @@ def main() -> None:
     Plant([brief_rig(joints=1).simulator]).tick(still, still)
     arm = sim_presets.human_arm(2)
     inertia = sim_presets.robot(2).mass_matrix(arm.theta_0)
-    law = Controller(preset_law(inertia, arm.theta_0), safety=torque_only(80.0))
-    law.tick(arm.theta_0, np.zeros(2), np.zeros(2))
-    law.release()
-    law.continue_ramp(1)
+    compile_law(preset_law(inertia, arm.theta_0), torque_only(80.0))
 
 
 if __name__ == "__main__":

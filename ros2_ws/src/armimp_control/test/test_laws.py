@@ -171,16 +171,6 @@ def test_law_is_that_of_the_design(n: int, limit: float, dither: float) -> None:
     assert_law(config, DelayedEquations(config, limit), limit, lambda tick: (tick // 60) % n)
 
 
-@pytest.mark.parametrize("shape", [(1,), (3,), (1, 2)])
-@pytest.mark.parametrize("which", [0, 1, 2])
-def test_inputs_of_another_shape_are_refused(which: int, shape: tuple[int, ...]) -> None:
-    controller = Controller(_delayed(), safety=torque_only(80.0))
-    inputs = [np.zeros(2), np.zeros(2), np.zeros(2)]
-    inputs[which] = np.zeros(shape)
-    with pytest.raises(ValueError, match=r"must all be \(2,\)"):
-        controller.tick(*inputs)
-
-
 # --- IMBIC with an observer ---------------------------------------------------------------------
 
 

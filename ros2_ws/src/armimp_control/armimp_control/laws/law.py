@@ -237,18 +237,7 @@ class Controller:
         continue_ramp(ticks, self.command, self.rules, self._limiter, self._journal)
 
     def tick(self, theta: FloatArray, tau_h: FloatArray, tau_delta: FloatArray) -> int:
-        """Compute :attr:`command` from a sample; parameters and result as of :func:`packed_tick`.
-
-        Raises
-        ------
-        ValueError
-            If an input has another shape; compiled code would read beyond its end.
-        """
-        if not theta.shape == tau_h.shape == tau_delta.shape == self.command.shape:
-            raise ValueError(
-                f"controller: theta {theta.shape}, tau_h {tau_h.shape} and tau_delta "
-                f"{tau_delta.shape} must all be {self.command.shape}"
-            )
+        """Compute :attr:`command` from a sample, (n,) each; the result is that of `packed_tick`."""
         self.sample[:] = theta, tau_h, tau_delta
         return self.compute()
 
