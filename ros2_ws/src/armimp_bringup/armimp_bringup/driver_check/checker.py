@@ -5,7 +5,6 @@ Nothing is judged here.
 
 from __future__ import annotations
 
-import gc
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -35,6 +34,7 @@ from armimp_common.arrays import FloatArray
 from armimp_common.errors import GraphError
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.process import stop_on_signals
+from armimp_common.realtime import RealtimeScheduling
 from armimp_common.topics import JOINT_STATES, RATE
 
 _PATIENCE, _LONG = 10.0, 60.0
@@ -79,14 +79,13 @@ def probe(options: CheckOptions, domain_id: int | None) -> Record:
     """
     with GraphContext(domain_id) as graph, stop_on_signals() as stopped:
         node = Conversation(graph, options.joints, options.namespace, stopped)
-        # A collection at the wrong moment would keep commands back.
-        collecting = gc.isenabled()
-        gc.disable()
+        scheduling = RealtimeScheduling()
+        # A collection of garbage at the wrong moment would keep commands back.
+        scheduling.take(0)
         try:
             return Checker(node, options).record()
         finally:
-            if collecting:
-                gc.enable()
+            scheduling.give_back()
             node.close()
 
 
