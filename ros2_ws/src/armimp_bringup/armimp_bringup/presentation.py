@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -47,18 +48,12 @@ class Stopwatch:
 
     def __init__(self) -> None:
         self._began = time.monotonic() - age()
-        self._first = self._last = self._shown = math.nan
-        self._perturbing = False
+        self._phases: list[tuple[Phase, float]] = []
+        self._shown = math.nan
 
     def note(self, phase: Phase) -> None:
         """Take note that a phase of a trial begins."""
-        now = time.monotonic()
-        if phase is Phase.PERTURB:
-            if math.isnan(self._first):
-                self._first = now
-            self._perturbing = True
-        elif self._perturbing:
-            self._last, self._perturbing = now, False
+        self._phases.append((phase, time.monotonic()))
 
     def shown(self) -> None:
         """Take note that M, B and K are on the screen."""
@@ -66,11 +61,14 @@ class Stopwatch:
 
     def stop(self) -> WallSummary:
         """Wall times until now; NaN without any sample."""
+        first = next((at for phase, at in self._phases if phase is Phase.PERTURB), math.nan)
+        ends = (at for (one, _), (_, at) in pairwise(self._phases) if one is Phase.PERTURB)
+        last = max(ends, default=math.nan)
         return WallSummary(
-            before=self._first - self._began,
-            trials=self._last - self._first,
-            result=self._shown - self._last,
-            after=time.monotonic() - self._last,
+            before=first - self._began,
+            trials=last - first,
+            result=self._shown - last,
+            after=time.monotonic() - last,
         )
 
 
