@@ -38,6 +38,13 @@ def stepwise(plant: SimulatorParameters) -> Plant:
     return Plant([changed(plant, substeps=1)], PERIOD / plant.substeps)
 
 
+def state_of(plant: Plant) -> Array:
+    """Exact (θ, v, z) of every lane: (lanes, 3, n), 2n with a soft cuff."""
+    n, lanes = len(plant.batch.joints), len(plant.position)
+    states: Array = plant.batch.w[:, : 3 * n].swapaxes(1, 2).reshape(-1, 3, n)
+    return np.array(states[:lanes])
+
+
 def set_state(plant: Plant, state: Array) -> None:
     """Put an ideal plant of one lane into the state (θ, v, z), (3, n), and read its sensors."""
     batch = plant.batch

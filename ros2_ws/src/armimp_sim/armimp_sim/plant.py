@@ -100,7 +100,8 @@ class Plant:
         self._noise = np.zeros((lanes, 2, n))
         for lane in range(blocks * width):
             # The last block is filled up with plants that nothing ever moves.
-            self._of_lane(lane)[:] = _pack(configs[min(lane, lanes - 1)])
+            row = _pack(configs[min(lane, lanes - 1)])
+            self.batch.w[lane // width, :, lane % width] = row
         w, joints, tag = self.batch.w, self.batch.joints, self.batch.width
         if self.real is None:
             dynamics.sample_now(w, joints, tag)
@@ -138,17 +139,6 @@ class Plant:
         if noise.shape != self._noise.shape:
             raise ValueError(f"plant: noise {noise.shape} must be {self._noise.shape}")
         check_ratio(tick(self.batch, self.real, command, voluntary, noise), self.batch.step)
-
-    def state(self) -> FloatArray:
-        """Exact (θ, v, z) of every lane: (lanes, 3, n), 2n with a soft cuff. A copy."""
-        n, lanes = len(self.batch.joints), len(self.position)
-        return np.array([self._of_lane(lane)[: 3 * n].reshape(3, n) for lane in range(lanes)])
-
-    def _of_lane(self, lane: int) -> FloatArray:
-        """All quantities of one lane, a view."""
-        width = len(self.batch.width)
-        of_lane: FloatArray = self.batch.w[lane // width, :, lane % width]
-        return of_lane
 
 
 def _shared(config: SimulatorParameters) -> tuple[object, ...]:

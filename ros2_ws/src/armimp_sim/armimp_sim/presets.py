@@ -11,7 +11,7 @@ from armimp_common.sizes import JOINT_SIZES
 from armimp_sim.model.arm import CuffParameters, HumanArm
 from armimp_sim.model.friction import LuGre
 from armimp_sim.model.robot import ActuatorParameters, PlanarChain
-from armimp_sim.model.sensors import ReadingParameters, Sampling, SensorParameters
+from armimp_sim.model.sensors import ReadingParameters, SensorParameters
 from armimp_sim.voluntary import VoluntaryParameters
 
 
@@ -116,11 +116,10 @@ def friction(level: int, joints: int) -> LuGre:
     return law.scaled([1.0 if name in _PAPER_JOINTS else size for name, size in named])
 
 
-def sensors(level: int, sampling: Sampling = Sampling.BEFORE_UPDATE) -> SensorParameters:
+def sensors(level: int) -> SensorParameters:
     """Encoder and torque resolution at a level from 0 (unquantised) to 3 (Table II)."""
     counts = _ENCODER_COUNTS[level]
     return SensorParameters(
-        sampling=sampling,
         position=ReadingParameters(resolution=2.0 * np.pi / counts if counts else 0.0),
         torque=ReadingParameters(resolution=_TORQUE_RESOLUTION[level]),
     )

@@ -24,6 +24,7 @@ from support.plants import (
     random_plant,
     set_state,
     slopes,
+    state_of,
     study_plant,
 )
 
@@ -57,7 +58,7 @@ def test_trajectory_agrees_with_scipy(friction: int) -> None:
         for _ in range(ticks):
             plant.tick(torque[None], np.zeros((1, 2)))
         expected = _exact(config, expected, torque, ticks * PERIOD)
-        state = plant.state()[0]
+        state = state_of(plant)[0]
         assert state[0] == pytest.approx(expected[0], abs=1e-8)
         assert state[1] == pytest.approx(expected[1], abs=1e-6)
         if friction:
@@ -83,7 +84,7 @@ def test_coarsest_accepted_step_is_stable_and_no_step_beyond_the_limit_is_accept
     plant = Plant([coarsest])
     for _ in range(100):
         plant.tick(np.full((1, 2), 0.1), np.zeros((1, 2)))
-    assert np.max(np.abs(plant.state()[0, 1])) < 1e-3
+    assert np.max(np.abs(state_of(plant)[0, 1])) < 1e-3
 
 
 def test_speed_beyond_the_stability_of_the_bristles_is_reported_instead_of_blowing_up() -> None:
@@ -172,7 +173,7 @@ def test_at_constant_speed_friction_is_the_steady_state_law(speed: float, direct
     friction = level * direction + 0.2 * velocity  # g(v)·sign(v) + σ2 v
     for _ in range(20_000):
         plant.tick(np.array([[friction + damping * velocity]]), np.zeros((1, 1)))
-    _, reached, bristle = plant.state()[0, :, 0]
+    _, reached, bristle = state_of(plant)[0, :, 0]
     assert reached == pytest.approx(velocity, rel=1e-6)
     assert bristle == pytest.approx(direction * level / 2000.0, rel=1e-4)
 

@@ -19,7 +19,7 @@ from armimp_sim.model.robot import ActuatorParameters, PlanarChain
 from armimp_sim.model.sensors import ReadingParameters, Sampling, SensorParameters
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import Plant
-from support.plants import changed, load, rig, stepwise, study_plant
+from support.plants import changed, load, rig, state_of, stepwise, study_plant
 
 Array = NDArray[np.float64]
 SUBSTEPS = 20
@@ -48,7 +48,7 @@ def run(
     for command in commands:
         both = np.tile(command, (len(configs), 1))
         plant.tick(both, np.zeros_like(both))
-        states.append(plant.state())
+        states.append(state_of(plant))
         torques.append(plant.torque.copy())
     if isinstance(plants, list):
         return np.array(states), np.array(torques)
@@ -63,7 +63,7 @@ def within() -> tuple[Array, Array]:
     for command in COMMANDS:
         for _ in range(SUBSTEPS):
             # The reading without any time passing: under the new command, before the step.
-            starts.append(load(plain, fine.state()[0], command))
+            starts.append(load(plain, state_of(fine)[0], command))
             fine.tick(command[None], np.zeros((1, 2)))
             ends.append(fine.torque[0].copy())
     return np.array(starts), np.array(ends)
@@ -272,7 +272,7 @@ def test_commands_act_late_by_whole_and_parts_of_periods_and_up_to_the_limit_of_
     expected = []
     for command in late:
         fine.tick(command[None], np.zeros((1, 2)))
-        expected.append(fine.state()[0])
+        expected.append(state_of(fine)[0])
     assert np.array_equal(states, expected[SUBSTEPS - 1 :: SUBSTEPS])
 
 
@@ -291,7 +291,7 @@ def test_readings_pass_cross_talk_hysteresis_hum_noise_and_limit_in_this_order()
     for command, added in zip(COMMANDS, noise, strict=True):
         real.tick(command[None], np.zeros((1, 2)), added)
         torque.append(real.torque[0].copy())
-        position.append(real.position[0] - real.state()[0, 0])
+        position.append(real.position[0] - state_of(real)[0, 0])
     mixed = plain + 0.1 * plain[:, ::-1]
     followed = mixed - np.stack([played(one, 0.15) for one in mixed.T], axis=1)
     hum = 0.2 * np.sin(2.0 * np.pi * 60.0 * 1e-3 * np.arange(1, len(COMMANDS) + 1))[:, None]
@@ -313,8 +313,8 @@ def test_plant_reads_whole_counts_of_its_exact_state(level: int) -> None:
     for _ in range(100):
         exact.tick(command, np.zeros((1, 2)))
         plant.tick(command, np.zeros((1, 2)))
-        assert np.array_equal(plant.state(), exact.state())  # readings don't touch the motion
-        assert np.array_equal(exact.position, exact.state()[:, 0])
+        assert np.array_equal(state_of(plant), state_of(exact))  # readings don't touch the motion
+        assert np.array_equal(exact.position, state_of(exact)[:, 0])
         for read, true, resolution in (
             (plant.position, exact.position, sensors.position.resolution),
             (plant.torque, exact.torque, sensors.torque.resolution),
@@ -327,15 +327,16 @@ def test_plant_reads_whole_counts_of_its_exact_state(level: int) -> None:
 
 
 def test_interval_mean_torque_is_the_mean_over_the_substeps() -> None:
-    coarse = study_plant(sensors=presets.sensors(0, Sampling.INTERVAL_MEAN))
+    sensors = SensorParameters(sampling=Sampling.INTERVAL_MEAN)
+    coarse = study_plant(sensors=sensors)
     plant, watcher = Plant([coarse]), stepwise(coarse)
     commands = np.random.default_rng(6).uniform(-5.0, 5.0, (10, 2))
     last = np.zeros(2)
     for command in commands:
-        states = [watcher.state()[0]]
+        states = [state_of(watcher)[0]]
         for _ in range(coarse.substeps):
             watcher.tick(command[None], np.zeros((1, 2)))
-            states.append(watcher.state()[0])
+            states.append(state_of(watcher)[0])
         plant.tick(command[None], np.zeros((1, 2)))
         torques = np.array([load(coarse, state, command) for state in states])
         mean = trapezoid(torques, dx=1.0 / coarse.substeps, axis=0)
