@@ -14,14 +14,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
 from typing import TypeVar
 
 import numpy as np
 from scipy.special import log_ndtr, softmax
 
-from armimp_common.arrays import ComplexArray, FloatArray
+from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.json_model import JsonModel, Number
@@ -193,6 +193,9 @@ _CUFF = 1e-5
 _COUPLED, _CORNERS = 0.5, (0.3, 1.0)
 """Assumption: how likely a torque or an angle that shows nothing slow passed a high-pass, and with
 which corners, Hz."""
+_CREEPING, _CREEP, _CREEPS = 0.2, (0.02, 0.06, 0.2), (0.05, 0.3)
+"""Assumption: how likely a transducer of which nobody says how linear it is creeps, by how much of
+its torque, and with which time constants, s."""
 _LOW, _FEWEST = 1.0 / 3.0, 8
 _ITERATIONS = 3
 _ORDERS = (2, 3, 4, 5)
@@ -276,7 +279,11 @@ def fit_impedance(
     problem = _Elements.of(estimate.with_noise_at(_first_fit(estimate)))
     if calibration is not None:
         effects = calibration.effects(problem.estimate.Z)
-        problem = replace(problem, calibration=tuple(map(_flat, effects)))
+        problem = replace(
+            problem,
+            calibration=tuple(map(_flat, effects)),
+            may_creep=calibration.linearity is None,
+        )
     problem, delay = _with_delay(problem)
     if delay is not None and delay.delay and estimate.friction_skew is not None:
         # What is late against the angles jumps otherwise, too, as behind drives that lag.
@@ -354,6 +361,8 @@ class _Elements:
     """Variance without that of the corrections."""
     systematics: tuple[ComplexArray, ...]
     calibration: tuple[ComplexArray, ...] = ()
+    may_creep: bool = False
+    """Whether transducers may show more of a torque the longer it lasts."""
 
     @classmethod
     def of(cls, estimate: ImpedanceEstimate) -> _Elements:
@@ -554,25 +563,32 @@ class _Elements:
         return change
 
     def _change_by_coupling(self, Z: ComplexArray) -> FloatArray:
-        """Squared change of M, B and K, (3, n²), by channels whose amplifiers pass nothing slow.
+        """Squared change of M, B and K, (3, n²), by channels that treat what is slow otherwise.
 
         A high-pass of first order with the corner w takes ``w/(s + w) Z_ij`` off the row of a
-        torque, and adds ``w/s Z_ij`` to the column of an angle. Channels of one rig are alike, so
-        each tells of the others whether there are such. None that shows what is slow has one.
+        torque, and adds ``w/s Z_ij`` to the column of an angle; none that shows what is slow passed
+        one. A transducer that creeps adds a share ``1/(1 + sT)`` to its row. Channels of one rig
+        are alike, so each tells of the others whether there are such.
         """
-        n, s = len(Z), 1j * self.omega
+        n, s = len(Z), np.asarray(1j * self.omega, dtype=np.complex128)
         own = np.eye(n, dtype=np.bool_)[:, :, None, None]
+        kinds: list[tuple[float, Sequence[float], int, BoolArray, ComplexArray]] = [
+            (_COUPLED, (1.0,), axis, possible, -w / (s + w) if axis == 0 else w / s)
+            for w in 2.0 * np.pi * np.array(_CORNERS)
+            for axis, possible in enumerate(self.estimate.without_slow)
+        ]
+        if self.may_creep:
+            every = np.ones(n, dtype=np.bool_)
+            kinds += [(_CREEPING, _CREEP, 0, every, 1.0 / (1.0 + s * time)) for time in _CREEPS]
         change = np.zeros((3, n * n))
-        for corner, (axis, possible) in product(_CORNERS, enumerate(self.estimate.without_slow)):
-            w = 2.0 * np.pi * corner
-            effect = (-w / (s + w) if axis == 0 else w / s) * Z
-            channels = np.where(np.moveaxis(own, 1, 1 + axis), effect, 0.0)
+        for likely, sizes, axis, possible, effect in kinds:
+            channels = np.where(np.moveaxis(own, 1, 1 + axis), effect * Z, 0.0)
             channels = channels.reshape(n, n * n, -1)[possible]
+            judged = partial(hidden_square, likely=likely, sizes=sizes, positive=True)
             told = [self.common_coefficient(terms)[:2] for terms in channels]
-            evidence = [hidden_square(*one, _COUPLED, positive=True)[1] for one in told]
+            evidence = [judged(*one)[1] for one in told]
             for terms, one, of_one in zip(channels, told, evidence, strict=True):
-                others = max(sum(evidence) - of_one, 0.0)
-                square, _ = hidden_square(*one, _COUPLED, positive=True, elsewhere=others)
+                square, _ = judged(*one, elsewhere=max(sum(evidence) - of_one, 0.0))
                 change = np.maximum(change, square * self.shifts(terms) ** 2)
         return change
 

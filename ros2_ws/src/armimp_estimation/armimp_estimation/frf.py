@@ -16,6 +16,9 @@ from armimp_estimation.periods import has_power
 from armimp_estimation.spectra import CrossSpectra
 from armimp_estimation.trial import TrialData
 
+# Perturbation of another joint, relative to that of the perturbed one, that is a leak. One in
+# proportion does no harm, as T R⁻¹ stays as it is, and any other is a disturbance.
+_BESIDE = 0.05
 # Power of a perturbation, relative to its largest, below which windows leak it from elsewhere.
 _LEAKED = 1e-5
 # Power of a response over that of its noise from which on others are divided by it: the ratio of
@@ -177,8 +180,9 @@ def _contradictions(trials: Sequence[TrialData]) -> Iterator[str]:
             yield f"{this} has {one.rate} samples per second, {that} has {other.rate}"
         if not np.array_equal(trial.f, trials[0].f):
             yield f"trials {other.trial} and {one.trial} have spectra at different frequencies"
+        sizes = np.std(one.perturbation, axis=1)
         for joint, name in enumerate(names):
-            if joint != trial.joint and np.ptp(one.perturbation[joint]) > 0.0:
+            if joint != trial.joint and sizes[joint] > _BESIDE * sizes[trial.joint]:
                 both = f"{name} as well as {names[trial.joint]}"
                 yield f"{this} perturbs {both}: decomposition needs one joint at a time"
     for joint, name in enumerate(trials[0].record.joint_names):

@@ -11,6 +11,7 @@ from scipy.signal import butter, freqs
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import (
+    Calibration,
     MBKFit,
     fit_impedance,
     fit_mbk,
@@ -133,6 +134,15 @@ def test_a_torque_that_passed_a_high_pass_where_noise_hides_it_is_in_the_standar
         assert off(fit).max() < 3.5
         errors.append(fit.B_se[0, 0])
     assert errors[0] > 2.0 * errors[1] > 2.0 * errors[2]
+
+
+def test_a_transducer_that_creeps_where_noise_hides_it_is_in_the_standard_errors_of_B() -> None:
+    creeping = 1.0 + 0.06 / (1.0 + 2j * np.pi * F * 0.1)
+    found = noisy(creeping * TWO_JOINT_ARM.impedance(F), np.where(F < 2.0, 0.6, 0.02), seed=1)
+    _, linear = fit_impedance(found, Calibration(linearity=0.001))
+    _, unknown = fit_impedance(found, Calibration())
+    assert off(linear)[1].max() > 3.5
+    assert off(unknown)[1].max() < 2.5
 
 
 def test_stiffness_that_relaxes_where_noise_hides_it_is_in_the_standard_errors_of_K() -> None:

@@ -147,6 +147,13 @@ def test_when_trials_do_not_belong_together_expect_data_error(
         order_trials([first, with_readings(second, **change)])
 
 
+def test_a_perturbation_that_leaks_into_the_channel_of_another_joint_is_none_of_that() -> None:
+    first, second = synthetic_trials()
+    shares = np.array([[0.02], [1.0]])
+    leaking = with_readings(second, perturbation=shares * second.record.perturbation[1])
+    assert order_trials([first, leaking]) == (first, leaking)
+
+
 def test_when_there_is_one_segment_only_expect_data_error() -> None:
     loop = dataclasses.replace(LOOP, samples=1100)
     with pytest.raises(DataError, match="joint 1: 1 segment gives no measure of noise"):
