@@ -193,7 +193,8 @@ _CUFF = 1e-5
 _COUPLED, _CORNERS = 0.5, (0.3, 1.0)
 """Assumption: how likely a torque or an angle that shows nothing slow passed a high-pass, and with
 which corners, Hz."""
-_CREEPING, _CREEP, _CREEPS = 0.2, (0.02, 0.06, 0.2), (0.05, 0.3)
+_CREEPING, _CREEPS = 0.2, (0.05, 0.3)
+_CREEP = (0.02, 0.06, 0.2, -0.02, -0.06)
 """Assumption: how likely a transducer of which nobody says how linear it is creeps, by how much of
 its torque, and with which time constants, s."""
 _LOW, _FEWEST = 1.0 / 3.0, 8
