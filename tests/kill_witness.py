@@ -1,25 +1,26 @@
-"""Program for test_graph_kills.py: listens to a graph from outside, ``kill_witness.py FILE``.
+"""Program for test_graph_kills.py: listens to a graph from outside.
 
 It is a process of its own, since the middleware reads its profile once in each process, and the
-tests' has done so long before. When its node is up the file exists, empty. When the nodes know of
-its subscriptions, so that it will miss nothing, so does ``FILE.known``; when it has seen more of a
-perturbation than a bag may lack, ``FILE.moving``. When it is told to end
-(SIGTERM), it writes into FILE, as JSON, what it saw, each with the monotonic time of this machine,
-which all processes share.
+tests' has done so long before. It prints a line when it listens, and when all nodes know that; one
+for each transition of a node, like ``activating arm_sim``; one for each phase of a trial, like
+``perturb 1``; and ``moving`` when it has seen more of a perturbation than a bag may lack. When it
+is told to end (SIGTERM), it prints, as JSON, what it saw, each with the monotonic time of this
+machine, which all processes share.
 """
 
 import json
 import sys
 import time
 from contextlib import suppress
-from pathlib import Path
+from functools import partial
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from lifecycle_msgs.msg import TransitionEvent
 from rclpy.context import Context
 from rclpy.node import Node
 
 from armimp_common import qos, topics
-from armimp_common.errors import GraphError, MalformedMessageError
+from armimp_common.errors import GraphError
 from armimp_common.executor import run_node, steady_timer
 from armimp_common.heartbeat import HeartbeatMonitor
 from armimp_common.pubsub import (
@@ -29,62 +30,60 @@ from armimp_common.pubsub import (
     wait_for_partners,
 )
 from armimp_common.status import values_of
-from armimp_common.topics import CONTROLLER_NODE, SIM_NODE
+from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
+from support.graph import raised
 
+NODES = (SIM_NODE, CONTROLLER_NODE, ESTIMATOR_NODE)
 JOINTS = ("shoulder", "elbow")
 _MOVING = 300
 """Samples of a perturbation: three times as many as a bag may lack."""
 
 
-def _raise(error: MalformedMessageError) -> None:
-    raise error
+def _tell(*words: object) -> None:
+    print(*words, flush=True)
 
 
 class Witness(Node):
-    """Hears commands, perturbations, trial states and the simulator's reports."""
+    """Hears commands, perturbations, trial states, transitions and the simulator's reports."""
 
-    def __init__(self, file: Path, *, context: Context) -> None:
+    def __init__(self, *, context: Context) -> None:
         super().__init__("witness", context=context)
-        self._file = file
         self._torques: list[float] = []
         self._resting = True
         self._stamps: list[tuple[float, int]] = []
         self._perturbed = 0
         self._statuses: list[tuple[float, dict[str, str]]] = []
         self._reports: list[tuple[float, str, str]] = []
-        self._subscriptions = [
-            subscribe_commands(self, topics.COMMANDS, len(JOINTS), self._on_command, _raise),
-            subscribe_joint_states(
-                self,
-                topics.PERTURBATION,
-                JOINTS,
-                "effort",
-                self._on_perturbation,
-                _raise,
-            ),
-            self.create_subscription(DiagnosticStatus, topics.TRIAL, self._on_trial, qos.LATCHED),
-            self.create_subscription(
-                DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
-            ),
-        ]
-        self._others = [
-            HeartbeatMonitor(self, name, lambda _: None) for name in (SIM_NODE, CONTROLLER_NODE)
-        ]
+        subscribe_commands(self, topics.COMMANDS, len(JOINTS), self._on_command, raised)
+        subscribe_joint_states(
+            self, topics.PERTURBATION, JOINTS, "effort", self._on_perturbation, raised
+        )
+        self.create_subscription(DiagnosticStatus, topics.TRIAL, self._on_trial, qos.LATCHED)
+        self.create_subscription(
+            DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
+        )
+        self._monitors = [HeartbeatMonitor(self, name, lambda _: None) for name in NODES]
+        for name in NODES:
+            told, topic = partial(self._on_transition, name), f"{name}/transition_event"
+            self.create_subscription(TransitionEvent, topic, told, 10)
         self._timer = steady_timer(self, 0.01, self._look_around)
-        file.touch()
+        _tell("listens")
 
     def _look_around(self) -> None:
-        if all(publisher_count(self, one) for one in self._subscriptions):
+        if all(publisher_count(self, one.subscription) for one in self._monitors):
             self._timer.cancel()
             with suppress(GraphError):  # who was killed before does not answer any more
-                wait_for_partners(self, monitors=self._others)
-                self._file.with_suffix(".known").touch()
+                wait_for_partners(self, monitors=self._monitors)
+                _tell("known")
+
+    def _on_transition(self, name: str, event: TransitionEvent) -> None:
+        _tell(event.goal_state.label, name)
 
     def _on_perturbation(self, stamp_ns: int, torque: tuple[float, ...]) -> None:
         self._stamps.append((time.monotonic(), stamp_ns))
         self._perturbed += any(torque)
         if self._perturbed == _MOVING:
-            self._file.with_suffix(".moving").touch()
+            _tell("moving")
 
     def _on_command(self, _: int, command: tuple[float, ...]) -> None:
         self._resting = not any(command)
@@ -92,7 +91,9 @@ class Witness(Node):
             self._torques.append(time.monotonic())
 
     def _on_trial(self, message: DiagnosticStatus) -> None:
-        self._statuses.append((time.monotonic(), values_of(message)))
+        values = values_of(message)
+        self._statuses.append((time.monotonic(), values))
+        _tell(values["phase"], values["trial"])
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -109,10 +110,9 @@ class Witness(Node):
             "statuses": self._statuses,
             "reports": self._reports,
         }
-        self._file.write_text(json.dumps(seen))
+        _tell(json.dumps(seen))
         super().destroy_node()
 
 
 if __name__ == "__main__":
-    place = Path(sys.argv[1])
-    sys.exit(run_node(lambda *, context: Witness(place, context=context), sys.argv[:1]))
+    sys.exit(run_node(Witness))
