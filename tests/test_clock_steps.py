@@ -28,9 +28,6 @@ from support.processes import permitted_priority
 from support.runs import FinishedRun
 
 pytestmark = pytest.mark.usefixtures("environment")
-stepped = pytest.mark.parametrize(
-    "step", [CLOCK_STEPS[0], pytest.param(CLOCK_STEPS[1], marks=pytest.mark.slow)]
-)
 PATIENCE = 40
 """Periods until watchdogs take the torque away, so that no stall of the machine wakes them."""
 LIMIT = 0.2
@@ -69,7 +66,6 @@ TARGETS = {
     SUPERVISOR_NODE: f"{PROGRAM} run",
 }
 """Whose clock is set: of all processes of an arrangement, or of the one with this command line."""
-aimed = pytest.mark.parametrize("target", TARGETS)
 
 
 @pytest.fixture(scope="module")
@@ -85,53 +81,6 @@ def wall_clock(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return library
 
 
-TIMER = """
-import os, struct, sys, threading, time
-from pathlib import Path
-import rclpy
-from rclpy.node import Node
-from armimp_common.executor import Spinner
-from armimp_common.executor import steady_timer
-from support.graph import eventually
-
-def set_clock():
-    with Path(os.environ["WALL_CLOCK"]).open("r+b") as file:
-        file.write(struct.pack("q", int(sys.argv[1])))
-    stepped.append(time.monotonic())
-
-rclpy.init()
-node, ticks, stepped = Node("timer"), [], []
-timer = steady_timer(node, 0.005, lambda: ticks.append(time.monotonic()))
-with Spinner([node]) as spinner:
-    eventually(spinner, lambda: len(ticks) > 5, "ticks before the step")
-    threading.Timer(0.1, set_clock).start()
-    eventually(spinner, lambda: stepped and ticks[-1] > stepped[0] + 0.1, "ticks after the step")
-"""
-
-
-@stepped
-def test_when_the_wall_clock_is_set_expect_timers_of_an_executor_to_go_on(
-    wall_clock: Path, domain_id: int, tmp_path: Path, step: float
-) -> None:
-    environment = clocked(tmp_path, wall_clock, "")
-    command = [sys.executable, "-c", TIMER, str(round(step))]
-    subprocess.run(command, env=environment, timeout=60.0, check=True)
-    assert (tmp_path / "seen").exists()
-
-
-def clocked(directory: Path, wall_clock: Path, processes: str) -> dict[str, str]:
-    """Environment in which the clock of these processes can be set."""
-    (directory / "clock").write_bytes(bytes(8))
-    return {
-        **os.environ,
-        "LD_PRELOAD": str(wall_clock),
-        "PYTHONPATH": str(Path(__file__).parent),
-        "WALL_CLOCK": str(directory / "clock"),
-        "WALL_CLOCK_OF": processes,
-        "WALL_CLOCK_SEEN": str(directory / "seen"),
-    }
-
-
 def attack(
     directory: Path,
     wall_clock: Path,
@@ -144,8 +93,14 @@ def attack(
     seen, settings = (directory / name for name in ("seen", "config.yaml"))
     settings.write_text(yaml.safe_dump(dict(config)))
     processes = "composed" if target == "composed" else "separate"
+    (directory / "clock").write_bytes(bytes(8))
     environment = {
-        **clocked(directory, wall_clock, TARGETS[target]),
+        **os.environ,
+        "LD_PRELOAD": str(wall_clock),
+        "PYTHONPATH": str(Path(__file__).parent),
+        "WALL_CLOCK": str(directory / "clock"),
+        "WALL_CLOCK_OF": TARGETS[target],
+        "WALL_CLOCK_SEEN": str(seen),
         "CLOCK_STEP": str(round(step)),
         **variables,
     }
@@ -157,9 +112,18 @@ def attack(
     return status
 
 
-@pytest.mark.slow
-@aimed
-@stepped
+@pytest.mark.parametrize(
+    ("target", "step"),
+    [
+        ("composed", CLOCK_STEPS[0]),
+        *(
+            pytest.param(target, step, marks=pytest.mark.slow)
+            for target in TARGETS
+            for step in CLOCK_STEPS
+            if (target, step) != ("composed", CLOCK_STEPS[0])
+        ),
+    ],
+)
 def test_when_the_clock_is_set_in_lockstep_expect_the_same_bits(
     composed: FinishedRun, wall_clock: Path, tmp_path: Path, target: str, step: float
 ) -> None:
@@ -173,8 +137,8 @@ def test_when_the_clock_is_set_in_lockstep_expect_the_same_bits(
 
 @pytest.mark.alone
 @pytest.mark.slow
-@aimed
-@stepped
+@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize("step", CLOCK_STEPS)
 def test_when_the_rig_falls_silent_after_the_clock_was_set_expect_zero_torque_in_time(
     wall_clock: Path,
     tmp_path: Path,

@@ -194,22 +194,33 @@ def test_help_of_run_states_the_defaults_of_the_configuration(
         assert re.search(rf"--{name} [^\[]*\[default: \({shown}\)\]", text), name
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("processes", ["composed", "separate"])
+@pytest.mark.parametrize(
+    ("processes", "bag"),
+    [
+        ("composed", "trial_1_joint_1"),
+        pytest.param("composed", "trial_2_joint_2", marks=pytest.mark.slow),
+        pytest.param("separate", "trial_1_joint_1", marks=pytest.mark.slow),
+    ],
+)
 def test_when_interrupted_expect_closed_bags_exit_status_1_and_no_process_left(
-    processes: str, tmp_path: Path
+    processes: str, bag: str, tmp_path: Path
 ) -> None:
-    out = tmp_path / "out"
-    with program("run", "--out", str(out), "--processes", processes) as process:
-        bag = out / "bags" / "trial_1_joint_1"
+    last = tmp_path / "bags" / bag
+    with program("run", "--out", str(tmp_path), "--processes", processes) as process:
         wait_until(
-            lambda: any(file.stat().st_size >= 300_000 for file in bag.glob("*.mcap")), "a bag"
+            lambda: any(file.stat().st_size >= 300_000 for file in last.glob("*.mcap")), "a bag"
         )
         assert "interrupted by the user" in "".join(interrupted(process, 1))
-    summary = json.loads((out / "summary.json").read_text())
+    summary = json.loads((tmp_path / "summary.json").read_text())
     assert summary["valid"] is False
-    assert read_bag(bag).trials[0].record is not None
-    assert not processes_of(out)
+    assert summary["problems"][0]["code"] == "interrupted"
+    assert bags(tmp_path)[-1] == str(last)
+    for one in bags(tmp_path):
+        assert (Path(one) / "metadata.yaml").exists()
+        (trial,) = read_bag(Path(one)).trials
+        assert trial.record is not None
+        assert (trial.record.samples < 50_000) == (one == str(last))
+    assert not processes_of(tmp_path)
 
 
 def test_the_last_screen_has_the_trials_the_verdict_and_the_place_and_no_progress(

@@ -4,17 +4,18 @@ import contextlib
 import functools
 import io
 import itertools
+import random
 import signal
 import sys
 import threading
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, ClassVar, TypeAlias
 
 import pytest
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_system_default
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
 
 from armimp_bringup.cli import main
 from armimp_bringup.config import CheckOptions
@@ -25,8 +26,12 @@ from armimp_common.cdr import JointStateEncoder
 from armimp_common.errors import ConfigurationError
 from armimp_common.executor import steady_timer
 from armimp_common.pubsub import CommandPublisher, JointStatePublisher
-from armimp_common.topics import PERIOD_NS
+from armimp_common.status import to_time
+from armimp_common.topics import PERIOD, PERIOD_NS
+from armimp_ros2_control.node import EFFORTS, STATES
 from armimp_sim.node import ArmSimNode
+from armimp_sim.parameters import SimulatorParameters
+from armimp_sim.simulator import SimulatedRig
 from support.command import interrupted, program
 from support.graph import PATIENCE
 from support.processes import wait_until
@@ -78,7 +83,7 @@ class Plain(Node):
             angles.publish(stamp_ns, (1.0, 1.0))
             torques.publish(encoder.encode(stamp_ns, (0.0, 0.0)))
 
-        steady_timer(self, 2.0 * topics.PERIOD, publish)
+        steady_timer(self, 2.0 * PERIOD, publish)
 
 
 @pytest.mark.slow
@@ -172,17 +177,50 @@ def test_when_it_is_interrupted_under_torque_expect_zero_torque_to_be_commanded_
 # --- The bridge, in front of a robot as ros2_control shows it -----------------------------------
 
 
-# Robot, bridge and checker are three processes in real time. What depends on how much of it the
-# machine gives them, `armimp check-driver` judges and no test: pace, and torque under watchdogs.
-ROBOT = str(Path(__file__).resolve().parent / "fake_ros2_control.py")
+# The bridge is a process of its own, in real time. What depends on how much of it the machine gives
+# to it and the others, `armimp check-driver` judges and no test: pace, and torque under watchdogs.
 BRIDGE = ["-m", "armimp_ros2_control.node"]
+
+
+class Robot(Node):
+    """A robot as ros2_control shows it: one joint state for everything, and efforts that are held.
+
+    Topics, quality of service and habits are those of joint_state_broadcaster and
+    forward_command_controller; the rig behind them is the simulated one.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("controller_manager", **options)
+        self._rig = SimulatedRig(SimulatorParameters.preset())
+        self._efforts = [0.0, 0.0]
+        self._states = self.create_publisher(JointState, STATES, qos_profile_system_default)
+        self._listener = self.create_subscription(
+            Float64MultiArray, EFFORTS, self._on_efforts, qos_profile_system_default
+        )
+        self._random = random.Random(1)
+        self._timer = steady_timer(self, PERIOD, self._on_timer)
+
+    def _on_efforts(self, message: Float64MultiArray) -> None:
+        if len(message.data) == len(self._efforts):
+            self._efforts = list(message.data)
+
+    def _on_timer(self) -> None:
+        shoulder, elbow = self._rig.position.tolist()
+        torques = self._rig.torque.tolist()
+        state = JointState(name=("exo_elbow", "camera_pan", "exo_shoulder"), velocity=[0.0] * 3)
+        late_ns = self._random.randint(0, 50_000)
+        state.header.stamp = to_time(10**18 + self._rig.tick * PERIOD_NS + late_ns)
+        state.position = [elbow, float("nan"), shoulder]
+        state.effort = [torques[1], float("nan"), torques[0]]
+        self._states.publish(state)
+        self._rig.step(self._efforts)
 
 
 @pytest.mark.slow
 def test_the_bridge_in_front_of_ros2_control_keeps_the_contract_of_a_driver(
-    start: Start, check: Check
+    start: Start, host: Start, check: Check
 ) -> None:
-    start([ROBOT])
+    host(Robot)
     start(BRIDGE, "-p", "names:=[exo_shoulder, exo_elbow]")
     findings = check()
     expected = {f"service arm_sim/{name}" for name in ("emergency_stop", "reset")} | {"pairs"}

@@ -12,13 +12,10 @@ from armimp_bringup.orchestrator import run_experiment
 from armimp_common.errors import ConfigurationError
 from armimp_common.lifecycle import LifecycleManager, TransitionName
 from armimp_common.schema import to_params_yaml
-from armimp_common.status import Phase, Progress
+from armimp_common.status import Phase
 from armimp_common.topics import CONTROLLER_NODE, SIM_NODE
-from armimp_estimation.bags import read_bag
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.summary import Summary, read_summary
-from support.runs import FinishedRun
-from support.telling import tell_by_samples
 
 SHORT: dict[str, Any] = {"duration": 3.0}
 pytestmark = pytest.mark.usefixtures("environment")
@@ -32,45 +29,6 @@ def assert_interrupted_in_order(directory: Path, summary: Summary) -> None:
     assert not summary.valid
     assert summary.problems[0].sentence.startswith("interrupted by the user")
     assert read_summary(directory / "summary.json") == summary
-
-
-def whole_samples(bag: Path) -> int:
-    """Number of samples in the only trial of a bag, all of which must be usable."""
-    (trial,) = read_bag(bag).trials
-    assert trial.record is not None
-    return trial.record.samples
-
-
-@pytest.mark.parametrize(
-    ("processes", "trial"),
-    [
-        ("composed", 1),
-        pytest.param("composed", 2, marks=pytest.mark.slow),
-        pytest.param("separate", 1, marks=pytest.mark.slow),
-    ],
-)
-def test_when_interrupted_expect_closed_readable_bags_and_an_invalid_result(
-    tmp_path: Path, processes: str, trial: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    tell_by_samples(monkeypatch)
-    told: list[Progress] = []
-
-    def interrupted() -> bool:
-        return any(progress.trial == trial and progress.samples > 2000 for progress in told)
-
-    summary = run_experiment(
-        config(processes=processes),
-        tmp_path / "out",
-        on_progress=told.append,
-        interrupted=interrupted,
-    ).summary
-
-    assert_interrupted_in_order(tmp_path / "out", summary)
-    finished = FinishedRun(directory=tmp_path / "out", summary=summary)
-    assert len(finished.bags) == trial
-    assert all((bag / "metadata.yaml").exists() for bag in finished.bags)
-    assert whole_samples(finished.bags[-1]) > 2000
-    assert [whole_samples(bag) for bag in finished.bags[:-1]] == [3_000] * (trial - 1)
 
 
 @pytest.mark.slow

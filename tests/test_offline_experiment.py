@@ -37,6 +37,15 @@ def test_same_seed_gives_the_same_bits_and_another_seed_other_ones() -> None:
         assert not any(map(np.array_equal, _arrays(one), _arrays(two)))
 
 
+IMPERFECTIONS: tuple[dict[str, Any], ...] = (
+    {"sensors.torque.delay": 0.0021, "sensors.torque.offset": [0.3]},
+    {"sensors.torque.cutoff": 200.0, "sensors.torque.hysteresis": 0.1},
+    {"actuators.bandwidth": 159.0, "sensors.torque.drift": [0.0, 1.0]},
+    {"actuators.delay": 0.00135, "actuators.ripple": 0.1, "sensors.torque.cross_talk": 0.1},
+    {"reflex.velocity_gain": [0.3], "muscle.cubic": -3.0, "muscle.short_range_stiffness": [2.0]},
+)
+
+
 def _another(lane: int) -> NodeParameters:
     """An experiment in which nothing is as in the one of another lane."""
     return brief_rig(
@@ -44,6 +53,9 @@ def _another(lane: int) -> NodeParameters:
         level=max(lane % 4, 1),
         seed=10 + lane,
         arm_sim={
+            **IMPERFECTIONS[lane % len(IMPERFECTIONS)],
+            "cuff.stiffness": 1e4,
+            "cuff.damping": 20.0,
             "arm.posture": [0.02 * lane + angle for angle in human_arm(2).posture],
             "voluntary.rms": 0.02 * (lane + 1),
         },

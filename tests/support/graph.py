@@ -65,10 +65,10 @@ def domain_id(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
 
 
 def joined(domain_id: int, *arguments: str) -> Context:
-    """A new context in a domain, to be shut down by the caller."""
+    """A new context in a domain, with arguments for ROS, to be shut down by the caller."""
     context = Context()
     rclpy.init(
-        args=list(arguments),
+        args=[*arguments],
         context=context,
         domain_id=domain_id,
         signal_handler_options=SignalHandlerOptions.NO,

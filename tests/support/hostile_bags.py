@@ -92,6 +92,13 @@ def records_of(messages: Iterable[Message]) -> Iterable[bytes]:
     return (message(_TOPICS.index(topic) + 1, t, raw) for topic, t, raw in messages)
 
 
+def untold(ticks: int) -> Iterable[Message]:
+    """Messages of so many ticks without any status."""
+    names = ("joint_1", "joint_2")
+    messages = synthetic_recording(joint_names=names, ticks=ticks, start_ns=0).messages
+    return (one for one in messages if one[0] != TRIAL)
+
+
 def repeated(piece: bytes, times: int, prefix: bytes = b"") -> bytes:
     """A zstd frame, without the length of its content, of a large piece many times over."""
     out = BytesIO()
@@ -100,12 +107,6 @@ def repeated(piece: bytes, times: int, prefix: bytes = b"") -> bytes:
         for _ in range(times):
             writer.write(piece)
     return out.getvalue()
-
-
-def samples(ticks: int) -> Iterable[Message]:
-    """Messages of so many ticks without any status."""
-    made = synthetic_recording(joint_names=("joint_1", "joint_2"), ticks=ticks, start_ns=0)
-    return (one for one in made.messages if one[0] != TRIAL)
 
 
 def zstd(data: bytes) -> bytes:
@@ -178,7 +179,7 @@ MCAP: Final[dict[str, Callable[[], bytes]]] = {
     ),
     "thirty thousand statuses": lambda: sound() + statuses(30_000, 10**9, 10),
     "trials that overlap": lambda: (
-        zstd_chunks(records_of(samples(50_000))) + statuses(900, 1, 100_000, _LATE)
+        zstd_chunks(records_of(untold(50_000))) + statuses(900, 1, 100_000, _LATE)
     ),
     "trials of ten million samples": lambda: sound() + statuses(900, 10**6, 10_000_000),
     "three hundred thousand joints in messages": lambda: b"".join(three_hundred_thousand_joints()),

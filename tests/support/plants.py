@@ -59,17 +59,6 @@ def study_plant(friction: int = 0, **changes: Any) -> SimulatorParameters:
     return rig(presets.human_arm(2), presets.robot(2), **parts)
 
 
-def one_joint(law: LuGre, *, inertia: float, damping: float, substeps: int) -> SimulatorParameters:
-    """One joint without stiffness, half of whose inertia (kg·m²) is the robot's."""
-    half = 0.5 * inertia
-    return rig(
-        HumanArm(posture=(0.0,), inertia=(half,), damping=(damping,), stiffness=(0.0,)),
-        PlanarChain(lengths=(0.3,), moments=(half,), masses=(0.0,), centres=(0.0,)),
-        friction=law,
-        substeps=substeps,
-    )
-
-
 def some_commands(ticks: int) -> list[tuple[float, ...]]:
     """Random commands for two joints, N·m."""
     return [tuple(row) for row in np.random.default_rng(5).uniform(-20, 20, (ticks, 2)).tolist()]

@@ -10,7 +10,6 @@ import pytest
 import yaml
 from pydantic import BaseModel, Field, field_validator, model_validator
 from rcl_interfaces.msg import ParameterType, SetParametersResult
-from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -102,16 +101,9 @@ def test_nested_fields_become_dotted_names_in_order() -> None:
             {"law.gamma": math.nan},
             "parameter 'law.gamma' = nan: input should be a finite number",
         ),
-        ({"law.gamma": "fast"}, "parameter 'law.gamma' = \"fast\": input should be a valid number"),
-        ({"joints": "ab"}, "parameter 'joints' = \"ab\": input should be a valid array"),
         (
             {"law.mass": [1.0, "x"]},
             "parameter 'law.mass[1]' = \"x\": input should be a valid number",
-        ),
-        ({"count": 1.5}, "parameter 'count' = 1.5: input should be a valid integer"),
-        (
-            {"mode": "fast"},
-            "parameter 'mode' = \"fast\": input should be 'lockstep' or 'realtime'",
         ),
         (
             {"joints": ["a", "a"]},
@@ -174,22 +166,20 @@ MakeNode = Callable[..., Node]
 
 @pytest.fixture
 def make_node(domain_id: int, tmp_path: Path) -> Iterator[MakeNode]:
-    contexts: list[Context] = []
     nodes: list[Node] = []
 
-    def make(text: str = "", *args: str, name: str = "unit") -> Node:
-        path = tmp_path / f"{len(contexts)}.yaml"
+    def make(text: str = "", *args: str) -> Node:
+        path = tmp_path / f"{len(nodes)}.yaml"
         path.write_text(text)
         given = ["--params-file", str(path)] if text else []
-        contexts.append(joined(domain_id, "--ros-args", *given, *args))
-        nodes.append(Node(name, context=contexts[-1]))
+        context = joined(domain_id, "--ros-args", *given, *args)
+        nodes.append(Node("unit", context=context))
         return nodes[-1]
 
     yield make
     for node in nodes:
         node.destroy_node()
-    for context in contexts:
-        context.try_shutdown()
+        node.context.try_shutdown()
 
 
 def file(*lines: str) -> str:

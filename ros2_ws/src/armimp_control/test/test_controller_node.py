@@ -1,4 +1,4 @@
-"""The controller node over real DDS: answers, faults, watchdog, parameters, life, early ends."""
+"""The controller node over real DDS: answers, faults, watchdog, surroundings, early ends."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -9,8 +9,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
+from std_msgs.msg import UInt64
 
-from armimp_common import qos, topics
+from armimp_common import heartbeat, qos, topics
 from armimp_common.executor import Spinner
 from armimp_common.schema import Value
 from armimp_common.status import (
@@ -22,7 +23,7 @@ from armimp_common.status import (
     to_time,
     values_of,
 )
-from armimp_common.topics import PERIOD_NS
+from armimp_common.topics import ESTIMATOR_NODE, PERIOD_NS, SIM_NODE, SUPERVISOR_NODE
 from armimp_control.node import ImbicControllerNode
 from armimp_control.safety_limiter import SafetyParameters
 from support.controller import (
@@ -43,6 +44,7 @@ from support.graph import (
     a_moment,
     assert_locked_while_active,
     eventually,
+    report,
     set_clock,
 )
 
@@ -53,6 +55,8 @@ PARAMETERS = controller_parameters(
     SETTLE, PERTURB, REST, safety=SafetyParameters(slowest_tick=10.0)
 )
 ZERO = (0.0, 0.0)
+OFF = (POSTURE[0] + 1e-4, POSTURE[1])
+SILENCE = "gave no sign of life for 6 s: it is dead or stopped"
 IMPATIENT: dict[str, Value] = {"safety.slowest_tick": 0.06, "safety.watchdog_ticks": 5}
 
 
@@ -266,6 +270,101 @@ def test_when_ended_during_a_trial_expect_zero_torque_and_an_abort(world: World,
     assert world.driver.commands[60:] == [ZERO]
 
 
+# --- The surroundings: the experiment ends when one of the others is lost -----------------------
+
+
+class Surrounded(World):
+    """A controller under torque among others, with their heartbeats and a recorder."""
+
+    def surround(self, mode: str = "lockstep") -> None:
+        self.received = self.node.create_publisher(UInt64, topics.RECEIVED, qos.LATCHED)
+        self.controller = self.start({"mode": mode})
+        self.monitors = [*self.controller._partners, self.controller._supervisor]
+
+    def heard(self, name: str, *, alive: int, silent: int) -> None:
+        (monitor,) = (one for one in self.monitors if one.name == name)
+        report(monitor, alive=alive, silent=silent)
+
+    def assert_aborted(self, reason: str) -> None:
+        assert self.await_abort() == reason
+        self.driver.feed(OFF)
+        eventually(self.spinner, lambda: len(self.driver.commands) > 61, "an answer")
+        assert set(self.driver.commands[60:]) == {ZERO}
+
+
+@pytest.fixture
+def around(node: Node, spinner: Spinner, launch: Launch, clock: HandedClock) -> Surrounded:
+    return Surrounded(node, spinner, launch)
+
+
+@pytest.mark.parametrize(
+    ("mode", "name", "borne", "lost", "how"),
+    [
+        ("lockstep", SIM_NODE, 0, 1, SILENCE),
+        ("lockstep", SIM_NODE, 0, 0, "has left"),
+        # Orchestrator and recorder may be silent in lockstep, until they are dead.
+        ("lockstep", SUPERVISOR_NODE, 1, 0, "is dead"),
+        ("lockstep", ESTIMATOR_NODE, 1, 0, "is dead"),
+        ("realtime", ESTIMATOR_NODE, 0, 1, SILENCE),
+        ("realtime", SIM_NODE, 0, 1, SILENCE),
+    ],
+)
+def test_when_another_node_is_lost_expect_zero_torque_but_patience_with_those_that_may_be_silent(
+    around: Surrounded, mode: str, name: str, borne: int, lost: int, how: str
+) -> None:
+    around.surround(mode)
+    around.heard(name, alive=1, silent=0)
+    if borne:
+        around.heard(name, alive=0, silent=borne)
+    a_moment(around.spinner)
+    assert not around.driver.has_said(Phase.ABORTED)
+
+    around.heard(name, alive=0, silent=lost)
+
+    around.assert_aborted(f"{name} {how}")
+
+
+def test_when_this_process_was_held_up_expect_no_torque_for_a_rig_that_has_died_meanwhile(
+    around: Surrounded, clock: HandedClock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(heartbeat, "state_of", lambda _: "R")
+    around.surround()
+    around.heard(SIM_NODE, alive=1, silent=0)
+    monkeypatch.setattr(heartbeat, "state_of", lambda _: "")
+    # Nothing but the sample finds out: it waits before the timers of the monitors.
+    for monitor in around.monitors:
+        monitor._timer.cancel()
+        monitor.checked = clock.now - 0.1
+
+    around.driver.feed(OFF)
+
+    around.assert_aborted(f"{SIM_NODE} is dead")
+
+
+def test_when_the_recorder_takes_leave_expect_zero_torque(around: Surrounded) -> None:
+    around.surround()
+    around.received.publish(UInt64(data=0))
+    a_moment(around.spinner)
+    assert not around.driver.has_said(Phase.ABORTED)
+
+    around.received.publish(UInt64(data=topics.RECORDER_GONE))
+
+    around.assert_aborted("nothing is recorded any more")
+
+
+def test_when_a_sample_comes_after_a_stall_before_anyone_looked_expect_an_abort_all_the_same(
+    around: Surrounded, clock: HandedClock
+) -> None:
+    around.surround("realtime")
+
+    # Nothing is spun: the process is held up, and finds timer and sample waiting afterwards.
+    clock.now += 0.02
+    around.controller._on_reading(0, around.driver.stamp_ns, OFF)
+    around.controller._on_reading(1, around.driver.stamp_ns, ZERO)
+
+    assert around.await_abort() == "no sensor sample arrived any more"
+
+
 # --- Decisions on the end of a trial: in lockstep samples wait for them -------------------------
 
 
@@ -279,18 +378,17 @@ NOT_YET = StoppingDecision(
 )
 
 
-class Judged:
+class Judged(World):
     """A controller in its first perturbation, which knows of a decision to come, and its judge."""
 
     def __init__(self, node: Node, spinner: Spinner, launch: Launch) -> None:
-        self.spinner = spinner
-        self.driver = driver = ScriptedDriver(node, NAMES)
+        super().__init__(node, spinner, launch)
         self.judge = node.create_publisher(DiagnosticStatus, topics.STOPPING, qos.LATCHED)
-        parameters = controller_parameters(SETTLE, LONG, REST)
-        controller = active_controller(launch, driver, parameters, {"sequence.may_end_early": True})
+        trial: dict[str, Value] = {"sequence.duration": LONG / 1000, "sequence.may_end_early": True}
+        controller = self.bring_up(trial)
         eventually(spinner, lambda: self.judge.get_subscription_count() == 1, "who is judged")
-        driver.feed(POSTURE, ticks=SETTLE + 1)
-        driver.await_phase(Phase.PERTURB, spinner)
+        self.driver.feed(POSTURE, ticks=SETTLE + 1)
+        self.driver.await_phase(Phase.PERTURB, spinner)
         self.judge.publish(status_message(ANNOUNCED))
         sequencer = controller._sequencer
         assert sequencer is not None
@@ -298,8 +396,7 @@ class Judged:
 
     def feed_up_to_the_decision(self) -> None:
         """Feed all samples before that on which the decision decides, and then that one."""
-        self.driver.feed(POSTURE, ticks=END - 1)
-        self.driver.await_answers(self.spinner)
+        self.feed(END - 1)
         self.driver.feed(POSTURE)
         a_moment(self.spinner)
         assert len(self.driver.commands) == len(self.driver.perturbations) == SETTLE + END

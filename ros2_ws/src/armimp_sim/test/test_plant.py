@@ -19,7 +19,6 @@ from support.plants import (
     changed,
     coriolis_torque,
     load,
-    one_joint,
     random_chain,
     random_plant,
     set_state,
@@ -154,28 +153,6 @@ def test_torque_on_the_arm_is_that_of_the_equations_of_motion(n: int) -> None:
         expected = load(config, state, command, voluntary)
         scale = float(np.max(np.abs(expected)))
         assert plant.torque[0] == pytest.approx(expected, abs=1e-11 * scale)
-
-
-# --- LuGre friction in the plant: sliding, sticking, and what lies between ----------------------
-
-
-LAW = presets.friction(3, 1)
-VELOCITIES = [0.002, 0.005, 0.01, 0.03, 0.5, 3.0]
-
-
-@pytest.mark.parametrize("direction", [-1.0, 1.0])
-@pytest.mark.parametrize("speed", VELOCITIES)
-def test_at_constant_speed_friction_is_the_steady_state_law(speed: float, direction: float) -> None:
-    velocity, damping = speed * direction, 200.0
-    # Damping steeper than the Stribeck slope makes the balance at this speed a stable one.
-    plant = Plant([one_joint(LAW, inertia=1.0, damping=damping, substeps=20)])
-    level = 2.0 + 0.5 * np.exp(-((speed / 0.01) ** 2))
-    friction = level * direction + 0.2 * velocity  # g(v)·sign(v) + σ2 v
-    for _ in range(20_000):
-        plant.tick(np.array([[friction + damping * velocity]]), np.zeros((1, 1)))
-    _, reached, bristle = state_of(plant)[0, :, 0]
-    assert reached == pytest.approx(velocity, rel=1e-6)
-    assert bristle == pytest.approx(direction * level / 2000.0, rel=1e-4)
 
 
 def test_lanes_that_disagree_in_time_or_shape_are_refused() -> None:

@@ -23,7 +23,6 @@ from support.plants import changed, load, rig, state_of, stepwise, study_plant
 
 Array = NDArray[np.float64]
 SUBSTEPS = 20
-LAGGING = ActuatorParameters(bandwidth=159.0)
 COMMANDS = np.random.default_rng(4).uniform(-5.0, 5.0, (60, 2))
 
 
@@ -38,21 +37,15 @@ def config(
     return study_plant(1, sensors=sensors, substeps=SUBSTEPS, **parts)
 
 
-def run(
-    plants: SimulatorParameters | list[SimulatorParameters], commands: Array = COMMANDS
-) -> tuple[Array, Array]:
-    """States and torque readings of each tick: (ticks, [lanes,] ...)."""
-    configs = plants if isinstance(plants, list) else [plants]
-    plant = Plant(configs)
+def run(config: SimulatorParameters, commands: Array = COMMANDS) -> tuple[Array, Array]:
+    """States and torque readings of each tick: (ticks, ...)."""
+    plant = Plant([config])
     states, torques = [], []
     for command in commands:
-        both = np.tile(command, (len(configs), 1))
-        plant.tick(both, np.zeros_like(both))
-        states.append(state_of(plant))
-        torques.append(plant.torque.copy())
-    if isinstance(plants, list):
-        return np.array(states), np.array(torques)
-    return np.array(states)[:, 0], np.array(torques)[:, 0]
+        plant.tick(command[None], np.zeros((1, command.size)))
+        states.append(state_of(plant)[0])
+        torques.append(plant.torque[0].copy())
+    return np.array(states), np.array(torques)
 
 
 def within() -> tuple[Array, Array]:
@@ -125,29 +118,6 @@ def test_a_drive_that_lags_follows_the_command_exponentially() -> None:
     load = torque * (1.0 - np.exp(-t / lag))
     expected = load @ np.linalg.inv(mass).T @ arm.M.T
     assert torques == pytest.approx(expected, rel=1e-2, abs=1e-4)
-
-
-@pytest.mark.slow
-def test_lanes_with_different_imperfections_give_the_bits_that_they_give_alone() -> None:
-    soft = {"cuff": CuffParameters(stiffness=1e4, damping=20.0)}
-    lanes = [
-        config(parts=soft, delay=0.0021, offset=(0.3,)),
-        config(parts=soft, cutoff=200.0, order=2, hysteresis=0.1, cross_talk=0.1),
-        config(parts={**soft, "actuators": LAGGING}, drift=(0.0, 1.0)),
-        config(
-            parts={
-                **soft,
-                "actuators": ActuatorParameters(delay=0.00135, ripple=0.1, cogging=0.1),
-                "reflex": ReflexParameters(velocity_gain=(0.3,), delay=0.01),
-                "muscle": MuscleParameters(cubic=-3.0, short_range_stiffness=(2.0,)),
-            }
-        ),
-    ]
-    states, torques = run(lanes)
-    for lane, one in enumerate(lanes):
-        alone_states, alone = run([one])
-        assert np.array_equal(states[:, lane], alone_states[:, 0])
-        assert np.array_equal(torques[:, lane], alone[:, 0])
 
 
 SINGLE = presets.human_arm(1)

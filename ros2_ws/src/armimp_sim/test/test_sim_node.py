@@ -149,6 +149,7 @@ def test_when_the_controller_is_lost_expect_zero_torque_and_a_fault(
 
 
 def with_recorder(world: World) -> HeartbeatMonitor:
+    world.received.publish(b"\0\1\0\0")  # no count: one of many is lost
     world.received.publish(UInt64(data=0))
     eventually(world.spinner, lambda: world.simulator._flow.recorded, "the recorder")
     watch = world.simulator._recorder
