@@ -99,6 +99,17 @@ def printed(capfd: pytest.CaptureFixture[str]) -> dict[str, Any]:
     return loaded
 
 
+def estimated_and_replayed(
+    capfd: pytest.CaptureFixture[str], *bags: str
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What both commands print of bags, which must be of one verdict."""
+    capfd.readouterr()
+    status = main(["estimate", *bags, "--json"])
+    estimated = printed(capfd)
+    assert main(["replay", *bags, "--json"]) == status
+    return estimated, printed(capfd)
+
+
 def test_a_run_leaves_bags_summary_curves_figure_and_parameters(seen: Seen) -> None:
     assert {path.name for path in seen.directory.iterdir()} == {
         "bags",
@@ -129,17 +140,14 @@ def test_estimate_and_replay_give_the_numbers_of_the_live_run_to_the_last_digit(
     seen: Seen, capfd: pytest.CaptureFixture[str]
 ) -> None:
     live = json.loads((seen.directory / "summary.json").read_text())
-    capfd.readouterr()
 
-    assert main(["estimate", str(seen.directory), "--json"]) == 0
-    estimated = printed(capfd)
-    assert main(["replay", *bags(seen.directory), "--json"]) == 0
-    replayed = printed(capfd)
+    estimated, replayed = estimated_and_replayed(capfd, *bags(seen.directory))
 
     assert estimated["estimators"] == live["estimators"]
     assert replayed["estimators"] == live["estimators"]
     assert estimated["truth"] == replayed["truth"] == live["truth"]
     assert estimated["seed"] == replayed["seed"] == 5
+    assert estimated["valid"] is True
 
 
 def test_a_recording_without_trial_statuses_is_replayed_too(
@@ -149,13 +157,10 @@ def test_a_recording_without_trial_statuses_is_replayed_too(
     for bag in bags(seen.directory):
         untold = (one for one in iterate_messages(Path(bag)) if one[0] != TRIAL)
         copies.append(str(write_bag(tmp_path / Path(bag).name, untold, {})))
-    capfd.readouterr()
 
-    assert main(["estimate", *copies, "--json"]) == 0
-    estimated = printed(capfd)
-    assert main(["replay", *copies, "--json"]) == 0
-    replayed = printed(capfd)
+    estimated, replayed = estimated_and_replayed(capfd, *copies)
 
+    assert estimated["valid"] is True
     assert replayed["estimators"] == estimated["estimators"]
     assert estimated["truth"] is None
     assert estimated["estimators"]["welch_siso"]["vaf"] is None
@@ -169,12 +174,8 @@ def test_recordings_that_were_cut_are_estimated_and_replayed_to_one_verdict(
         messages = list(iterate_messages(Path(bag)))
         left = messages[: -len(messages) // 8]
         copies.append(str(write_bag(tmp_path / Path(bag).name, left, {})))
-    capfd.readouterr()
 
-    status = main(["estimate", *copies, "--json"])
-    estimated = printed(capfd)
-    assert main(["replay", *copies, "--json"]) == status
-    replayed = printed(capfd)
+    estimated, replayed = estimated_and_replayed(capfd, *copies)
 
     assert replayed["estimators"] == estimated["estimators"] != {}
     assert replayed["problems"] == estimated["problems"]

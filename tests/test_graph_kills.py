@@ -9,10 +9,7 @@ import os
 import random
 import signal
 import subprocess
-import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +21,7 @@ from armimp_common.status import Phase, TrialStatus
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
 from armimp_estimation.bags import read_bag
 from support.bag_files import assert_other_readers_open
+from support.command import program
 from support.fault_figures import Figures
 from support.processes import processes_of, wait_until
 
@@ -84,16 +82,6 @@ class Kill:
         raise AssertionError(f"nobody announced {phase}")
 
 
-@contextmanager
-def started(*arguments: str, **options: Any) -> Iterator["subprocess.Popen[str]"]:
-    """A process of Python, which is over at the end."""
-    with subprocess.Popen([sys.executable, *arguments], text=True, **options) as process:
-        try:
-            yield process
-        finally:
-            process.kill()
-
-
 def hear(witness: "subprocess.Popen[str]", words: str) -> None:
     """Wait until the witness says something that begins with these words."""
     assert witness.stdout is not None
@@ -123,16 +111,11 @@ def kill(
     reach = {**os.environ, **REACH, "ROS_DOMAIN_ID": domain, "PYTHONPATH": str(SHARED)}
     options = ["--processes", "separate", "--estimator", "welch_siso", "--domain-id", domain]
     options += ["--duration", str(duration), "--out", str(out)]
-    witnessing = started("-m", "kill_witness", stdout=subprocess.PIPE, env=reach)
+    witnessing = program(module="kill_witness", stdout=subprocess.PIPE, stderr=None, env=reach)
     with witnessing as witness, errors.open("w") as stderr:
         hear(witness, "listens")
-        running = started(
-            *("-m", "armimp_bringup", "run", *options),
-            stdout=subprocess.DEVNULL,
-            stderr=stderr,
-            env=environment,
-        )
-        with running as experiment:
+        run = program("run", *options, stdout=subprocess.DEVNULL, stderr=stderr, env=environment)
+        with run as experiment:
             processes = {SUPERVISOR_NODE: [experiment.pid]}
 
             def there() -> bool:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from support.fault_figures import Figures
-from support.hostile_bags import ATTACKS, QUICK, Outcome, tried
+from support.hostile_bags import ATTACKS, Outcome, tried
 
 MOST_MEMORY, MOST_TIME = 1.5e9, 30.0
 NOTES = ("note: ", "armimp: note: ", "trial ")
@@ -39,10 +39,7 @@ def faults_of(outcome: Outcome, directory: Path) -> list[str]:
     return [reason for reason, wrong in found.items() if wrong]
 
 
-@pytest.mark.parametrize(
-    "name",
-    [*QUICK, *(pytest.param(one, marks=pytest.mark.slow) for one in sorted({*ATTACKS} - {*QUICK}))],
-)
+@pytest.mark.parametrize("name", ATTACKS)
 def test_a_hostile_file_gets_one_line_in_bounded_memory_and_touches_nothing(
     name: str, tmp_path: Path, figures: Figures
 ) -> None:

@@ -3,7 +3,7 @@
 import json
 import os
 import subprocess
-import sys
+from contextlib import AbstractContextManager, ExitStack
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
@@ -14,12 +14,12 @@ from armimp_bringup.graph import DomainClaim
 from armimp_bringup.nodes import NODES
 from armimp_common.process import endpoints
 from armimp_estimation.summary import read_summary
+from support.command import program
 from support.processes import wait_until
 from support.runs import FinishedRun
 
 pytestmark = pytest.mark.slow
 
-COMMAND = [sys.executable, "-m", "armimp_bringup", "run", "--duration", "10", "--json"]
 CHOICES = (
     "ROS_DOMAIN_ID",
     "ROS_AUTOMATIC_DISCOVERY_RANGE",
@@ -31,16 +31,13 @@ CHOICES = (
 PATIENCE = 120.0
 
 
-def start(directory: Path, *options: str, **choices: str) -> "subprocess.Popen[str]":
+def start(
+    directory: Path, *options: str, **choices: str
+) -> AbstractContextManager["subprocess.Popen[str]"]:
     """An experiment in a process of its own, where the user has chosen only this."""
     environment = {name: value for name, value in os.environ.items() if name not in CHOICES}
-    return subprocess.Popen(
-        [*COMMAND, "--out", str(directory), *options],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=environment | choices,
-    )
+    arguments = ["run", "--duration", "10", "--json", "--out", str(directory), *options]
+    return program(*arguments, stdout=subprocess.PIPE, env=environment | choices)
 
 
 def test_two_experiments_at_once_do_not_hear_each_other(
@@ -49,26 +46,25 @@ def test_two_experiments_at_once_do_not_hear_each_other(
     """Every message of each is the same, to the last bit, as when it is alone on the machine."""
     alone = {1: composed, 2: other_seed}
     processes = {1: "composed", 2: "separate"}
-    others = {
-        seed: start(
-            *(tmp_path / str(seed), "--seed", str(seed), "--processes", processes[seed]),
-            *("--duration", "2"),
-        )
-        for seed in alone
-    }
-
-    for seed, process in others.items():
-        output, errors = process.communicate(timeout=PATIENCE)
-        assert process.returncode == 0, errors
-        summary = read_summary(tmp_path / str(seed) / "summary.json")
-        assert json.loads(output)["problems"] == summary.problems == []
-        together = FinishedRun(directory=tmp_path / str(seed), summary=summary)
-        together.assert_same_streams(alone[seed])
+    with ExitStack() as stack:
+        others = {}
+        for seed, how in processes.items():
+            options = ("--seed", str(seed), "--processes", how, "--duration", "2")
+            others[seed] = stack.enter_context(start(tmp_path / str(seed), *options))
+        for seed, process in others.items():
+            output, errors = process.communicate(timeout=PATIENCE)
+            assert process.returncode == 0, errors
+            summary = read_summary(tmp_path / str(seed) / "summary.json")
+            assert json.loads(output)["problems"] == summary.problems == []
+            together = FinishedRun(directory=tmp_path / str(seed), summary=summary)
+            together.assert_same_streams(alone[seed])
 
 
 def test_when_the_domain_is_taken_expect_the_second_experiment_refused(tmp_path: Path) -> None:
-    with DomainClaim() as claim:
-        second = start(tmp_path / "out", "--domain-id", str(claim.domain_id))
+    with (
+        DomainClaim() as claim,
+        start(tmp_path / "out", "--domain-id", str(claim.domain_id)) as second,
+    ):
         output, errors = second.communicate(timeout=PATIENCE)
 
     assert second.returncode == 1
@@ -95,10 +91,8 @@ def test_nothing_of_an_experiment_can_be_reached_from_other_machines(
     tmp_path: Path, processes: str
 ) -> None:
     """As sockets that are bound to the loopback interface hear nobody else."""
-    experiment = start(tmp_path / "out", "--processes", processes)
-    try:
+    with start(tmp_path / "out", "--processes", processes) as experiment:
         graph = graph_of(experiment, tmp_path / "out")
-    finally:
         experiment.terminate()
         experiment.communicate(timeout=PATIENCE)
 

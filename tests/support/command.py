@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 from armimp_bringup.cli import main
 
@@ -42,10 +43,13 @@ def refused(*arguments: str) -> Told:
 
 
 @contextlib.contextmanager
-def program(*arguments: str) -> Iterator[subprocess.Popen[str]]:
+def program(
+    *arguments: str, module: str = "armimp_bringup", **options: Any
+) -> Iterator[subprocess.Popen[str]]:
     """Run a command in a process of its own, which is over at the end."""
-    command = [sys.executable, "-m", "armimp_bringup", *arguments]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+    command = [sys.executable, "-m", module, *arguments]
+    given: dict[str, Any] = {"stderr": subprocess.PIPE, "text": True, **options}
+    with subprocess.Popen(command, **given) as process:
         try:
             yield process
         finally:

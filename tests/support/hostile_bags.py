@@ -401,20 +401,6 @@ def config_of_nested_aliases(directory: Path) -> Arguments:
     return config(directory, "arm_sim:\n" + "".join(f"  {line}\n" for line in lines))
 
 
-QUICK: Final = [
-    "zstd chunks of a gibibyte",
-    "topic with a name of five million letters",
-    "trials that overlap",
-    "recursive view of messages",
-    "journal that has another file deleted",
-    "a pipe as metadata",
-    "a hole as storage",
-    "link to an unfinished bag elsewhere",
-    "config of nested aliases",
-]
-"""Those that also run in the quick tests, one for each way to harm."""
-
-
 # --- trying them ------------------------------------------------------------------------------
 
 _KILLED_AFTER: Final = 240
