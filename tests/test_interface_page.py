@@ -7,7 +7,6 @@ import re
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,25 +15,17 @@ from rclpy.qos import HistoryPolicy
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.parameters import bag_metadata, node_parameters
 from armimp_common import qos
-from armimp_common.status import (
-    values_of,
-)
-from armimp_common.topics import (
-    MESSAGE_TYPES,
-)
-from armimp_estimation.alignment.assemble import Trial
-from armimp_estimation.alignment.stream_statistics import StreamStatistics
-from armimp_estimation.alignment.trial_windows import TrialWindow
+from armimp_common.status import values_of
+from armimp_common.topics import MESSAGE_TYPES
+from armimp_estimation.bags import read_bag
 from armimp_estimation.estimators.registry import estimator_names
-from armimp_estimation.identify import identify
 from armimp_estimation.metadata import READING_KEYS
 from armimp_estimation.node import column_message, result_message
-from armimp_estimation.result import Result
-from armimp_estimation.summary import ImpedanceCurve, Summary, write_frf
+from armimp_estimation.result import Result, load_result
+from armimp_estimation.summary import write_frf
 from armimp_estimation.torque_timing import TorqueReading
-from armimp_estimation.trial import TrialData
 from support.pages import markdown_tables
-from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
+from support.results import make_result
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 PAGE = (DOCS / "interfaces.md").read_text(encoding="utf-8")
@@ -67,18 +58,14 @@ def test_the_topics_of_the_page_are_those_of_the_contract() -> None:
 
 
 @pytest.fixture(scope="module")
-def trials() -> list[TrialData]:
-    config = SyntheticConfig(samples=40_000)
-    return [TrialData.of(synthetic_trial(TWO_JOINT_ARM, joint, config, 1)) for joint in (0, 1)]
+def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A result of every estimator."""
+    return make_result(tmp_path_factory.mktemp("result"), estimators=estimator_names())
 
 
 @pytest.fixture(scope="module")
-def result(trials: list[TrialData]) -> Result:
-    found = identify(trials, estimator_names(), TWO_JOINT_ARM)
-    rest: dict[str, Any] = {"config": {}, "seed": 1, "problems": [], "trials": []}
-    summary = Summary.of(found, joint_names=found.joint_names, truth=None, **rest)
-    curves = {name: ImpedanceCurve.of(one) for name, one in found.estimators.items()}
-    return Result(summary=summary, curves=curves)
+def result(directory: Path) -> Result:
+    return load_result(directory)
 
 
 def _general(keys: Iterable[str]) -> set[str]:
@@ -89,13 +76,9 @@ def _general(keys: Iterable[str]) -> set[str]:
 
 
 def test_the_keys_of_column_and_conclusion_are_those_of_the_code(
-    trials: list[TrialData], result: Result
+    directory: Path, result: Result
 ) -> None:
-    record = trials[0].record
-    window = TrialWindow(
-        trial=1, joint=0, joint_name="", start_ns=0, ticks=record.samples, seed=1, ended=True
-    )
-    trial = Trial(window=window, segments=(record,), statistics=StreamStatistics())
+    (trial, _) = read_bag(directory / "bags" / "session").trials
     column, conclusion = column_message(trial, TorqueReading()), result_message(result)
     assert _keys("Column") == _general(values_of(column))
     assert _keys("Conclusion") == _general(values_of(conclusion))

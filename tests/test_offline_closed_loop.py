@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
@@ -15,6 +17,7 @@ from armimp_control import presets as control_presets
 from armimp_control.laws import Law
 from armimp_control.laws.law import Controller
 from armimp_control.perturbation import perturbation
+from armimp_control.safety_limiter import SafetyParameters
 from armimp_sim import presets as sim_presets
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import Plant
@@ -23,6 +26,7 @@ from support.plants import study_plant
 
 Array = NDArray[np.float64]
 PERIOD = 1e-3
+TORQUE_ONLY = torque_only(80.0)
 
 
 def _law(plant: SimulatorParameters, internal_model: control_presets.InternalModel = "tde") -> Law:
@@ -30,17 +34,27 @@ def _law(plant: SimulatorParameters, internal_model: control_presets.InternalMod
     return preset_law(plant.robot.mass_matrix(posture), posture, internal_model)
 
 
-def _run(plant_config: SimulatorParameters, law: Law, tau_delta: Array, joint: int) -> Array:
-    """Deflections and torques on the arm (2, n, N) under ``tau_delta`` (N,)."""
-    plant, controller = Plant([plant_config]), Controller(law, safety=torque_only(80.0))
+def _run(
+    plant_config: SimulatorParameters,
+    law: Law,
+    tau_delta: Array,
+    joint: int,
+    safety: SafetyParameters = TORQUE_ONLY,
+    acts: Mapping[int, Callable[[Controller], object]] = MappingProxyType({}),
+) -> Array:
+    """Deflections, torques on the arm and commands (3, n, N) under ``tau_delta`` (N,)."""
+    plant, controller = Plant([plant_config]), Controller(law, safety=safety)
     controller.perturb_joint(joint)
-    record = np.zeros((2, law.joints, tau_delta.size))
+    record = np.zeros((3, law.joints, tau_delta.size))
     still, push = np.zeros((1, law.joints)), np.zeros(law.joints)
     for k, value in enumerate(tau_delta):
         push[joint] = value
         record[0, :, k] = plant.position[0] - plant_config.arm.theta_0
         record[1, :, k] = plant.torque[0]
+        if k in acts:
+            acts[k](controller)
         controller.tick(plant.position[0], plant.torque[0], push)
+        record[2, :, k] = controller.command
         plant.tick(controller.command[None, :], still)
     return record
 
@@ -68,7 +82,7 @@ def test_perturbed_joint_shows_its_target_impedance_in_spite_of_friction(
     law = _law(plant, internal_model)
     t = np.arange(4000) * PERIOD
     tau_delta = 2.0 * np.sin(2.0 * np.pi * frequency * t)
-    position, torque = _run(plant, law, tau_delta, joint)
+    position, torque, _ = _run(plant, law, tau_delta, joint)
     # Whole periods after the onset has died down.
     s = 2j * np.pi * frequency
     demodulator = np.exp(-s * t[2000:])
@@ -88,7 +102,7 @@ def test_locked_joint_holds_still_beside_the_perturbed_one(
     plant = study_plant(friction, substeps=50)
     t = np.arange(3000) * PERIOD
     tau_delta = 9.0 * np.sin(2.0 * np.pi * 2.0 * t)
-    position, torque = _run(plant, _law(plant, internal_model), tau_delta, joint)
+    position, torque, _ = _run(plant, _law(plant, internal_model), tau_delta, joint)
     moved = np.std(position, axis=1)
     assert moved[joint] > 0.05
     assert moved[1 - joint] < 1e-3 * moved[joint]
@@ -134,28 +148,16 @@ AFTER = 150
 def _fastest(friction: int, resolution: int, stop_tick: int, ramp_time: float) -> tuple[float, ...]:
     """Largest speed of a joint in the 50 ms before a stop, and after it, rad/s; 0 s: at once."""
     config = study_plant(friction, sensors=sim_presets.sensors(resolution))
-    plant, arm, robot = Plant([config]), config.arm, config.robot
-    controller = Controller(
-        preset_law(robot.mass_matrix(arm.theta_0), arm.theta_0),
-        safety=control_presets.safety(2, 9.0).model_copy(update={"ramp_time": ramp_time}),
+    safety = control_presets.safety(2, 9.0).model_copy(update={"ramp_time": ramp_time})
+    kind = control_presets.perturbation(3, 2)
+    signal = perturbation(kind, joint=0, trial=1, ticks=stop_tick, seed=1)
+    stop = Controller.stop if ramp_time > 0.0 else Controller.cut
+    tau_delta = np.append(signal, np.zeros(AFTER))
+    theta, _, command = _run(
+        config, _law(config, "observer"), tau_delta, 0, safety, {stop_tick: stop}
     )
-    signal = perturbation(
-        control_presets.perturbation(3, 2), joint=0, trial=1, ticks=stop_tick, seed=1
-    )
-    theta: NDArray[np.float64] = np.zeros((stop_tick + AFTER, 2))
-    tau_delta, still = np.zeros(2), np.zeros((1, 2))
-    for k in range(stop_tick + AFTER):
-        tau_delta[0] = signal[k] if k < stop_tick else 0.0
-        if k == stop_tick:
-            if ramp_time > 0.0:
-                controller.stop()
-            else:
-                controller.cut()
-        controller.tick(plant.position[0], plant.torque[0], tau_delta)
-        theta[k] = plant.position[0]
-        plant.tick(controller.command[None, :], still)
-    assert not controller.command.any()
-    speed = np.abs(theta[5:] - theta[:-5]).max(axis=1) / 5e-3
+    assert not command[:, -1].any()
+    speed = np.abs(theta[:, 5:] - theta[:, :-5]).max(axis=0) / 5e-3
     return float(speed[stop_tick - 50 : stop_tick - 4].max()), float(speed[stop_tick - 4 :].max())
 
 

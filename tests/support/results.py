@@ -75,6 +75,7 @@ def make_result(
     *,
     messages: Sequence[Message] | None = None,
     metadata: Mapping[str, str] = METADATA,
+    estimators: Sequence[str] = ("welch_siso", "welch_full"),
 ) -> Path:
     """Record messages in ``bags/session``, conclude from them, and write the result."""
     bag = directory / "bags" / "session"
@@ -84,6 +85,6 @@ def make_result(
         [replace(trial, bag="bags/session") for trial in content.trials],
         metadata=content.metadata,
         joint_names=content.joint_names,
-        estimators=("welch_siso", "welch_full"),
+        estimators=estimators,
     ).write(directory)
     return directory
