@@ -1,4 +1,4 @@
-"""Experiments that go wrong: interrupted, misconfigured, broken down."""
+"""Experiments that never begin: interrupted before that, misconfigured, without a place."""
 
 import re
 from pathlib import Path
@@ -15,20 +15,10 @@ from armimp_common.schema import to_params_yaml
 from armimp_common.status import Phase
 from armimp_common.topics import CONTROLLER_NODE, SIM_NODE
 from armimp_estimation.problems import ProblemCode
-from armimp_estimation.summary import Summary, read_summary
+from armimp_estimation.summary import read_summary
 
-SHORT: dict[str, Any] = {"duration": 3.0}
+CONFIG = ExperimentConfig(duration=3.0)
 pytestmark = pytest.mark.usefixtures("environment")
-
-
-def config(**options: Any) -> ExperimentConfig:
-    return ExperimentConfig.model_validate({**SHORT, **options})
-
-
-def assert_interrupted_in_order(directory: Path, summary: Summary) -> None:
-    assert not summary.valid
-    assert summary.problems[0].sentence.startswith("interrupted by the user")
-    assert read_summary(directory / "summary.json") == summary
 
 
 @pytest.mark.slow
@@ -52,10 +42,12 @@ def test_when_interrupted_before_the_rig_is_active_expect_no_trial_begun(
 
     monkeypatch.setattr(LifecycleManager, "change", noted)
     summary = run_experiment(
-        config(), tmp_path / "out", interrupted=interrupted, on_phase=phases.append
+        CONFIG, tmp_path / "out", interrupted=interrupted, on_phase=phases.append
     ).summary
 
-    assert_interrupted_in_order(tmp_path / "out", summary)
+    assert not summary.valid
+    assert summary.problems[0].code is ProblemCode.INTERRUPTED
+    assert read_summary(tmp_path / "out" / "summary.json") == summary
     assert summary.estimators == {}
     assert SIM_NODE not in active
     assert Phase.SETTLE not in phases
@@ -71,7 +63,7 @@ def test_when_a_node_refuses_its_configuration_expect_it_named_and_no_trial(
 
     monkeypatch.setattr(orchestrator, "to_params_yaml", spoiled)
 
-    summary = run_experiment(config(), tmp_path / "out").summary
+    summary = run_experiment(CONFIG, tmp_path / "out").summary
 
     assert not summary.valid
     assert summary.problems[0].code is ProblemCode.NODE_FAILED
@@ -87,6 +79,6 @@ def test_when_the_output_is_not_empty_expect_a_refusal_before_anything_starts(
     (tmp_path / "precious").write_text("data")
 
     with pytest.raises(ConfigurationError, match="is not empty, nothing is overwritten"):
-        run_experiment(config(), tmp_path)
+        run_experiment(CONFIG, tmp_path)
 
     assert [path.name for path in tmp_path.iterdir()] == ["precious"]
