@@ -44,8 +44,8 @@ def reflex_of(angle: FloatArray, torque: FloatArray, rate: float) -> ModelFit:
 
 def honesty(parts: list[ModelFit], name: str) -> float:
     """Scatter of a parameter between parts over its stated error."""
-    values = np.array([float(np.ravel(one.values[name])[0]) for one in parts])
-    errors = np.array([float(np.ravel(one.errors[name])[0]) for one in parts])
+    values = np.array([one.parameters[name].values[0] for one in parts])
+    errors = np.array([one.parameters[name].errors[0] for one in parts])
     return float(np.std(values, ddof=1) / np.sqrt(np.mean(errors**2)))
 
 
@@ -70,7 +70,8 @@ def ankle(
         for name in SHOWN:
             cells = []
             for fit in fits:
-                value, error = (float(np.ravel(one[name])[0]) for one in (fit.values, fit.errors))
+                one = fit.parameters[name]
+                value, error = one.values[0], one.errors[0]
                 cells.append(f"{value:.4g} ± {error:.2g}" if error >= 0.0 else "–")
             ratio = honesty(fits[1:], name)
             rows.append((name, *cells, f"{ratio:.2f}" if np.isfinite(ratio) else "–"))

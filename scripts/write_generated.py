@@ -19,14 +19,13 @@ from armimp_common.schema import defaults, descriptions, flatten, leaves, to_par
 from armimp_common.status import Progress, StoppingDecision, TimingFigures, TrialStatus
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, MESSAGE_TYPES, SIM_NODE
 from armimp_estimation.alignment.stream_statistics import StreamCount
+from armimp_estimation.arm_models import ModelFit, ParameterFit
 from armimp_estimation.fit import CommonDelay
 from armimp_estimation.metadata import Timing
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.problems import Problem
 from armimp_estimation.summary import (
     EstimatorSummary,
-    ModelParameterSummary,
-    ModelSummary,
     OriginSummary,
     Summary,
     TrialSummary,
@@ -52,7 +51,7 @@ _KEYS: dict[str, Sequence[type[BaseModel]]] = {
     "### Timing in real time": (TimingFigures,),
     "### `summary.json`": (
         *(Summary, Problem, TrialSummary, StreamCount, EstimatorSummary, CommonDelay),
-        *(ModelSummary, ModelParameterSummary, Timing, WallSummary, TorqueReading, OriginSummary),
+        *(ModelFit, ParameterFit, Timing, WallSummary, TorqueReading, OriginSummary),
     ),
 }
 """Models by the heading of the page under which their keys are told, in the order of the tables."""

@@ -12,9 +12,10 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from armimp_bringup.study import StudyEntry
+from armimp_estimation.arm_models import ModelFit, ParameterFit
 from armimp_estimation.bags import read_bag
 from armimp_estimation.result import conclude
-from armimp_estimation.summary import EstimatorSummary, ModelParameterSummary, ModelSummary
+from armimp_estimation.summary import EstimatorSummary
 from support.bag_files import write_bag
 from support.synthetic_bags import Message, recorded_arm
 from support.synthetic_trials import TWO_JOINT_ARM
@@ -56,10 +57,10 @@ def with_cuff(one: EstimatorSummary) -> EstimatorSummary:
     matrices = {name: np.ravel(getattr(one, name)).tolist() for name in "MBK"}
     values = {**matrices, "cuff_stiffness": [2e5, 1e4], "delay": [0.01]}
     parameters = {
-        name: ModelParameterSummary(values=found, errors=[*[0.5] * (len(found) - 1), nan], unit="u")
+        name: ParameterFit(values=found, errors=[*[0.5] * (len(found) - 1), nan], unit="u")
         for name, found in values.items()
     }
-    cuff = ModelSummary(
+    cuff = ModelFit(
         equation="A + B",
         parameters=parameters,
         lack_of_fit=one.lack_of_fit,

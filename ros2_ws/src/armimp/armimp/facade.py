@@ -286,7 +286,6 @@ def identify(recording: Recording, estimator: str = "lpm_full", model: str | Non
     found = identify_records([[one] for one in recording.trials], [estimator], known)
     found = replace(found, problems=(*recording.problems, *found.problems))
     one = found.estimators[estimator]
-    best = supported(one.models)
     return Result(
         joint_names=found.joint_names,
         M=one.fit.mbk.M,
@@ -301,6 +300,6 @@ def identify(recording: Recording, estimator: str = "lpm_full", model: str | Non
         valid=found.valid,
         impedance_valid=found.verdict.impedance,
         problems=tuple(problem.sentence for problem in found.problems),
-        models={fit.model.name: fit for fit in one.models},
-        model=None if best is None else best.model.name,
+        models=one.models,
+        model=supported(one.models),
     )

@@ -19,6 +19,7 @@ from armimp_bringup.terminal import Display, say
 from armimp_common.errors import DataError
 from armimp_common.process import age
 from armimp_common.status import Phase
+from armimp_estimation.arm_models import ModelFit
 from armimp_estimation.mbk import UNITS
 from armimp_estimation.metadata import Timing
 from armimp_estimation.problems import ProblemCode, Severity
@@ -26,7 +27,6 @@ from armimp_estimation.result import Result, load_result
 from armimp_estimation.summary import (
     SUMMARY_FILE,
     EstimatorSummary,
-    ModelSummary,
     OriginSummary,
     Summary,
     WallSummary,
@@ -221,7 +221,7 @@ def _parameter_table(name: str, result: EstimatorSummary, summary: Summary) -> T
     return table
 
 
-def _model_table(title: str, model: ModelSummary) -> Table:
+def _model_table(title: str, model: ModelFit) -> Table:
     table = _table(["", "estimate", "± s.e.", "unit"], f"{title}: Z = {model.equation}")
     for name, place, value, error, unit in model.elements:
         label = name + "".join(map(str, place))

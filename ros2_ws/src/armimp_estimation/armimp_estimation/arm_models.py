@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -29,6 +29,7 @@ from armimp_estimation.fit import (
     lack_of_fit,
     lack_ratio,
 )
+from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector
 
 Values = Mapping[str, FloatArray]
 
@@ -94,52 +95,65 @@ class ArmModel:
     """Whether values can be those of an arm; others are no solution where there is one."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ModelFit:
-    """A model fitted to an impedance."""
+class ParameterFit(JsonModel):
+    """One parameter: numbers row by row, as many as a matrix, the joints, or one; SI units."""
 
-    model: ArmModel
-    values: Values
-    errors: Values
-    """Parameters and standard errors; NaN for one without effect, or that was not fitted."""
-    covariance: FloatArray
-    """Of all parameters, one after the other, matrices row by row; shape (p, p)."""
-    lack: FloatArray
-    """Lack of fit of each element, as of :class:`armimp_estimation.fit.MBKFit`; shape (n, n)."""
-    lack_limit: float
-    """What chance doesn't exceed."""
-    held_out: float
-    """Mean lack of fit of bins that had no part in the fit; NaN if the others don't fit."""
-    criterion: float
+    values: Vector
+    """What was fitted."""
+    errors: Vector
+    """Standard errors; null for what has no effect, or was not fitted."""
+    unit: str
+    """SI unit of both."""
+
+
+class ModelFit(JsonModel):
+    """A model of the arm beside M, B and K, see `armimp_estimation.arm_models`."""
+
+    equation: str
+    """Z(s) in its parameters."""
+    parameters: dict[str, ParameterFit]
+    """By name, M, B and K first, see below."""
+    lack_of_fit: Matrix
+    """Misfit of the model over what noise explains."""
+    held_out: Number
+    """Mean lack of fit of bins that had no part in the fit; null if the others don't fit."""
+    criterion: Number
     """Bayesian information criterion, less is better."""
+    fits: bool
+    """Whether it is possible, and noise explains what it leaves, in the fit and held out."""
     declared: bool = False
     """Whether it was asked for by its name, not looked for."""
 
     @property
-    def resolved(self) -> bool:
-        """Whether the data tell something beside M, B and K from 0."""
-        return any(
-            bool((np.abs(self.values[one.name]) > _CLEARLY * self.errors[one.name]).any())
-            for one in self.model.parameters[len(INTRINSIC) :]
-        )
+    def elements(self) -> Iterator[tuple[str, tuple[int, ...], float, float, str]]:
+        """Name of each parameter, indices from 1, value, standard error and unit."""
+        n = len(self.lack_of_fit)
+        shapes = {n * n: (n, n), n: (n,), 1: ()}
+        for name, one in self.parameters.items():
+            places = np.ndindex(shapes.get(len(one.values), (len(one.values),)))
+            for place, value, error in zip(places, one.values, one.errors, strict=False):
+                yield name, tuple(index + 1 for index in place), value, error, one.unit
 
     @property
-    def fits(self) -> bool:
-        """Whether it is possible, and noise explains what it leaves, in the fit and held out."""
-        possible = self.model.possible(self.values)
-        return possible and bool(
-            (self.lack <= self.lack_limit).all() and self.held_out <= self.lack_limit
-        )
+    def beside(self) -> dict[str, ParameterFit]:
+        """What it has beside M, B and K."""
+        return dict([*self.parameters.items()][len(INTRINSIC) :])
+
+    @property
+    def resolved(self) -> bool:
+        """Whether the data tell something beside M, B and K from 0."""
+        pairs = (zip(one.values, one.errors, strict=True) for one in self.beside.values())
+        return any(abs(value) > _CLEARLY * error for pair in pairs for value, error in pair)
 
     @property
     def text(self) -> str:
         """Values and standard errors of what is beside M, B and K, in words."""
         parts = []
-        for one in self.model.parameters[len(INTRINSIC) :]:
-            pairs = zip(self.values[one.name].flat, self.errors[one.name].flat, strict=True)
+        for name, one in self.beside.items():
+            pairs = zip(one.values, one.errors, strict=True)
             fitted = [f"{value:.4g} ± {error:.2g}" for value, error in pairs if error >= 0.0]
             if fitted:
-                parts.append(f"{one.name} {', '.join(fitted)} {one.unit}".rstrip())
+                parts.append(f"{name} {', '.join(fitted)} {one.unit}".rstrip())
         return "; ".join(parts)
 
 
@@ -254,7 +268,7 @@ def fit_models(
     estimate: ImpedanceEstimate,
     plain: MBKFit,
     calibration: Calibration,
-) -> tuple[ModelFit, ...]:
+) -> dict[str, ModelFit]:
     """Fit what is asked for: one model, or all where an unbiased estimate isn't M, B and K.
 
     Parameters
@@ -267,24 +281,30 @@ def fit_models(
         That fit.
     calibration : Calibration
         What is known of the transducers.
+
+    Returns
+    -------
+    dict of str to ModelFit
+        By name of the model.
     """
     if asked == MBK_MODEL:
-        return ()
+        return {}
     names: Sequence[str] = (asked,)
     if asked == AUTO:
         fits = bool((plain.lack <= plain.lack_limit).all())
         names = () if fits or not estimate.unbiased or estimate.joints > _MOST_JOINTS else [*MODELS]
-    fitted = (_Problem(MODELS[name], estimate, plain, calibration).fit() for name in names)
-    return tuple(replace(one, declared=asked != AUTO) for one in fitted)
+    fitted = {name: _Problem(MODELS[name], estimate, plain, calibration).fit() for name in names}
+    declared = {"declared": asked != AUTO}
+    return {name: one.model_copy(update=declared) for name, one in fitted.items()}
 
 
-def supported(models: Sequence[ModelFit]) -> ModelFit | None:
+def supported(models: Mapping[str, ModelFit]) -> str | None:
     """Model that stands beside M, B and K: of those that fit, the one with the best criterion.
 
     One that nobody declared has to be resolved, too.
     """
-    possible = (one for one in models if one.fits and (one.declared or one.resolved))
-    return min(possible, key=lambda one: one.criterion, default=None)
+    possible = (n for n, one in models.items() if one.fits and (one.declared or one.resolved))
+    return min(possible, key=lambda name: models[name].criterion, default=None)
 
 
 class _Problem:
@@ -395,19 +415,26 @@ class _Problem:
             if value < criterion - _STRONG:
                 criterion, solution, free = value, trial, more
         fitted = self.impedance(solution)
-        covariance = self.covariance(solution, free)
         lack = lack_of_fit(self.estimate, fitted)
         limit = lack_limit(self.estimate.bin_correlation)
         fits = bool((lack <= limit).all())
+        held_out = self.held_out(solution, free) if fits else math.nan
+        values = self.values(solution)
+        errors = self.values(self.errors(solution, free))
         return ModelFit(
-            model=self.model,
-            values=self.values(solution),
-            errors=self.values(np.sqrt(np.diag(covariance))),
-            covariance=covariance,
-            lack=lack,
-            lack_limit=limit,
-            held_out=self.held_out(solution, free) if fits else math.nan,
+            equation=self.model.equation,
+            parameters={
+                one.name: ParameterFit(
+                    values=values[one.name].ravel().tolist(),
+                    errors=errors[one.name].ravel().tolist(),
+                    unit=one.unit,
+                )
+                for one in self.model.parameters
+            },
+            lack_of_fit=lack.tolist(),
+            held_out=held_out,
             criterion=criterion,
+            fits=fits and held_out <= limit and self.model.possible(values),
         )
 
     def held_out(self, solution: FloatArray, free: BoolArray) -> float:
@@ -429,8 +456,8 @@ class _Problem:
         independent = 2.0 * ratio.size / (1.0 + 2.0 * float(np.sum(np.abs(rho[1:]))))
         return independent * float(np.mean(ratio)) + np.sum(free) * math.log(independent)
 
-    def covariance(self, solution: FloatArray, free: BoolArray) -> FloatArray:
-        """Covariance of the parameters, (p, p): the sandwich, whatever the weights.
+    def errors(self, solution: FloatArray, free: BoolArray) -> FloatArray:
+        """Standard errors of the parameters, (p,), by the sandwich, whatever the weights.
 
         To first order ``δp = Re Σ conj(b) δZ`` over elements and bins, with ``b = N⁻¹ W ∂Z/∂p``.
         """
@@ -459,9 +486,9 @@ class _Problem:
             # The error of a correction is that of one transducer, so it is common to a row.
             shift = np.sum((np.conj(b) * common).real, axis=(2, 3))
             found += shift @ shift.T
-        covariance = np.full((solution.size, solution.size), math.nan)
-        covariance[np.ix_(free, free)] = found
-        return covariance
+        errors = np.full(solution.size, math.nan)
+        errors[free] = np.sqrt(np.diag(found))
+        return errors
 
     def _slopes(self, solution: FloatArray) -> Iterator[ComplexArray]:
         for place, value in enumerate(solution):

@@ -50,8 +50,8 @@ class EstimatorResult:
     """Variance accounted for, %, if the truth is known; shape (n, n)."""
     coherence: scores.Coherences
     """Over frequency."""
-    models: tuple[ModelFit, ...] = ()
-    """Models of the arm that were fitted beside M, B and K."""
+    models: dict[str, ModelFit]
+    """Models of the arm that were fitted beside M, B and K, by name."""
 
     def with_doubts(self, shifts: Sequence[FloatArray]) -> EstimatorResult:
         """Return the same with changes of M, B and K, (3, n, n), as more standard errors."""

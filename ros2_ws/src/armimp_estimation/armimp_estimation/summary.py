@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -34,63 +34,6 @@ FRF_FILE = "frf.npz"
 
 Intervals = list[Matrix]
 """Lower and upper end of an interval for each element of a matrix."""
-
-
-class ModelParameterSummary(JsonModel):
-    """One parameter: numbers row by row, as many as a matrix, the joints, or one; SI units."""
-
-    values: Vector
-    """What was fitted."""
-    errors: Vector
-    """Standard errors; null for what was not fitted."""
-    unit: str
-    """SI unit of both."""
-
-
-class ModelSummary(JsonModel):
-    """A model of the arm beside M, B and K, see `armimp_estimation.arm_models`."""
-
-    equation: str
-    """Z(s) in its parameters."""
-    parameters: dict[str, ModelParameterSummary]
-    """By name, see below."""
-    lack_of_fit: Matrix
-    """Misfit of the model over what noise explains."""
-    held_out: Number
-    """Mean lack of fit of bins that had no part in the fit."""
-    criterion: Number
-    """Bayesian information criterion."""
-    fits: bool
-    """Whether noise explains the rest."""
-
-    @property
-    def elements(self) -> Iterator[tuple[str, tuple[int, ...], float, float, str]]:
-        """Name of each parameter, indices from 1, value, standard error and unit."""
-        n = len(self.lack_of_fit)
-        shapes = {n * n: (n, n), n: (n,), 1: ()}
-        for name, one in self.parameters.items():
-            places = np.ndindex(shapes.get(len(one.values), (len(one.values),)))
-            for place, value, error in zip(places, one.values, one.errors, strict=False):
-                yield name, tuple(index + 1 for index in place), value, error, one.unit
-
-    @classmethod
-    def of(cls, fit: ModelFit) -> ModelSummary:
-        """Summary of a fitted model."""
-        return cls(
-            equation=fit.model.equation,
-            parameters={
-                one.name: ModelParameterSummary(
-                    values=fit.values[one.name].ravel().tolist(),
-                    errors=fit.errors[one.name].ravel().tolist(),
-                    unit=one.unit,
-                )
-                for one in fit.model.parameters
-            },
-            lack_of_fit=fit.lack.tolist(),
-            held_out=fit.held_out,
-            criterion=fit.criterion,
-            fits=fit.fits,
-        )
 
 
 class TrialSummary(TrialScores, StreamStatistics):
@@ -149,20 +92,20 @@ class EstimatorSummary(JsonModel):
     """Whether problems of its own make the result not valid."""
     delay: CommonDelay | None = None
     """Delay that was corrected, if one was left open."""
-    models: dict[str, ModelSummary] = Field(default_factory=dict)
+    models: dict[str, ModelFit] = Field(default_factory=dict)
     """Models of the arm that were fitted beside M, B and K."""
     model: str | None = None
     """Of these the one that was declared, or that the data support."""
 
     @property
-    def offered(self) -> ModelSummary | None:
+    def offered(self) -> ModelFit | None:
         """The model whose M, B and K stand beside these."""
         return None if self.model is None else self.models.get(self.model)
 
     @classmethod
     def of(cls, result: EstimatorResult, *, decides: bool) -> EstimatorSummary:
         """Summary of the result of one estimator."""
-        fit, best = result.fit, supported(result.models)
+        fit = result.fit
         ends = np.array((-NORMAL_95, NORMAL_95))
         found: dict[str, Any] = {
             name: getattr(result, name)
@@ -178,8 +121,8 @@ class EstimatorSummary(JsonModel):
             lack_of_fit=fit.lack.tolist(),
             decides=decides,
             delay=fit.delay,
-            models={one.model.name: ModelSummary.of(one) for one in result.models},
-            model=None if best is None else best.model.name,
+            models=result.models,
+            model=supported(result.models),
         )
 
 

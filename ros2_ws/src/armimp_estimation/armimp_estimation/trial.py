@@ -21,7 +21,7 @@ import numpy as np
 
 from armimp_common.arrays import FloatArray
 from armimp_common.errors import DataError
-from armimp_estimation.estimators.local_polynomial import LocalPolynomialConfig
+from armimp_estimation.estimators.local_polynomial import HALF_WIDTH, ORDER
 from armimp_estimation.periods import common_periods
 from armimp_estimation.problems import Problem
 from armimp_estimation.record import TrialRecord
@@ -36,8 +36,7 @@ What the polynomials do not follow of that would be taken for drift in a short r
 drift does little, too.
 """
 _ABSURD = 1e50
-# Polynomials of a higher degree would follow the ramp itself.
-_LOCAL = LocalPolynomialConfig()
+_WINDOW = 2 * HALF_WIDTH + 1
 SIGNIFICANT = 6.0
 """Standard errors beyond which a slope is taken for drift: in no record does chance get there."""
 
@@ -81,10 +80,10 @@ def drift_of(record: TrialRecord) -> Drift | None:
         None if the record is too short (see :data:`HIGHEST`), or its perturbation too poor, to
         tell.
     """
-    places = np.arange(1, _LOCAL.window + 1)
+    places = np.arange(1, _WINDOW + 1)
     record = record.whole_periods
     samples = record.samples
-    if (samples - 1) // 2 < _LOCAL.window or places[-1] * record.rate / samples > HIGHEST:
+    if (samples - 1) // 2 < _WINDOW or places[-1] * record.rate / samples > HIGHEST:
         return None
     inputs = np.fft.rfft(record.perturbation[record.perturbed_joint])[places]
     scale = np.sqrt(np.mean(np.abs(inputs) ** 2))
@@ -95,7 +94,7 @@ def drift_of(record: TrialRecord) -> Drift | None:
         places = places[places % record.periods.count != 0]
     ramp = np.fft.rfft(np.arange(samples) / record.rate)[places]
     size = np.sqrt(np.mean(np.abs(ramp) ** 2))
-    powers = ((places - places.mean()) / _LOCAL.half_width)[:, None] ** np.arange(_LOCAL.order + 1)
+    powers = ((places - places.mean()) / HALF_WIDTH)[:, None] ** np.arange(ORDER + 1)
     columns = [powers, (ramp / size)[:, None]]
     if record.periods is None:
         columns.insert(0, (inputs / scale)[:, None] * powers)

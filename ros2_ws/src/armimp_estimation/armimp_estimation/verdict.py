@@ -8,7 +8,7 @@ below, and by `plausibility`, `signal_quality`, `nonlinearity`, `robot_balance` 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import permutations
 from typing import Any
 
@@ -285,23 +285,24 @@ def judge_estimate(
     return problems
 
 
-def judge_models(estimator: str, models: Sequence[ModelFit]) -> list[Problem]:
+def judge_models(estimator: str, models: Mapping[str, ModelFit]) -> list[Problem]:
     """Say which model was declared or is supported in the place of M, B and K, or that none is.
 
     Parameters
     ----------
     estimator : str
         Name of the estimator.
-    models : sequence of ModelFit
-        Those that were fitted.
+    models : mapping of str to ModelFit
+        Those that were fitted, by name.
     """
     if not models:
         return []
-    best = supported(models)
-    told: dict[str, Any] = {"models": ", ".join(one.model.name for one in models)}
+    name = supported(models)
+    told: dict[str, Any] = {"models": ", ".join(models)}
     code = ProblemCode.NO_MODEL
-    if best is not None:
+    if name is not None:
+        best = models[name]
         code = ProblemCode.MODEL_DECLARED if best.declared else ProblemCode.MODEL_OFFERED
-        told = {"model": best.model.name, "equation": best.model.equation}
-        told |= {"lack": float(np.max(best.lack)), "text": best.text}
+        told = {"model": name, "equation": best.equation}
+        told |= {"lack": float(np.max(best.lack_of_fit)), "text": best.text}
     return [problem(code, severity=Severity.NOTE, estimator=estimator, **told)]

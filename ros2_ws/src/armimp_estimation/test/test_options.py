@@ -12,7 +12,6 @@ import pytest
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.arm_models import require_model
 from armimp_estimation.estimators.estimate import confidence_radius
-from armimp_estimation.estimators.local_polynomial import LocalPolynomialConfig
 from armimp_estimation.estimators.lpm import LpmConfig
 from armimp_estimation.estimators.registry import IdentifyConfig, make_estimator
 from armimp_estimation.estimators.welch import WelchSiso, invert
@@ -44,9 +43,6 @@ radius = functools.partial(confidence_radius, np.ones(1), 11.0)
             (LpmConfig, "timing_uncertainty must not be negative", {"timing_uncertainty": error})
             for error in (-0.1, NAN)
         ),
-        (LocalPolynomialConfig, "order must not be negative, got -1", {"order": -1}),
-        (LocalPolynomialConfig, "5 bins are too few .* at least 3, got 2", {"half_width": 2}),
-        (LocalPolynomialConfig, "at least 6, got 5", {"order": 5, "half_width": 5}),
         (of_matrices, r"B has shape \(3, 3\), expected \(2, 2\)", {"B": np.eye(3)}),
         (of_matrices, "finite", {"B": np.full((2, 2), NAN)}),
         *((radius, "confidence level", {"level": level}) for level in (0.0, 1.0, -0.5, NAN)),

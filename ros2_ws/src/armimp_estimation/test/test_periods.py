@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.signal import butter, lfilter, sosfilt
 
 from armimp_estimation.distortion import Distortion
-from armimp_estimation.estimators.local_polynomial import LocalPolynomialConfig, local_response
+from armimp_estimation.estimators.local_polynomial import local_response
 from armimp_estimation.mbk import MBK
 from armimp_estimation.nonlinearity import deviations
 from armimp_estimation.periods import Periods, common_lines
@@ -115,8 +115,8 @@ def test_response_at_the_lines_is_free_of_the_transient_and_scatter_tells_its_er
     output = lagging_behind(source, pole)
 
     def response(disturbance: Array) -> tuple[NDArray[np.complex128], Array, Array]:
-        output_of_all, config = (output + disturbance)[None], LocalPolynomialConfig()
-        found = local_response(source, output_of_all, 1000.0, (0.0, 15.0), config, periods=periods)
+        output_of_all = (output + disturbance)[None]
+        found = local_response(source, output_of_all, 1000.0, (0.0, 15.0), periods=periods)
         variance = found.gain * found.noise[0, 0].real
         return found.response[0], variance, found.f
 

@@ -17,11 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
-from armimp_common.errors import ConfigurationError, DataError
+from armimp_common.errors import DataError
 from armimp_estimation.periods import Periods, has_power
 
 Mix = Callable[[FloatArray], ComplexArray]
 
+ORDER = 2
+"""Degree of the polynomials in frequency, for response and leakage alike."""
+HALF_WIDTH = 12
+"""Bins on either side that take part in the estimate at a bin. At the ends of the spectrum the
+window of twice as many and one is not centred."""
 _ENOUGH = 19
 """Degrees of freedom from which on noise is known well: those of windows of 25 bins."""
 _NEIGHBOURS = 1.1
@@ -30,42 +35,6 @@ _NEIGHBOURS = 1.1
 _DEGENERATE = 1e-9
 # Lines on either side over which a response is a polynomial, and over which its scatter is alike.
 _LINES, _ALIKE = 6, 10
-
-
-@dataclass(frozen=True, kw_only=True)
-class LocalPolynomialConfig:
-    """Bins and degree of the local polynomials.
-
-    Raises
-    ------
-    ConfigurationError
-        If the window has not more bins than there are coefficients.
-    """
-
-    order: int = 2
-    """Degree of the polynomials in frequency, for response and leakage alike."""
-    half_width: int = 12
-    """Bins on either side that take part in the estimate at a bin. At the ends of the spectrum the
-    window of ``2·half_width + 1`` bins is not centred."""
-
-    def __post_init__(self) -> None:
-        if self.order < 0:
-            raise ConfigurationError(f"order must not be negative, got {self.order}")
-        if self.freedom < 1:
-            raise ConfigurationError(
-                f"{self.window} bins are too few for polynomials of order {self.order}: "
-                f"half_width must be at least {self.order + 1}, got {self.half_width}"
-            )
-
-    @property
-    def window(self) -> int:
-        """Number of bins in a window."""
-        return 2 * self.half_width + 1
-
-    @property
-    def freedom(self) -> int:
-        """Complex degrees of freedom of the residual."""
-        return self.window - 2 * (self.order + 1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -106,7 +75,7 @@ class LocalResponse:
             line_power=None if self.line_power is None else self.line_power[kept],
         )
 
-    def with_scatter_of_lines(self, outputs: slice, order: int) -> LocalResponse:
+    def with_scatter_of_lines(self, outputs: slice) -> LocalResponse:
         """Return the same with the noise of some outputs at least what their lines scatter by.
 
         What comes back in each period, as what friction and rounding make of the motion, is not in
@@ -117,8 +86,6 @@ class LocalResponse:
         ----------
         outputs : slice
             Those whose responses are smooth.
-        order : int
-            Degree of polynomials in frequency that follow them.
         """
         size, window = self.f.size, 2 * _LINES + 1
         if self.line_power is None or size < window:
@@ -127,7 +94,7 @@ class LocalResponse:
         first = np.clip(np.arange(size) - _LINES, 0, size - window)
         places = first[:, None] + np.arange(window)
         distance = (self.f[places] - self.f[:, None]) / (self.f[-1] - self.f[0])
-        powers = distance[:, :, None] ** np.arange(order + 1) * window ** np.arange(order + 1)
+        powers = distance[:, :, None] ** np.arange(ORDER + 1) * window ** np.arange(ORDER + 1)
         root = np.sqrt(self.line_power[places])[:, :, None]
         told = np.linalg.pinv(root * powers)[:, :1] @ (root * np.eye(window))
         apart = (places == np.arange(size)[:, None]) - told[:, 0]
@@ -187,7 +154,7 @@ def local_response(
     outputs: FloatArray,
     rate: float,
     band: tuple[float, float],
-    config: LocalPolynomialConfig,
+    half_width: int = HALF_WIDTH,
     f: FloatArray | None = None,
     periods: Periods | None = None,
     mix: Mix | None = None,
@@ -204,8 +171,8 @@ def local_response(
         Samples per second, Hz.
     band : tuple of float
         Lowest and highest frequency, Hz.
-    config : LocalPolynomialConfig
-        Bins and degree.
+    half_width : int
+        Bins on either side that take part, at least ``ORDER + 1``.
     f : ndarray, shape (n_freq,), optional
         Frequencies, Hz, in place of the bins of the band; they need not be bins of the record.
     periods : Periods, optional
@@ -219,8 +186,8 @@ def local_response(
         If the record is too short, or the input has no power or too few lines in the band.
     """
     if periods is not None:
-        return _periodic_response(source, outputs, rate, band, config, periods, mix)
-    samples, window = source.size, config.window
+        return _periodic_response(source, outputs, rate, band, half_width, periods, mix)
+    samples, window = source.size, 2 * half_width + 1
     bins = bins_in_band(samples, rate, *band)
     centres: FloatArray | NDArray[np.intp] = bins
     if f is not None:
@@ -235,7 +202,7 @@ def local_response(
         )
     if f is None:
         f = bins.astype(np.float64) * float(rate / samples)
-    first = np.clip(bins - config.half_width, 1, highest - window + 1)
+    first = np.clip(bins - half_width, 1, highest - window + 1)
     places = first[:, None] + np.arange(window)
 
     transformed = _transform(source)
@@ -248,8 +215,8 @@ def local_response(
     scale = np.sqrt(np.mean(np.abs(inputs) ** 2, axis=1))
     scale[~perturbed] = largest
     observed = _observed(outputs, rate, places, mix)
-    distance = (places - centres[:, None]) / config.half_width
-    powers = distance[:, :, None] ** np.arange(config.order + 1)
+    distance = (places - centres[:, None]) / half_width
+    powers = distance[:, :, None] ** np.arange(ORDER + 1)
     scaled = inputs / scale[:, None]
     basis, triangle = np.linalg.qr(np.concatenate((scaled[:, :, None] * powers, powers), axis=2))
     diagonal = np.abs(np.diagonal(triangle, axis1=1, axis2=2))
@@ -260,7 +227,7 @@ def local_response(
     to_response = np.linalg.inv(triangle)[:, :1, :]
     weights = (to_response @ adjoint)[:, 0, :] / scale[:, None]
     residual = observed - basis @ (adjoint @ observed)
-    freedom = np.full(bins.size, config.freedom)
+    freedom = np.full(bins.size, window - 2 * (ORDER + 1))
     width = window * float(rate / samples)
     found = _found(f, weights, observed, residual, freedom, first, width)
     if not perturbed.any():
@@ -286,7 +253,7 @@ def _periodic_response(
     outputs: FloatArray,
     rate: float,
     band: tuple[float, float],
-    config: LocalPolynomialConfig,
+    half_width: int,
     periods: Periods,
     mix: Mix | None,
 ) -> LocalResponse:
@@ -295,16 +262,16 @@ def _periodic_response(
     Between the harmonics of whole periods is leakage, a polynomial in frequency, and noise: the
     scatter of the periods. Without that leakage, the response at a line is output over input.
     """
-    window, used = config.window, periods.used
+    window, used = 2 * half_width + 1, periods.used
     centres = periods.lines_in(rate, band) * periods.count
     if centres.size == 0 or (used - 1) // 2 < window:
         raise DataError(f"no line of the perturbation between {band[0]:.4g} and {band[1]:.4g} Hz")
-    first = np.clip(centres - config.half_width, 1, (used - 1) // 2 - window + 1)
+    first = np.clip(centres - half_width, 1, (used - 1) // 2 - window + 1)
     places = first[:, None] + np.arange(window)
     at_line = (places == centres[:, None]).astype(np.float64)
     between = (places % periods.count != 0).astype(np.float64)
-    distance = (places - centres[:, None]) / config.half_width
-    powers = between[:, :, None] * distance[:, :, None] ** np.arange(config.order + 1)
+    distance = (places - centres[:, None]) / half_width
+    powers = between[:, :, None] * distance[:, :, None] ** np.arange(ORDER + 1)
     basis, triangle = np.linalg.qr(powers)
     adjoint = np.swapaxes(basis, 1, 2)
     leakage = (np.linalg.inv(triangle)[:, :1, :] @ adjoint)[:, 0, :]
@@ -312,7 +279,7 @@ def _periodic_response(
     weights = (at_line - leakage) / inputs[:, None]
     observed = _observed(outputs[:, -used:], rate, places, mix)
     residual = between[:, :, None] * observed - basis @ (adjoint @ observed)
-    freedom = np.sum(between, axis=1) - (config.order + 1)
+    freedom = np.sum(between, axis=1) - (ORDER + 1)
     f = np.asarray(centres * float(rate / used), dtype=np.float64)
     width = window * float(rate / used)
     found = _found(f, weights.astype(np.complex128), observed, residual, freedom, first, width)

@@ -1,7 +1,7 @@
 """Impedance by local polynomials: the whole record at once, free of leakage and of torque skew."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -9,7 +9,8 @@ from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate, combined, variance_of
 from armimp_estimation.estimators.local_polynomial import (
-    LocalPolynomialConfig,
+    HALF_WIDTH,
+    ORDER,
     LocalResponse,
     Mix,
     at_common_frequencies,
@@ -43,7 +44,6 @@ _NEARER = 3
 _TINY = float(np.finfo(np.float64).tiny)
 LINE_FLOOR = 0.001
 """Relative error that responses at the lines of a multisine are allowed beside their variance."""
-LOCAL = LocalPolynomialConfig()
 _SPAN = 0.25
 """Hz on either side of a bin that local polynomials may span: in shorter records, where bins are
 wider, fewer take part. The responses of an arm have a resonance around 1 Hz."""
@@ -129,7 +129,7 @@ class LpmFull:
         near = self._arm_near(records, jump)
         mixed = self._beside(near, jump, rate)
         columns = [
-            column.with_scatter_of_lines(slice(n, 2 * n), LOCAL.order)
+            column.with_scatter_of_lines(slice(n, 2 * n))
             for column in self._columns(records, with_steps=jump is not None, mix=mixed)
         ]
         f = columns[0].f
@@ -387,21 +387,20 @@ def responses(
     columns = []
     for record, signals in zip(records, outputs, strict=True):
         periods = None if lines is None else record.periods
-        local = _local_for(record.duration, periodic=periods is not None)
+        width = _half_width(record.duration, periodic=periods is not None)
         source = record.perturbation[record.perturbed_joint]
-        columns.append(local_response(source, signals, rate, band, local, f, periods, mix))
+        columns.append(local_response(source, signals, rate, band, width, f, periods, mix))
     return at_common_frequencies(columns)
 
 
-def _local_for(duration: float, *, periodic: bool) -> LocalPolynomialConfig:
-    """Local polynomials for a record of so many seconds.
+def _half_width(duration: float, *, periodic: bool) -> int:
+    """Half width of the window of local polynomials for a record of so many seconds, in bins.
 
     Between the lines of a periodic perturbation they follow leakage alone, and take all bins of the
     span.
     """
-    within = max(int(_SPAN * duration * (1.0 + 1e-12)), LOCAL.order + _SPARE_BINS)
-    widest = within if periodic else LOCAL.half_width
-    return replace(LOCAL, half_width=min(widest, within))
+    within = max(int(_SPAN * duration * (1.0 + 1e-12)), ORDER + _SPARE_BINS)
+    return within if periodic else min(HALF_WIDTH, within)
 
 
 def _floor(column: LocalResponse) -> float:
