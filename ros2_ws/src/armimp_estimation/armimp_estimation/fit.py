@@ -328,17 +328,17 @@ def _first_fit(estimate: ImpedanceEstimate) -> ComplexArray:
     return np.asarray(fitted.reshape(estimate.Z.shape))
 
 
-def fit_column(estimate: ImpedanceEstimate) -> tuple[FloatArray, FloatArray]:
-    """Fit the elements of one column as :func:`fit_impedance` does those of a matrix.
+def fit_columns(estimate: ImpedanceEstimate) -> tuple[FloatArray, FloatArray]:
+    """Fit the elements of some columns as :func:`fit_impedance` does those of a matrix.
 
     Parameters
     ----------
     estimate : ImpedanceEstimate
-        Of which arrays are (n, 1, n_freq).
+        Of which the impedance is (n, m, n_freq).
 
     Returns
     -------
-    values, errors : ndarray, shape (3, n)
+    values, errors : ndarray, shape (3, n, m)
         M, B, K of each element, and their standard errors, SI units.
 
     Raises
@@ -347,8 +347,8 @@ def fit_column(estimate: ImpedanceEstimate) -> tuple[FloatArray, FloatArray]:
         As :func:`fit_impedance`.
     """
     problem, _ = _with_delay(_Elements.of(estimate))
-    values = problem.values()
-    return values, _roots(problem.covariance()).reshape(values.shape)
+    shape = (3, *estimate.Z.shape[:2])
+    return problem.values().reshape(shape), _roots(problem.covariance()).reshape(shape)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -398,7 +398,7 @@ class _Elements:
 
     @property
     def whole(self) -> bool:
-        """Whether these are the n² elements of a matrix, not those of a column."""
+        """Whether these are the n² elements of a matrix, not those of some columns."""
         rows, columns, _ = self.estimate.Z.shape
         return bool(rows == columns)
 

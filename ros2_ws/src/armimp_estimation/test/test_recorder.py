@@ -348,7 +348,7 @@ def test_when_a_sample_is_missing_or_cannot_be_used_expect_silence(
 
 def test_the_last_trial_accounts_for_motion_of_locked_joints_and_the_first_says_so() -> None:
     # A soft lock, so that without the trials before the column is far off.
-    config = SyntheticConfig(samples=SAMPLES, lock_stiffness=3e3, torque_noise=0.01)
+    config = SyntheticConfig(samples=SAMPLES, lock_stiffness=2e3, torque_noise=0.01)
     records = [synthetic_trial(ARM, joint, config, seed=joint) for joint in range(2)]
     lpm = LpmFull(config=LpmConfig(reading=TorqueReading(timing=TorqueTiming.SIMULTANEOUS)))
     true = np.stack([matrix[:, 1] for matrix in (ARM.M, ARM.B, ARM.K)])

@@ -18,7 +18,7 @@ from armimp_estimation.estimators.local_polynomial import (
     local_response,
 )
 from armimp_estimation.estimators.welch import invert, multiply
-from armimp_estimation.fit import FEWEST_FREQUENCIES, fit_column, fit_mbk
+from armimp_estimation.fit import FEWEST_FREQUENCIES, fit_columns, fit_mbk
 from armimp_estimation.frf import order_trials, stands_out
 from armimp_estimation.hold_correction import (
     HoldCorrection,
@@ -42,7 +42,7 @@ _MOST_NEAR = 64
 """
 _NEARER = 3
 _TINY = float(np.finfo(np.float64).tiny)
-LINE_FLOOR = 0.001
+_LINE_FLOOR = 0.001
 """Relative error that responses at the lines of a multisine are allowed beside their variance."""
 _SPAN = 0.25
 """Hz on either side of a bin that local polynomials may span: in shorter records, where bins are
@@ -123,9 +123,14 @@ class LpmFull:
         return self._estimate([trial.record for trial in order_trials(trials)])
 
     def _estimate(self, records: Sequence[TrialRecord]) -> ImpedanceEstimate:
-        """As :meth:`estimate`, from one record for each joint, in their order."""
+        """As :meth:`estimate`, from one record for each joint, in their order.
+
+        Without a trial of each joint it has the columns of m trials alone, (n, m, n_freq), as if
+        all other joints were still.
+        """
         jump = self.jump(records)
-        rate, n = records[0].rate, len(records)
+        rate, n = records[0].rate, records[0].joints
+        joints = [record.perturbed_joint for record in records]
         near = self._arm_near(records, jump)
         mixed = self._beside(near, jump, rate)
         columns = [
@@ -134,26 +139,31 @@ class LpmFull:
         ]
         f = columns[0].f
         stacked = np.stack([column.response for column in columns], axis=1)
-        R = stacked[:n]
+        R = stacked[joints]
         inverse = invert(R, f)
         beside, added = (multiply(part, inverse) for part in (stacked[n : 2 * n], stacked[2 * n :]))
-        impedance = near.impedance(f) + beside
+        impedance = near.impedance(f)[:, joints] + beside
         torque = multiply(impedance, R)
         reversing, bending = _reversals(records, impedance, f)
-        skewed = self._doubts(added, f, jump, reversing[:, None], bending)
+        skewed = self._doubts(added, f, jump, reversing, bending)
 
         every = _unit(2 * n, 3 * n, f)
         coefficients = every[n:].copy()
-        every[n:, :n], coefficients[:, :n] = near.impedance(f), -beside
-        ahead, told, lost = HiddenMotion(records, R, torque, inverse, f).effects(impedance)
-        impedance = impedance + ahead
+        every[n:, :n], coefficients[:, joints] = near.impedance(f), -beside
         half_period = 0.5 / rate
         delay_uncertainty = self._delay_uncertainty(jump, rate)
         powers = _line_power(columns)
-        if jump is None and delay_uncertainty == half_period:
-            told += _joints_held(impedance, f, half_period)
-            lost += _untold_friction(records, impedance, f, bending)
-        lost += _postures_apart(records, impedance, R, inverse, f)
+        told: list[ComplexArray] = []
+        lost: list[ComplexArray] = []
+        whole = len(records) == n
+        if whole:
+            hidden = HiddenMotion(records, R, torque, inverse, f)
+            ahead, told, lost = hidden.effects(impedance)
+            impedance = impedance + ahead
+            if jump is None and delay_uncertainty == half_period:
+                told += _joints_held(impedance, f, half_period)
+                lost += _untold_friction(records, impedance, f, bending)
+            lost += _postures_apart(records, impedance, R, inverse, f)
         systematics = (*told, *lost, *skewed)
         disturbance = covariance_of(columns, coefficients)
         return ImpedanceEstimate(
@@ -168,12 +178,12 @@ class LpmFull:
             systematics=systematics,
             bounded=len(told),
             line_power=powers,
-            weight_floor=_floor(columns[0]),
+            weight_floor=_FLOOR if columns[0].line_power is None else _LINE_FLOOR,
             friction_skew=added.real.astype(np.complex128),
             delay_uncertainty=delay_uncertainty,
             delay_unknown=half_period,
             unbiased=True,
-            without_slow=tuple(without_slow(records)),
+            without_slow=tuple(without_slow(records)) if whole else (),
             hold=jump,
             covariance=covariance_of(columns, every),
             disturbance=disturbance,
@@ -184,9 +194,8 @@ class LpmFull:
         """Column k of M, B and K from the trial of joint k so far, and trials that are over.
 
         With a trial of every other joint, it is that of :meth:`estimate`. Else it is preliminary:
-        with ``R`` diagonal, ``Z_ik = (T + S C)_ik / R_kk``, what locked joints move nonetheless is
-        in the values. The standard errors are those of the whole estimate as far as the joints are
-        locked.
+        what joints without one move nonetheless is in the values. The standard errors are those of
+        the whole estimate as far as these joints are locked.
 
         Parameters
         ----------
@@ -201,51 +210,22 @@ class LpmFull:
             If a record is too short, joint k does not move, or R cannot be inverted.
         """
         by_joint = {one.perturbed_joint: _without_drift(one) for one in (*others, record)}
-        n, k = record.joints, record.perturbed_joint
-        if len(by_joint) == n:
-            found = self._estimate([by_joint[joint] for joint in range(n)])
-            fitted = fit_mbk(found)
-            values = np.stack(
-                [matrix[:, k] for matrix in (fitted.mbk.M, fitted.mbk.B, fitted.mbk.K)]
-            )
-            errors = np.stack([matrix[:, k] for matrix in (fitted.M_se, fitted.B_se, fitted.K_se)])
-            return FittedColumn(joint=k, values=values, errors=errors, preliminary=False)
-        record = by_joint[k]
-        jump = self.jump([record])
-        (response,) = self._columns([record], with_steps=jump is not None)
-        f, stacked = response.f, response.response
-        if not (np.abs(stacked[k]) > 0.0).all():
-            raise DataError(f"trial {record.trial}: joint {k + 1} does not move")
-        skew = without_skew(f, record.rate, n, self.config.reading, jump)
-        torque = multiply(skew, stacked[n:, None])[:, 0]
-        impedance = torque / stacked[k]
-        uncorrected = multiply(skew[:, :n], stacked[n : 2 * n, None])[:, 0]
-        reversing, bending = _reversals([record], impedance[:, None], f)
-        added = (torque - uncorrected) / stacked[k]
-        systematics = self._doubts(added, f, jump, reversing, bending)
-        coefficients = np.zeros((n, *stacked.shape), dtype=np.complex128)
-        coefficients[:, k], coefficients[:, n:] = -impedance, skew
-        left = covariance_of([response], coefficients)[0]
-        variance = np.einsum("iif->if", left).real / np.abs(stacked[k]) ** 2
-        variance = variance + sum(np.abs(one) ** 2 for one in systematics)
-        power = response.line_power
-        found = ImpedanceEstimate(
-            name=self.name,
-            f=f,
-            Z=impedance[:, None],
-            variance=variance[:, None],
-            bin_correlation=response.bin_correlation(),
-            averages=np.inf,
-            T=torque[:, None],
-            R=stacked[:n, None],
-            systematics=tuple(one[:, None] for one in systematics),
-            line_power=None if power is None else power[None],
-            weight_floor=_floor(response),
-            delay_uncertainty=self._delay_uncertainty(jump, record.rate),
-            delay_unknown=0.5 / record.rate,
+        joints, k = sorted(by_joint), record.perturbed_joint
+        found = self._estimate([by_joint[joint] for joint in joints])
+        preliminary = len(joints) < record.joints
+        if preliminary:
+            values, errors = fit_columns(found)
+        else:
+            fit = fit_mbk(found)
+            values = np.stack((fit.mbk.M, fit.mbk.B, fit.mbk.K))
+            errors = np.stack((fit.M_se, fit.B_se, fit.K_se))
+        place = joints.index(k)
+        return FittedColumn(
+            joint=k,
+            values=values[:, :, place],
+            errors=errors[:, :, place],
+            preliminary=preliminary,
         )
-        values, errors = fit_column(found)
-        return FittedColumn(joint=k, values=values, errors=errors, preliminary=True)
 
     def _doubts(
         self,
@@ -262,10 +242,9 @@ class LpmFull:
         What friction bends there within a period is not in it at all, and looks like viscosity.
         """
         error = np.zeros(len(correction)) if jump is None else jump.error
-        known = np.hypot(_SKEW, error)
-        known = known.reshape(-1, *(1,) * (correction.ndim - 1))
+        known = np.hypot(_SKEW, error)[:, None, None]
         inertial = np.asarray(1j * known * correction.imag)
-        share = np.hypot(known, _RUBBING * reversing)
+        share = np.hypot(known, _RUBBING * reversing[:, None])
         rubbing = np.asarray(share * correction.real, dtype=np.complex128)
         bent = (_inertia(correction, f) * bending)[..., None] * 2j * np.pi * f
         return inertial, rubbing, np.asarray(bent, dtype=np.complex128)
@@ -311,7 +290,8 @@ class LpmFull:
         What the polynomials miss is in proportion to the distance from the arm that was near
         before, so that the second time little of it is left, however few the bins.
         """
-        n, rate = len(records), records[0].rate
+        n, rate = records[0].joints, records[0].rate
+        joints = [record.perturbed_joint for record in records]
         found, f = np.zeros((3, n, n)), _strongest(records, self.band)
         for _ in range(_NEARER):
             near = MBK(M=found[0], B=found[1], K=found[2])
@@ -322,20 +302,20 @@ class LpmFull:
                 f=f,
             )
             stacked = np.stack([column.response for column in columns], axis=1)
-            R, beside = stacked[:n], stacked[n : 2 * n]
+            R, beside = stacked[joints], stacked[n : 2 * n]
             s = 2j * np.pi * columns[0].f
             motion = np.stack((s**2, s, np.ones_like(s)))[:, None, None] * R
-            torques = beside + multiply(near.impedance(columns[0].f), R)
+            torques = beside + multiply(near.impedance(columns[0].f)[:, joints], R)
             for row, (torque, left) in enumerate(zip(torques, beside, strict=True)):
                 size = np.abs(torque)
                 # Of a transducer that shows nothing, nothing is no error.
                 size = np.maximum(size, np.finfo(np.float64).eps * np.max(size) or 1.0)
-                design, aim = (motion / size).reshape(3 * n, -1), (left / size).ravel()
+                design, aim = (motion / size).reshape(3 * len(R), -1), (left / size).ravel()
                 parts = np.concatenate((design.real, design.imag), axis=1)
                 scale = np.linalg.norm(parts, axis=1)[:, None]
                 aims = np.concatenate((aim.real, aim.imag))
                 solved = np.linalg.lstsq((parts / scale).T, aims, rcond=None)[0] / scale[:, 0]
-                found[:, row] += solved.reshape(3, n)
+                found[:, row, joints] += solved.reshape(3, -1)
         return MBK(M=found[0], B=found[1], K=found[2])
 
     def _columns(
@@ -401,11 +381,6 @@ def _half_width(duration: float, *, periodic: bool) -> int:
     """
     within = max(int(_SPAN * duration * (1.0 + 1e-12)), ORDER + _SPARE_BINS)
     return within if periodic else min(HALF_WIDTH, within)
-
-
-def _floor(column: LocalResponse) -> float:
-    """Relative error in the weights beside the variance: lines have none of polynomials."""
-    return _FLOOR if column.line_power is None else LINE_FLOOR
 
 
 def _bins(records: Sequence[TrialRecord], band: tuple[float, float]) -> FloatArray:
