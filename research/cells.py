@@ -13,7 +13,7 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.study import parse_seeds
 from armimp_common.errors import ConfigurationError
 from armimp_common.topics import RATE
-from armimp_estimation.spectra import WelchConfig
+from armimp_estimation.spectra import segment_for_samples
 from research.decomposition_trials import in_blocks, in_threads
 
 FloatArray = NDArray[np.float64]
@@ -45,9 +45,9 @@ class Plan:
     estimators: tuple[str, ...]
 
     @property
-    def welch(self) -> WelchConfig:
-        """Segments and band of every run."""
-        return WelchConfig.for_samples(round(self.base.duration * RATE))
+    def segment(self) -> int:
+        """Samples of the segments of averaged spectra in every run."""
+        return segment_for_samples(round(self.base.duration * RATE))
 
     def at(self, levels: Levels) -> ExperimentConfig:
         """Base at these levels."""

@@ -42,7 +42,7 @@ from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.estimators.local_polynomial import bins_in_band
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.spectra import WelchConfig
+from armimp_estimation.spectra import BAND
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -79,7 +79,7 @@ class SensorNoise:
 
 def motion_in_band(
     records: Sequence[TrialRecord],
-    band: tuple[float, float] = (WelchConfig.f_low, WelchConfig.f_high),
+    band: tuple[float, float] = BAND,
 ) -> tuple[FloatArray, ComplexArray]:
     """Fourier transforms of the angles of some trials.
 

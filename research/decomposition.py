@@ -15,7 +15,7 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import simulate
 from armimp_bringup.study import parse_seeds
 from armimp_common.topics import RATE
-from armimp_estimation.spectra import WelchConfig
+from armimp_estimation.spectra import segment_for_samples
 from research.decomposition_figures import decomposition_figures
 from research.decomposition_outcomes import Cell, Outcome
 from research.decomposition_statistics import (
@@ -72,11 +72,11 @@ class _Task:
         else:
             experiments = all_at_once(configs, self.correlation)
         names = JOINT_BY_JOINT if self.correlation is None else (MIMO,)
-        welch = WelchConfig.for_samples(round(self.base.duration * RATE))
+        segment = segment_for_samples(round(self.base.duration * RATE))
         return [
             Outcome.of(experiment, run, self.voluntary, self.correlation)
             for experiment in experiments
-            for run in estimate(experiment, names, welch).values()
+            for run in estimate(experiment, names, segment).values()
         ]
 
 

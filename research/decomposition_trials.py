@@ -26,7 +26,6 @@ from armimp_estimation.estimators.registry import make_estimator
 from armimp_estimation.fit import MBKFit, fit_impedance
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import TrialData
 from armimp_sim.dynamics import WIDTH
 from research.mimo import InputCoupling, estimate_mimo
@@ -126,7 +125,7 @@ def input_mixing(peak: Sequence[float], correlation: float) -> FloatArray:
 
 
 def estimate(
-    experiment: SimulatedExperiment, estimators: Sequence[str], welch: WelchConfig
+    experiment: SimulatedExperiment, estimators: Sequence[str], segment: int
 ) -> dict[str, Run]:
     """Estimate the impedance from one experiment, each estimator from the records alone.
 
@@ -134,7 +133,7 @@ def estimate(
     ----------
     experiment : SimulatedExperiment
     estimators : names; :data:`MIMO` for experiments with all joints at once, and no other
-    welch : segments and band
+    segment : samples of the segments of averaged spectra
 
     Raises
     ------
@@ -147,12 +146,14 @@ def estimate(
         coupling = None
         if name == MIMO:
             # How bad the coupling may get is what is to be found out.
-            found = estimate_mimo(experiment.records, welch, largest_condition=np.inf)
+            found = estimate_mimo(experiment.records, segment, largest_condition=np.inf)
             impedance, coupling = found.impedance, found.coupling
         else:
-            options = experiment.known.options(welch)
+            options = experiment.known.options
             reading = options.lpm.reading
-            data = [TrialData.of(one, welch=welch, reading=reading) for one in experiment.records]
+            data = [
+                TrialData.of(one, segment=segment, reading=reading) for one in experiment.records
+            ]
             impedance = make_estimator(name, options).estimate(data)
         impedance, fit = fit_impedance(impedance)
         runs[name] = Run(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import SimulatedExperiment, simulate
 from armimp_bringup.study import parse_seeds
-from armimp_estimation.spectra import WelchConfig
+from armimp_estimation.spectra import segment_for_samples
 from research.decomposition_trials import (
     ESTIMATORS,
     MIMO,
@@ -147,10 +147,10 @@ def investigate(options: InvestigationOptions, plan: GrowthPlan | None = None) -
 def _outcomes(experiment: SimulatedExperiment, names: Sequence[str]) -> Iterator[Outcome]:
     """Of whole trials and of their first halves, by the same segments."""
     samples = experiment.records[0].samples
-    welch = WelchConfig.for_samples(samples)
+    segment = segment_for_samples(samples)
     for length in (samples, samples // 2):
         shortened = _shortened(experiment, length)
-        for run in estimate(shortened, names, welch).values():
+        for run in estimate(shortened, names, segment).values():
             yield Outcome.of(shortened, run)
 
 

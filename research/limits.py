@@ -11,6 +11,7 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import SimulatedExperiment, simulate
 from armimp_bringup.parameters import node_parameters
 from armimp_common.topics import RATE
+from armimp_estimation.spectra import BAND
 from armimp_sim.voluntary import VoluntaryParameters, band_filter
 from research.cells import FloatArray, Levels, Plan, Run
 from research.cramer_rao import (
@@ -95,7 +96,6 @@ def bound_of(
 
 def run_limits(plan: LimitsPlan, workers: int | None = None) -> list[Cell]:
     """Simulate and estimate all of a plan, see :meth:`research.cells.Plan.runs`."""
-    band = plan.welch.f_low, plan.welch.f_high
 
     def work(base: ExperimentConfig, seeds: tuple[int, ...]) -> list[Run]:
         """Relative errors and relative bounds of M, B and K of each run."""
@@ -105,8 +105,8 @@ def run_limits(plan: LimitsPlan, workers: int | None = None) -> list[Cell]:
             experiments = simulate(with_voluntary(base, torque, seeds)) if torque else relaxed
             for experiment, quiet in zip(experiments, relaxed, strict=True):
                 true = matrices(experiment.truth)
-                bound = bound_of(experiment, quiet, band) / scales(true)
-                for name, run in estimate(experiment, plan.estimators, plan.welch).items():
+                bound = bound_of(experiment, quiet, BAND) / scales(true)
+                for name, run in estimate(experiment, plan.estimators, plan.segment).items():
                     found.append(
                         (torque, name, (matrices(run.fit.mbk) - true) / scales(true), bound)
                     )

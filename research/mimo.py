@@ -16,7 +16,7 @@ from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.estimators.welch import invert, multiply
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.spectra import CrossSpectra, WelchConfig, cross_spectra
+from armimp_estimation.spectra import SEGMENT, CrossSpectra, cross_spectra
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -75,7 +75,7 @@ def input_coupling(f: FloatArray, spectra: ComplexArray) -> InputCoupling:
 
 def estimate_mimo(
     records: Sequence[TrialRecord],
-    config: WelchConfig | None = None,
+    segment: int = SEGMENT,
     *,
     largest_condition: float = 100.0,
 ) -> MimoEstimate:
@@ -86,8 +86,8 @@ def estimate_mimo(
     records : sequence of TrialRecord
         One or several trials of one arm. Which of the joints a record names as the perturbed one
         does not matter.
-    config : WelchConfig, optional
-        Segments and band.
+    segment : int
+        Samples of the segments.
     largest_condition : float
         Largest condition number of the input spectra, see :class:`InputCoupling`.
 
@@ -103,8 +103,7 @@ def estimate_mimo(
         If there is no record, records do not belong together, are too few or too short, or their
         perturbations are not independent.
     """
-    options = config if config is not None else WelchConfig()
-    n, pooled = _pool(records, options)
+    n, pooled = _pool(records, segment)
     f, matrix = pooled.f, pooled.matrix
     x, theta, tau = slice(0, n), slice(n, 2 * n), slice(2 * n, 3 * n)
     coupling = input_coupling(f, matrix[x, x])
@@ -148,7 +147,7 @@ def estimate_mimo(
     )
 
 
-def _pool(records: Sequence[TrialRecord], config: WelchConfig) -> tuple[int, CrossSpectra]:
+def _pool(records: Sequence[TrialRecord], segment: int) -> tuple[int, CrossSpectra]:
     """Number of joints, and spectra of perturbations, angles and torques over all records."""
     if not records:
         raise DataError("no trial to estimate from")
@@ -167,7 +166,7 @@ def _pool(records: Sequence[TrialRecord], config: WelchConfig) -> tuple[int, Cro
                 )
         signals = np.concatenate((record.perturbation, record.position, record.torque))
         try:
-            spectra.append(cross_spectra(signals, rate=record.rate, config=config))
+            spectra.append(cross_spectra(signals, rate=record.rate, segment=segment))
         except DataError as error:
             raise DataError(f"trial {record.trial}: {error}") from error
     segments = sum(one.segments for one in spectra)

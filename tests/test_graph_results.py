@@ -17,7 +17,7 @@ from armimp_common.topics import RESULT, TRIAL
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.node import ImpedanceEstimatorNode
 from armimp_estimation.problems import Problem
-from armimp_estimation.spectra import WelchConfig
+from armimp_estimation.spectra import segment_for_samples, step_of
 from support.graph import hosted
 from support.processes import wait_until
 from support.runs import FinishedRun
@@ -130,10 +130,11 @@ def test_progress_grows_in_every_trial_and_tells_the_coherence_of_two_segments_a
     assert {(one.trials, one.planned) for one in account.progress} == {(2, 2_000)}
     assert all(one.joint == one.trial for one in account.progress)
     assert account.progress[-1].rate > 0.0
-    welch = WelchConfig.for_samples(2_000)
-    assert max(progress.samples for progress in account.progress) >= welch.segment + welch.step
+    segment = segment_for_samples(2_000)
+    enough = segment + step_of(segment)
+    assert max(progress.samples for progress in account.progress) >= enough
     for progress in account.progress:
         told = progress.coherence_motion, progress.coherence_torque
-        if progress.samples >= welch.segment + welch.step:
+        if progress.samples >= enough:
             assert None not in told
         assert all(value is None or 0.9 < value <= 1.0 for value in told)

@@ -15,7 +15,6 @@ from armimp_estimation.estimators.estimate import ImpedanceEstimate, confidence_
 from armimp_estimation.fit import MBKFit
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import TrialData
 
 FloatArray = NDArray[np.float64]
@@ -138,7 +137,7 @@ def _noise(rng: np.random.Generator, samples: int, shape: FloatArray, rms: float
 
 
 # As 50 s at 1 kHz in resolution, band and number of segments, with an eighth of the samples.
-WELCH = WelchConfig(segment=1024, overlap=768)
+SEGMENT = 1024
 LOOP = SyntheticConfig(rate=125.0, samples=6144, viscosity=4.0, stiffness=30.0)
 THREE_JOINT_ARM = MBK(
     M=np.array([[0.3, 0.1, 0.02], [0.09, 0.1, 0.015], [0.021, 0.014, 0.01]]),
@@ -152,7 +151,7 @@ def synthetic_trials(
 ) -> list[TrialData]:
     """Trials of all joints of an arm, with their spectra."""
     return [
-        TrialData.of(synthetic_trial(arm, joint, loop, seed), welch=WELCH)
+        TrialData.of(synthetic_trial(arm, joint, loop, seed), segment=SEGMENT)
         for joint in range(arm.joints)
     ]
 

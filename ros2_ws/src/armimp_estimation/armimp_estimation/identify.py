@@ -34,7 +34,7 @@ from armimp_estimation.robot_balance import (
     judge_balance,
 )
 from armimp_estimation.signal_quality import RESOLVED_SHARE, judge_signals, lost_motion
-from armimp_estimation.trial import TrialData, segments_for
+from armimp_estimation.trial import TrialData, segment_for
 from armimp_estimation.verdict import Verdict
 
 
@@ -153,9 +153,9 @@ def identify_records(
 
     Welch segments are those that suit the shortest trial; see :func:`identify` for the rest.
     """
-    options = known.options(segments_for(trials))
-    data = [TrialData.of(*one, welch=options.welch, reading=known.reading) for one in trials]
-    return identify(data, estimators, known.truth, options)
+    segment = segment_for(trials)
+    data = [TrialData.of(*one, segment=segment, reading=known.reading) for one in trials]
+    return identify(data, estimators, known.truth, known.options)
 
 
 def identify(

@@ -30,7 +30,6 @@ from armimp_estimation.fit import Calibration
 from armimp_estimation.json_model import first_complaint
 from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import Problem, ProblemCode, problem
-from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 
 CALIBRATION_KEYS = {
@@ -218,10 +217,10 @@ class Metadata(BaseModel):
         except (LookupError, TypeError, ValueError, OverflowError, ArmimpError):
             return None
 
-    def options(self, welch: WelchConfig) -> IdentifyConfig:
-        """Options of an identification that follow from it, with these segments and band."""
+    @property
+    def options(self) -> IdentifyConfig:
+        """Options of an identification that follow from it."""
         return IdentifyConfig(
-            welch=welch,
             lpm=self.lpm,
             model=self.arm_model,
             calibration=self.calibration,

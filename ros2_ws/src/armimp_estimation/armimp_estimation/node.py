@@ -56,7 +56,7 @@ from armimp_estimation.problems import Problem, ProblemCode, problem
 from armimp_estimation.recorder import TrialRecorder
 from armimp_estimation.result import Result, conclude
 from armimp_estimation.torque_timing import TorqueReading
-from armimp_estimation.trial import TrialData, segments_for
+from armimp_estimation.trial import TrialData
 
 _LATE_PERIOD = 0.005
 """How often to poll for messages that are late (s); mostly there are none."""
@@ -391,7 +391,7 @@ def column_message(
     values = {"trial": trial.trial, "joint": k, "lost": trial.statistics.lost}
     try:
         parts = trial.intact(allow_gaps=allow_gaps)
-        frf = frf_matrix([TrialData.of(*parts, welch=segments_for([parts]), reading=reading)])
+        frf = frf_matrix([TrialData.of(*parts, reading=reading)])
     except DataError as error:
         return make_status(name, Level.ERROR, str(error), values)
     R, T = frf.R[:, 0], frf.T[:, 0]

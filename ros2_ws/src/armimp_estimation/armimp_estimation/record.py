@@ -9,7 +9,7 @@ from armimp_common.arrays import FloatArray
 from armimp_common.errors import DataError
 from armimp_common.topics import JOINT_STATES, TORQUE_SENSORS
 from armimp_estimation.periods import FEWEST_LINES, Periods
-from armimp_estimation.spectra import WelchConfig
+from armimp_estimation.spectra import BAND
 
 EXACT = 1e-9
 """Differences of a signal, relative to its peak to peak value, that are rounding of numbers."""
@@ -128,8 +128,7 @@ class TrialRecord:
     def periods(self) -> Periods | None:
         """Those of the perturbation, if it repeats itself with lines enough in the band."""
         found = Periods.of(self.perturbation[self.perturbed_joint])
-        band = (WelchConfig.f_low, WelchConfig.f_high)
-        few = found is None or found.lines_in(self.rate, band).size < FEWEST_LINES
+        few = found is None or found.lines_in(self.rate, BAND).size < FEWEST_LINES
         return None if few else found
 
 

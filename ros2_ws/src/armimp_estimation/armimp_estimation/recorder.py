@@ -42,7 +42,7 @@ from armimp_estimation.metadata import RECORD_KEY, Timing
 from armimp_estimation.problems import Problem, ProblemCode
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.scores import coherence
-from armimp_estimation.trial import TrialData, segments_for
+from armimp_estimation.trial import TrialData
 
 _RATE = NS_PER_S / PERIOD_NS
 _ROUND = 1000
@@ -232,7 +232,7 @@ class TrialRecorder:
         record = record_so_far(self._streams, self._statuses, self.samples)
         if record is not None:
             with suppress(DataError):  # too few samples
-                trial = TrialData.of(record, welch=segments_for([[record]]))
+                trial = TrialData.of(record)
                 joint = trial.joint
                 shown = trial.position_channel(joint), trial.torque_channel(joint)
                 motion, torque = (coherence(trial.spectra, 0, one) for one in shown)

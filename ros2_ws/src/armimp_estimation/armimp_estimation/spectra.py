@@ -6,89 +6,63 @@ The convention is that of :func:`scipy.signal.csd`: ``G_xy = E[conj(X) Y]``, one
 import functools
 import math
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError, DataError
 
+BAND: Final = (0.122, 15.0)
+"""Band of all estimates, Hz, both ends included. The zero-frequency bin is never in it: it only
+holds what is left of the mean. The lower end is the first bin above zero of the default segment at
+1 kHz."""
+SEGMENT: Final = 8192
+"""Samples in one segment by default (Hann window, periodic)."""
 # The correlation of a Hann-windowed spectrum is below 0.1 % beyond three bins.
 _MAX_LAG = 3
 _SHORTEST_SEGMENT = 1024
 
 
-@dataclass(frozen=True, kw_only=True)
-class WelchConfig:
-    """Segments and band of the averaged spectra."""
+def segment_for_samples(*lengths: int, rate: float = 1000.0) -> int:
+    """Samples of segments that suit a record of so many samples, in one stretch or in several.
 
-    segment: int = 8192
-    """Samples in one segment (Hann window, periodic); the frequency resolution is rate/segment."""
-    overlap: int = 6144
-    """Samples that neighbouring segments share."""
-    f_low: float = 0.122
-    f_high: float = 15.0
-    """Band that is kept, Hz, both ends included. The zero-frequency bin is never kept: it only
-    holds what is left of the mean. The default lower end is the first bin above zero of the default
-    segment at 1 kHz."""
+    The default from four segments' length on; a shorter record takes the largest power of two that
+    fits four times, so that there is something to average, down to 1024 samples. Only stretches
+    that hold a whole segment count. At other rates than 1 kHz (in Hz) segments are of about the
+    same time.
+    """
+    scale = 2.0 ** round(np.log2(rate / 1000.0))
+    segment = int(SEGMENT * scale)
+    while segment > _SHORTEST_SEGMENT * scale:
+        if 4 * segment <= sum(length for length in lengths if length >= segment):
+            break
+        segment //= 2
+    return segment
 
-    def __post_init__(self) -> None:
-        if self.segment < 8:
-            raise ConfigurationError(f"segment must be 8 samples or more, got {self.segment}")
-        if not 0 <= self.overlap < self.segment:
-            raise ConfigurationError(
-                f"overlap must lie between 0 and segment - 1 = {self.segment - 1}, "
-                f"got {self.overlap}"
-            )
-        if not 0.0 <= self.f_low < self.f_high < math.inf:
-            raise ConfigurationError(
-                f"band must satisfy 0 <= f_low < f_high, got {self.f_low!r} to {self.f_high!r} Hz"
-            )
 
-    @classmethod
-    def for_samples(cls, *lengths: int, rate: float = 1000.0) -> "WelchConfig":
-        """Segments that suit a record of so many samples, in one stretch or in several.
+def step_of(segment: int) -> int:
+    """Samples from the beginning of one segment to that of the next: neighbours share 3/4."""
+    return segment - segment * 3 // 4
 
-        The default from four segments' length on; a shorter record takes the largest power of two
-        that fits four times, so that there is something to average, down to 1024 samples. Only
-        stretches that hold a whole segment count. At other rates than 1 kHz (in Hz) segments are of
-        about the same time.
-        """
-        scale = 2.0 ** round(np.log2(rate / 1000.0))
-        segment = int(cls.segment * scale)
-        while segment > _SHORTEST_SEGMENT * scale:
-            if 4 * segment <= sum(length for length in lengths if length >= segment):
-                break
-            segment //= 2
-        return cls(segment=segment, overlap=segment * 3 // 4)
 
-    @property
-    def step(self) -> int:
-        """Samples from the beginning of one segment to that of the next."""
-        return self.segment - self.overlap
+def bins_of(segment: int, rate: float) -> NDArray[np.intp]:
+    """Bins of the band, for segments of so many samples and a sampling rate in Hz.
 
-    def frequencies(self, rate: float) -> FloatArray:
-        """Frequencies of the kept bins, Hz, for a sampling rate in Hz."""
-        first, stop = self.bins(rate)
-        bins: FloatArray = np.arange(first, stop, dtype=np.float64)
-        return bins * float(rate / self.segment)
-
-    def bins(self, rate: float) -> tuple[int, int]:
-        """First kept bin and the one after the last, for a sampling rate in Hz.
-
-        Raises
-        ------
-        ConfigurationError
-            If no bin falls into the band.
-        """
-        resolution = rate / self.segment
-        first = max(1, math.ceil(self.f_low / resolution * (1.0 - 1e-12)))
-        last = min(self.segment // 2, math.floor(self.f_high / resolution * (1.0 + 1e-12)))
-        if last < first:
-            raise ConfigurationError(
-                f"no frequency between {self.f_low} and {self.f_high} Hz at a resolution of "
-                f"{resolution:.4g} Hz"
-            )
-        return first, last + 1
+    Raises
+    ------
+    ConfigurationError
+        If no bin falls into the band.
+    """
+    resolution, (low, high) = rate / segment, BAND
+    first = max(1, math.ceil(low / resolution * (1.0 - 1e-12)))
+    last = min(segment // 2, math.floor(high / resolution * (1.0 + 1e-12)))
+    if last < first:
+        raise ConfigurationError(
+            f"no frequency between {low} and {high} Hz at a resolution of {resolution:.4g} Hz"
+        )
+    return np.arange(first, last + 1)
 
 
 def hann(length: int) -> FloatArray:
@@ -116,20 +90,20 @@ def _ambiguity(segment: int, step: int) -> FloatArray:
     return np.array(rows) / rows[0][0]
 
 
-def segment_averages(config: WelchConfig, *runs: int) -> tuple[float, FloatArray]:
+def segment_averages(segment: int, *runs: int) -> tuple[float, FloatArray]:
     """Worth of averages over overlapping segments, and their correlation between bins.
 
     Welch (1967): ``K / (1 + 2 Σ_j (1 - j/K) ρ_j)`` independent averages with
-    ``ρ_j = (Σ w(n) w(n + jD))² / (Σ w²)²``. A 50 s record at 1 kHz has 21 segments in the default
-    configuration, worth 11.2 averages. Averaged products (such as ``conj(X)·N``) are correlated by
+    ``ρ_j = (Σ w(n) w(n + jD))² / (Σ w²)²``. A 50 s record at 1 kHz has 21 segments of the default
+    length, worth 11.2 averages. Averaged products (such as ``conj(X)·N``) are correlated by
     ``|Σ w² exp(-2πi·l·n/N)|² / (Σ w²)²`` if there is one segment, that is 1, 4/9, 1/36 at lags of
     0, 1, 2 bins. Overlapping segments, whose windows are correlated across bins as well, raise it a
-    little: 1, 0.488, 0.048 for the default configuration and 50 s.
+    little: 1, 0.488, 0.048 for the default length and 50 s.
 
     Parameters
     ----------
-    config : WelchConfig
-        Segments.
+    segment : int
+        Samples in one.
     runs : int
         Number of segments in each stretch without a gap, at least one in all; those of different
         stretches have no sample in common.
@@ -143,7 +117,7 @@ def segment_averages(config: WelchConfig, *runs: int) -> tuple[float, FloatArray
     """
     # Mean of |A(p - q, l)|² over all pairs (p, q) of segments, for each lag l.
     total = np.zeros(_MAX_LAG + 1)
-    for shift, row in enumerate(_ambiguity(config.segment, config.step)):
+    for shift, row in enumerate(_ambiguity(segment, step_of(segment))):
         for segments in runs:
             pairs = (segments - shift) * (1 if shift == 0 else 2)
             if pairs > 0:
@@ -189,9 +163,7 @@ class CrossSpectra:
         return np.ascontiguousarray(self.matrix[channel, channel].real)
 
 
-def cross_spectra(
-    *stretches: FloatArray, rate: float, config: WelchConfig | None = None
-) -> CrossSpectra:
+def cross_spectra(*stretches: FloatArray, rate: float, segment: int = SEGMENT) -> CrossSpectra:
     """Average the cross-spectra of C channels over all segments, none of which spans a gap.
 
     Parameters
@@ -200,8 +172,8 @@ def cross_spectra(
         Samples without a gap, of any length N each.
     rate : float
         Samples per second, Hz.
-    config : WelchConfig, optional
-        Segments and band.
+    segment : int
+        Samples in one segment.
 
     Raises
     ------
@@ -210,15 +182,13 @@ def cross_spectra(
     DataError
         If no stretch is as long as one segment.
     """
-    options = config if config is not None else WelchConfig()
-    segment = options.segment
-    window = hann(segment)
-    bins = slice(*options.bins(rate))
+    window, places = hann(segment), bins_of(segment, rate)
+    bins = slice(int(places[0]), int(places[-1]) + 1)
     channels = len(stretches[0])
     total = np.zeros((channels, channels, bins.stop - bins.start), dtype=np.complex128)
     runs = []
     for stretch in stretches:
-        starts = range(0, stretch.shape[1] - segment + 1, options.step)
+        starts = range(0, stretch.shape[1] - segment + 1, step_of(segment))
         runs.append(len(starts))
         for start in starts:
             samples = stretch[:, start : start + segment]
@@ -235,9 +205,9 @@ def cross_spectra(
     one_sided = np.full(total.shape[-1], 2.0 * density / sum(runs))
     if segment % 2 == 0 and bins.stop == segment // 2 + 1:
         one_sided[-1] *= 0.5  # the Nyquist bin has no negative twin
-    averages, correlation = segment_averages(options, *runs)
+    averages, correlation = segment_averages(segment, *runs)
     return CrossSpectra(
-        f=options.frequencies(rate),
+        f=places.astype(np.float64) * float(rate / segment),
         matrix=total * one_sided,
         segments=sum(runs),
         effective_averages=averages,

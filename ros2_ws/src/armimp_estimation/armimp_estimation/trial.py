@@ -26,7 +26,7 @@ from armimp_estimation.periods import common_periods
 from armimp_estimation.problems import Problem
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.signal_quality import mended
-from armimp_estimation.spectra import CrossSpectra, WelchConfig, cross_spectra
+from armimp_estimation.spectra import CrossSpectra, cross_spectra, segment_for_samples
 from armimp_estimation.torque_timing import TorqueReading
 
 HIGHEST = 2.0
@@ -112,20 +112,20 @@ def drift_of(record: TrialRecord) -> Drift | None:
     return Drift(slopes=slopes, errors=errors)
 
 
-def segments_for(trials: Sequence[Sequence[TrialRecord]]) -> WelchConfig:
-    """Choose Welch segments that suit all trials, by that with the shortest intact parts.
+def segment_for(trials: Sequence[Sequence[TrialRecord]]) -> int:
+    """Samples of Welch segments that suit all trials, by that with the shortest intact parts.
 
     Where all have the same periodic perturbation, they are as long as its period.
     """
     longest = [max(parts, key=lambda part: part.samples) for parts in trials]
     periods = common_periods([record.periods for record in longest])
     if periods is not None:
-        return WelchConfig(segment=periods.segment, overlap=periods.segment * 3 // 4)
-    configs = [
-        WelchConfig.for_samples(*(part.samples for part in parts), rate=parts[0].rate)
+        return periods.segment
+    sizes = [
+        segment_for_samples(*(part.samples for part in parts), rate=parts[0].rate)
         for parts in trials
     ]
-    return min(configs, key=lambda config: config.segment, default=WelchConfig.for_samples(0))
+    return min(sizes, default=segment_for_samples(0))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -145,15 +145,15 @@ class TrialData:
     def of(
         cls,
         *stretches: TrialRecord,
-        welch: WelchConfig | None = None,
+        segment: int | None = None,
         reading: TorqueReading | None = None,
     ) -> TrialData:
         """Compute the spectra of a whole record, or of the intact stretches of a trial.
 
-        No segment spans a gap. Torques are taken without the delay and the filter of their
-        ``reading``. Lost readings are interpolated. Drift, as the longest stretch tells it, is
-        taken out of record and spectra. Where segments are those of its periods, spectra are taken
-        at the lines of the perturbation.
+        Segments are of so many samples, by default as suits it. None spans a gap. Torques are taken
+        without the delay and the filter of their ``reading``. Lost readings are interpolated.
+        Drift, as the longest stretch tells it, is taken out of record and spectra. Where segments
+        are those of its periods, spectra are taken at the lines of the perturbation.
 
         Raises
         ------
@@ -178,9 +178,10 @@ class TrialData:
             for one in stretches
         ]
         try:
-            found = cross_spectra(*signals, rate=record.rate, config=welch)
+            chosen = segment_for([stretches]) if segment is None else segment
+            found = cross_spectra(*signals, rate=record.rate, segment=chosen)
             periods = record.periods
-            if periods is not None and welch is not None and welch.segment != periods.segment:
+            if periods is not None and chosen != periods.segment:
                 periods = None
             if periods is not None:
                 found = found.at(periods.frequencies(record.rate))

@@ -14,7 +14,7 @@ from armimp_estimation.fit import fit_mbk
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData, drift_of
-from support.synthetic_trials import LOOP, WELCH, SyntheticConfig, synthetic_trial
+from support.synthetic_trials import LOOP, SEGMENT, SyntheticConfig, synthetic_trial
 from support.synthetic_trials import TWO_JOINT_ARM as ARM
 
 FloatArray = NDArray[np.float64]
@@ -45,8 +45,8 @@ def test_the_slope_of_a_ramp_is_found_to_within_its_standard_error() -> None:
 
 def test_drift_goes_and_offset_stays_and_nothing_else_changes() -> None:
     one = record(0)
-    assert TrialData.of(one, welch=WELCH).record is one, "without drift"
-    data = TrialData.of(drifting(one), welch=WELCH)
+    assert TrialData.of(one, segment=SEGMENT).record is one, "without drift"
+    data = TrialData.of(drifting(one), segment=SEGMENT)
     found = drift_of(drifting(one))
     assert found is not None
     left = data.record.torque - one.torque
@@ -70,7 +70,8 @@ def test_drift_costs_the_estimates_nothing_and_would_cost_them_the_stiffness(
     def worst(slope: float) -> tuple[float, float]:
         """Largest error of K, and of the curve at the lowest bins, relative to |Z|."""
         data = [
-            TrialData.of(drifting(record(joint), slope * SLOPE), welch=WELCH) for joint in range(2)
+            TrialData.of(drifting(record(joint), slope * SLOPE), segment=SEGMENT)
+            for joint in range(2)
         ]
         found = estimator.estimate(data)
         low = found.f < 0.3

@@ -21,9 +21,9 @@ from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from support.synthetic_trials import (
     LOOP,
+    SEGMENT,
     THREE_JOINT_ARM,
     TWO_JOINT_ARM,
-    WELCH,
     off,
     relative_error,
     share_within,
@@ -162,7 +162,7 @@ def test_a_response_stands_out_where_its_power_is_beyond_that_of_its_noise() -> 
 def test_when_the_perturbed_joint_does_not_move_expect_its_number_in_the_error() -> None:
     moving, resting = synthetic_trials()
     record = with_readings(resting, position=np.zeros_like(resting.record.position)).record
-    data = [moving, TrialData.of(record, welch=WELCH)]
+    data = [moving, TrialData.of(record, segment=SEGMENT)]
     with pytest.raises(DataError, match="joint 2 does not follow its perturbation"):
         SISO.estimate(data)
     with pytest.raises(DataError, match=r"joint 2 does not move at 0\.1221 Hz"):

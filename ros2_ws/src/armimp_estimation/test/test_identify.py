@@ -19,8 +19,8 @@ from armimp_estimation.problems import (
 from armimp_estimation.trial import TrialData
 from armimp_estimation.verdict import Verdict, judge_coherence, judge_locking
 from support.synthetic_trials import (
+    SEGMENT,
     TWO_JOINT_ARM,
-    WELCH,
     SyntheticConfig,
     off,
     synthetic_trial,
@@ -29,7 +29,7 @@ from support.synthetic_trials import (
     worst_errors,
 )
 
-CONFIG = IdentifyConfig(welch=WELCH)
+CONFIG = IdentifyConfig()
 LOOP = SyntheticConfig(rate=125.0, samples=6144, torque_noise=0.02)
 ESTIMATORS = ("welch_siso", "welch_full")
 
@@ -73,7 +73,7 @@ def test_trials_may_be_perturbed_with_different_periods_or_none(periods: tuple[i
             name: np.tile(getattr(one, name), 6144 // period)
             for name in ("position", "torque", "perturbation")
         }
-        repeated.append(TrialData.of(dataclasses.replace(one, **streams), welch=WELCH))
+        repeated.append(TrialData.of(dataclasses.replace(one, **streams), segment=SEGMENT))
     result = identify(repeated, ("lpm_full",), TWO_JOINT_ARM, CONFIG)
     assert result.valid, result.problems
     assert max(worst_errors(result.estimators["lpm_full"].fit.mbk, TWO_JOINT_ARM).values()) < 0.01
@@ -88,7 +88,7 @@ def test_when_values_cannot_be_multiplied_expect_the_largest_in_the_error(
     record = dataclasses.replace(record, command=record.torque.copy())
     getattr(record, stream)[0, 5] = value
     with pytest.raises(DataError, match=rf"trial .*: {said} is no angle and no torque"):
-        TrialData.of(record, welch=WELCH)
+        TrialData.of(record, segment=SEGMENT)
 
 
 @pytest.mark.parametrize(
@@ -140,7 +140,7 @@ def test_inertia_may_differ_between_trials_that_have_other_postures(
     first = synthetic_trials(loop)[0]
     record = synthetic_trial(bent, 1, loop, 1)
     position = record.position + np.array([[apart], [0.0]])
-    second = TrialData.of(dataclasses.replace(record, position=position), welch=WELCH)
+    second = TrialData.of(dataclasses.replace(record, position=position), segment=SEGMENT)
     result = identify([first, second], ("lpm_full",), config=CONFIG)
     assert result.valid is valid
     fit = result.estimators["lpm_full"].fit
@@ -176,7 +176,7 @@ def test_angles_and_torques_in_another_order_than_perturbations_are_refused() ->
             dataclasses.replace(
                 trial.record, position=trial.record.position[::-1], torque=trial.record.torque[::-1]
             ),
-            welch=WELCH,
+            segment=SEGMENT,
         )
         for trial in synthetic_trials(loop)
     ]

@@ -18,10 +18,9 @@ from armimp_estimation.estimators.welch import WelchSiso, invert
 from armimp_estimation.frf import frf_matrix, order_trials
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.trial import TrialData
-from support.synthetic_trials import LOOP, WELCH, made_record, synthetic_trials, with_readings
+from support.synthetic_trials import LOOP, SEGMENT, made_record, synthetic_trials, with_readings
 
 NAN, INFINITE = float("nan"), float("inf")
 EYE = np.eye(2)
@@ -34,11 +33,6 @@ radius = functools.partial(confidence_radius, np.ones(1), 11.0)
 @pytest.mark.parametrize(
     ("make", "message", "wrong"),
     [
-        (WelchConfig, "segment", {"segment": 4}),
-        (WelchConfig, "overlap", {"segment": 64, "overlap": 64}),
-        (WelchConfig, "overlap", {"overlap": -1}),
-        *((WelchConfig, "band", {"f_low": f}) for f in (15.0, -1.0)),
-        *((WelchConfig, "band", {"f_high": f}) for f in (INFINITE, NAN)),
         *(
             (LpmConfig, "timing_uncertainty must not be negative", {"timing_uncertainty": error})
             for error in (-0.1, NAN)
@@ -159,7 +153,7 @@ def test_when_there_is_one_segment_only_expect_data_error() -> None:
 def test_when_there_is_no_perturbation_expect_data_error() -> None:
     record = made_record(np.random.default_rng(0).standard_normal((2, 6144)), rate=125.0)
     with pytest.raises(DataError, match="joint 1: no perturbation at"):
-        frf_matrix([TrialData.of(record, welch=WELCH)])
+        frf_matrix([TrialData.of(record, segment=SEGMENT)])
 
 
 def test_when_motions_are_dependent_expect_the_frequency_in_the_error() -> None:

@@ -16,8 +16,7 @@ from armimp_estimation.mbk import MBK
 from armimp_estimation.nonlinearity import deviations
 from armimp_estimation.periods import Periods, common_lines
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.spectra import WelchConfig
-from armimp_estimation.trial import drift_of, segments_for
+from armimp_estimation.trial import drift_of, segment_for
 from support.synthetic_trials import LOOP, TWO_JOINT_ARM, made_record, synthetic_trial
 
 Array = NDArray[np.float64]
@@ -85,11 +84,11 @@ def test_segments_are_periods_where_all_trials_have_the_same_ones() -> None:
     loop = dataclasses.replace(LOOP, samples=50_000, rate=1000.0)
     record = synthetic_trial(TWO_JOINT_ARM, 0, loop, 3)
     periodic = dataclasses.replace(record, perturbation=np.stack([multisine(12.3)[:50_000]] * 2))
-    assert segments_for([[periodic], [periodic]]) == WelchConfig(segment=4096, overlap=3072)
-    assert segments_for([[periodic], [record]]) == WelchConfig()
+    assert segment_for([[periodic], [periodic]]) == 4096
+    assert segment_for([[periodic], [record]]) == 8192
     above_the_band = np.resize([0.5, 0.1, -0.4, -0.6, 0.2, 0.7, -0.5], record.perturbation.shape)
     quick = dataclasses.replace(record, perturbation=above_the_band)
-    assert segments_for([[quick]]) == WelchConfig()
+    assert segment_for([[quick]]) == 8192
 
 
 def test_lines_in_common_are_those_of_all_perturbations_that_are_periodic() -> None:

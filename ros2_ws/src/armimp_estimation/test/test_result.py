@@ -23,7 +23,7 @@ from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.recorder import TrialRecorder
 from armimp_estimation.report import report_page
 from armimp_estimation.result import Result, conclude
-from armimp_estimation.spectra import WelchConfig, segment_averages
+from armimp_estimation.spectra import segment_averages
 from armimp_estimation.summary import (
     ImpedanceCurve,
     read_frf,
@@ -31,13 +31,13 @@ from armimp_estimation.summary import (
     write_frf,
     write_summary,
 )
-from armimp_estimation.trial import TrialData, segments_for
+from armimp_estimation.trial import TrialData, segment_for
 from support.results import METADATA as SHOWN
 from support.streams import changed, record
 from support.synthetic_bags import Message, recorded_arm
 from support.synthetic_trials import (
+    SEGMENT,
     TWO_JOINT_ARM,
-    WELCH,
     SyntheticConfig,
     part_of,
     synthetic_trial,
@@ -222,8 +222,8 @@ def test_trials_that_lost_samples_are_refused_or_estimated_from_their_intact_par
 def test_segments_of_all_parts_are_averaged_and_none_spans_a_gap() -> None:
     complete = RECORDING.records[0]
     parts = [part_of(complete, *ends) for ends in ((0, 3000), (3100, 3600), (4000, 9000))]
-    data = TrialData.of(*parts, welch=WELCH)
-    alone = [TrialData.of(one, welch=WELCH).spectra for one in parts[::2]]
+    data = TrialData.of(*parts, segment=SEGMENT)
+    alone = [TrialData.of(one, segment=SEGMENT).spectra for one in parts[::2]]
     counts = [8, 16]
     assert [one.segments for one in alone] == counts
     mean = sum(one.matrix * one.segments for one in alone) / sum(counts)
@@ -231,8 +231,7 @@ def test_segments_of_all_parts_are_averaged_and_none_spans_a_gap() -> None:
     assert data.spectra.segments == sum(counts)
     assert data.record is parts[2]
     # Of equal parts exactly; segments on either side of a gap have nothing in common.
-    config = WelchConfig()
-    once, twice, joined = (segment_averages(config, *runs) for runs in ((8,), (8, 8), (16,)))
+    once, twice, joined = (segment_averages(8192, *runs) for runs in ((8,), (8, 8), (16,)))
     assert twice[0] == pytest.approx(2 * once[0])
     assert twice[0] > joined[0]
     np.testing.assert_allclose(twice[1], once[1])
@@ -240,8 +239,8 @@ def test_segments_of_all_parts_are_averaged_and_none_spans_a_gap() -> None:
 
 def test_all_trials_get_the_segments_of_the_one_that_can_have_least() -> None:
     long = synthetic_trial(TWO_JOINT_ARM, 0, SyntheticConfig(samples=33_000), 1)
-    assert segments_for([[long]]).segment == 8192
-    assert segments_for([[long], [part_of(long, 0, 9000)]]).segment == 2048
+    assert segment_for([[long]]) == 8192
+    assert segment_for([[long], [part_of(long, 0, 9000)]]) == 2048
 
 
 # --- timing in real time ----------------------------------------------------------------------
@@ -317,7 +316,7 @@ def test_when_a_bag_is_of_another_run_expect_the_worse_run_to_count(
 @pytest.fixture(scope="module")
 def identification() -> Identification:
     data = synthetic_trials(SyntheticConfig(rate=125.0, samples=6144, torque_noise=0.02))
-    config = IdentifyConfig(welch=WELCH)
+    config = IdentifyConfig()
     return identify(data, ["welch_siso", "welch_full"], TWO_JOINT_ARM, config)
 
 

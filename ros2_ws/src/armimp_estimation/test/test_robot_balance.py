@@ -13,7 +13,6 @@ from armimp_estimation.identify import Identification, identify
 from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import Problem, ProblemCode
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import TrialData
 from support.synthetic_trials import (
     TWO_JOINT_ARM,
@@ -51,8 +50,7 @@ def recorded(robot: MBK, gains: FloatArray) -> list[TrialRecord]:
 
 def identified(records: list[TrialRecord], calibration: Calibration) -> Identification:
     config = IdentifyConfig(calibration=calibration)
-    welch = WelchConfig.for_samples(records[0].samples)
-    trials = [TrialData.of(one, welch=welch) for one in records]
+    trials = [TrialData.of(one) for one in records]
     return identify(trials, ("lpm_full",), config=config)
 
 

@@ -9,11 +9,11 @@ from armimp_estimation import scores
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.frf import FrfMatrix, frf_matrix
 from armimp_estimation.mbk import MBK
-from armimp_estimation.spectra import CrossSpectra, cross_spectra
+from armimp_estimation.spectra import CrossSpectra, bins_of, cross_spectra
 from armimp_estimation.trial import TrialData
 from support.synthetic_trials import (
+    SEGMENT,
     TWO_JOINT_ARM,
-    WELCH,
     SyntheticConfig,
     made_estimate,
     made_record,
@@ -22,7 +22,7 @@ from support.synthetic_trials import (
 
 ComplexArray = NDArray[np.complex128]
 
-F = WELCH.frequencies(125.0)
+F = bins_of(SEGMENT, 125.0) * 125.0 / SEGMENT
 TARGET = MBK(M=np.diag([0.2, 0.2]), B=np.diag([2.0, 2.0]), K=np.diag([10.0, 10.0]))
 
 
@@ -86,7 +86,7 @@ def test_derived_coherence_follows_its_definition() -> None:
 
 
 def unrelated(rng: np.random.Generator) -> CrossSpectra:
-    return cross_spectra(rng.standard_normal((2, 6144)), rate=125.0, config=WELCH)
+    return cross_spectra(rng.standard_normal((2, 6144)), rate=125.0, segment=SEGMENT)
 
 
 def test_coherence_of_unrelated_signals_exceeds_the_significance_level_as_often_as_alpha() -> None:
@@ -118,7 +118,7 @@ def test_lock_ratio_is_the_motion_that_the_perturbation_causes_and_not_that_of_a
             locked = 1 - record.perturbed_joint
             record.position[locked] = 0.01 * record.position[1 - locked]
             record.position[locked] += dither * np.sin(2.0 * np.pi * 40.0 * t)
-        data = [TrialData.of(one, welch=WELCH) for one in records]
+        data = [TrialData.of(one, segment=SEGMENT) for one in records]
         ratios.append(scores.lock_ratio(data, frf_matrix(data)))
     np.testing.assert_allclose(ratios[0], [[1.0, 0.01], [0.01, 1.0]], rtol=1e-6)
     np.testing.assert_allclose(ratios[1], ratios[0], rtol=0.05)

@@ -13,8 +13,8 @@ from armimp_estimation.recorder import StoppingRule, largest_error
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from support.synthetic_trials import (
+    SEGMENT,
     TWO_JOINT_ARM,
-    WELCH,
     SyntheticConfig,
     errors_of,
     part_of,
@@ -125,7 +125,7 @@ def test_intervals_of_trials_that_end_early_hold_the_truth_and_estimates_are_not
         trials: list[TrialRecord] = []
         for joint in (0, 1):
             trials.append(ended(synthetic_trial(TWO_JOINT_ARM, joint, loop, seed), trials))
-        data = [TrialData.of(one, welch=WELCH) for one in trials]
+        data = [TrialData.of(one, segment=SEGMENT) for one in trials]
         fit = fit_mbk(LPM.estimate(data))
         off.append((stacked(fit.mbk) - stacked(TWO_JOINT_ARM)) / errors_of(fit))
         lengths += [one.duration for one in trials]

@@ -30,7 +30,7 @@ from armimp_estimation.mbk import MBK
 from armimp_estimation.periods import common_lines
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.signal_quality import lost_motion, rounding_lead, speed_of, without_slow
-from armimp_estimation.spectra import WelchConfig
+from armimp_estimation.spectra import BAND
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData, drift_of
 
@@ -98,8 +98,6 @@ class LpmFull:
     """``Z = T R⁻¹`` from local polynomials, at every bin of the record."""
 
     config: LpmConfig = field(default_factory=LpmConfig)
-    band: tuple[float, float] = (WelchConfig.f_low, WelchConfig.f_high)
-    """Lowest and highest frequency, Hz; bins on its ends belong to it."""
     name: str = "lpm_full"
     """Name of the estimator."""
 
@@ -292,7 +290,7 @@ class LpmFull:
         """
         n, rate = records[0].joints, records[0].rate
         joints = [record.perturbed_joint for record in records]
-        found, f = np.zeros((3, n, n)), _strongest(records, self.band)
+        found, f = np.zeros((3, n, n)), _strongest(records)
         for _ in range(_NEARER):
             near = MBK(M=found[0], B=found[1], K=found[2])
             columns = self._columns(
@@ -331,7 +329,7 @@ class LpmFull:
         for record in records:
             steps = [command_steps(record)] if with_steps else []
             channels.append(np.concatenate([record.position, record.torque, *steps]))
-        return _moved(responses(records, channels, self.band, mix, f), records)
+        return _moved(responses(records, channels, BAND, mix, f), records)
 
 
 def responses(
@@ -389,9 +387,9 @@ def _bins(records: Sequence[TrialRecord], band: tuple[float, float]) -> FloatArr
     return bins_in_band(shortest, rate, *band).astype(np.float64) * float(rate / shortest)
 
 
-def _strongest(records: Sequence[TrialRecord], band: tuple[float, float]) -> FloatArray:
-    """Of `_MOST_NEAR` parts of a band, the bin at which all perturbations are strongest, Hz."""
-    f = _bins(records, band)
+def _strongest(records: Sequence[TrialRecord]) -> FloatArray:
+    """Of `_MOST_NEAR` parts of the band, the bin at which all perturbations are strongest, Hz."""
+    f = _bins(records, BAND)
     strength = np.full(f.size, np.inf)
     for record in records:
         amplitudes = np.abs(np.fft.rfft(record.perturbation[record.perturbed_joint]))

@@ -11,7 +11,6 @@ from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
 from armimp_estimation.estimators.welch import WelchFull, WelchSiso
 from armimp_estimation.fit import Calibration
 from armimp_estimation.mbk import MBK
-from armimp_estimation.spectra import WelchConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,10 +23,8 @@ class IdentifyConfig:
         If there is no such model.
     """
 
-    welch: WelchConfig = field(default_factory=WelchConfig)
-    """Segments and band."""
     lpm: LpmConfig = field(default_factory=LpmConfig)
-    """Options of the estimator ``lpm_full``, which takes the same band."""
+    """Options of the estimator ``lpm_full``."""
     model: str = AUTO
     """Model of the arm to fit beside M, B and K, see :mod:`armimp_estimation.arm_models`; by
     default those that it takes where M, B and K don't fit."""
@@ -44,7 +41,7 @@ class IdentifyConfig:
 _FACTORIES: dict[str, Callable[[IdentifyConfig], Estimator]] = {
     "welch_siso": lambda _: WelchSiso(),
     "welch_full": lambda _: WelchFull(),
-    "lpm_full": lambda c: LpmFull(config=c.lpm, band=(c.welch.f_low, c.welch.f_high)),
+    "lpm_full": lambda c: LpmFull(config=c.lpm),
     "direct": lambda _: Direct(),
 }
 

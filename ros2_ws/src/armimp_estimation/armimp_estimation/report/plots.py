@@ -30,7 +30,7 @@ from armimp_estimation.estimators.estimate import confidence_radius
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.report.formats import plain, symbol
-from armimp_estimation.spectra import WelchConfig
+from armimp_estimation.spectra import BAND as PERTURBED
 from armimp_estimation.summary import ImpedanceCurve
 
 Options: TypeAlias = dict[str, Any]
@@ -62,7 +62,7 @@ _KNOWN = ("welch_siso", "welch_full", "lpm_full", "direct", "mimo")
 IMPEDANCE = "N·m/rad"
 SIDE_BY_SIDE = 3
 """Joints up to which the elements of a matrix are shown beside each other."""
-BAND = 2.0 * WelchConfig.f_high
+BAND = 2.0 * PERTURBED[1]
 """Up to where signals are shown: what is estimated ends at half of it, Hz."""
 _ORDER = 4
 _TICKS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
