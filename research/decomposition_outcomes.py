@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -84,7 +84,7 @@ class Outcome:
         """Errors of M, B and K with the variances, and so the weights, of another outcome."""
         ours, given = self.estimate, other.estimate
         # Estimates leave out where motion doesn't stand out, each of its own.
-        ours, given = ours.at(np.isin(ours.f, given.f)), given.at(np.isin(given.f, ours.f))
+        ours, given = _common(ours, given), _common(given, ours)
         # Without what the noise is worked out from anew.
         alike = replace(
             ours,
@@ -97,6 +97,21 @@ class Outcome:
         fit = fit_mbk(alike)
         errors: FloatArray = (matrices(fit.mbk) - self.truth) / scales(self.truth)
         return errors
+
+
+def _common(estimate: ImpedanceEstimate, other: ImpedanceEstimate) -> ImpedanceEstimate:
+    """An estimate at those of its frequencies that another one has, too.
+
+    Those on either side of a gap count as neighbours.
+    """
+    kept = np.isin(estimate.f, other.f)
+    cut: dict[str, Any] = {
+        field.name: value[..., kept]
+        for field in fields(estimate)
+        if isinstance(value := getattr(estimate, field.name), np.ndarray)
+    }
+    systematics = tuple(one[..., kept] for one in estimate.systematics)
+    return replace(estimate, systematics=systematics, **cut)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

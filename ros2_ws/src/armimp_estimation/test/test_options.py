@@ -11,7 +11,6 @@ import pytest
 
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.arm_models import require_model
-from armimp_estimation.estimators.estimate import confidence_radius
 from armimp_estimation.estimators.lpm import LpmConfig
 from armimp_estimation.estimators.registry import IdentifyConfig, make_estimator
 from armimp_estimation.estimators.welch import WelchSiso, invert
@@ -27,7 +26,6 @@ EYE = np.eye(2)
 
 
 of_matrices = functools.partial(MBK, M=EYE, K=EYE)
-radius = functools.partial(confidence_radius, np.ones(1), 11.0)
 
 
 @pytest.mark.parametrize(
@@ -39,7 +37,6 @@ radius = functools.partial(confidence_radius, np.ones(1), 11.0)
         ),
         (of_matrices, r"B has shape \(3, 3\), expected \(2, 2\)", {"B": np.eye(3)}),
         (of_matrices, "finite", {"B": np.full((2, 2), NAN)}),
-        *((radius, "confidence level", {"level": level}) for level in (0.0, 1.0, -0.5, NAN)),
         (require_model, r"'spring'.*reflex", {"name": "spring"}),
         (
             make_estimator,

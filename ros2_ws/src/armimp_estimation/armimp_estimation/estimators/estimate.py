@@ -1,13 +1,12 @@
 """What an estimator of the impedance matrix takes and gives."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any, Protocol
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
 from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
-from armimp_common.errors import ConfigurationError
 from armimp_estimation.hold_correction import HoldCorrection
 from armimp_estimation.trial import TrialData
 
@@ -26,20 +25,13 @@ def confidence_radius(variance: FloatArray, averages: float, level: float = 0.95
     averages : float
         Number of independent averages behind them, above 1.
     level : float
-        Probability, between 0 and 1.
+        Probability, above 0 and below 1.
 
     Returns
     -------
     ndarray
         Radius, in the units of the estimate, same shape as `variance`.
-
-    Raises
-    ------
-    ConfigurationError
-        If the level is not a probability.
     """
-    if not 0.0 < level < 1.0:
-        raise ConfigurationError(f"confidence level must lie between 0 and 1, got {level!r}")
     freedom = averages - 1.0
     quantile = freedom * ((1.0 - level) ** (-1.0 / freedom) - 1.0)
     radius: FloatArray = np.sqrt(quantile * variance)
@@ -160,19 +152,6 @@ class ImpedanceEstimate:
     def joints(self) -> int:
         """Number of joints n."""
         return int(self.Z.shape[0])
-
-    def at(self, kept: BoolArray) -> "ImpedanceEstimate":
-        """Return the same at some of its frequencies, a mask of shape (n_freq,).
-
-        Those on either side of a gap count as neighbours.
-        """
-        cut: dict[str, Any] = {
-            field.name: value[..., kept]
-            for field in fields(self)
-            if isinstance(value := getattr(self, field.name), np.ndarray)
-        }
-        systematics = tuple(one[..., kept] for one in self.systematics)
-        return replace(self, systematics=systematics, **cut)
 
     def without_systematics(self) -> "ImpedanceEstimate":
         """Return the same with the variance of noise alone."""
