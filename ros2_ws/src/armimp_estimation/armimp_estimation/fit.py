@@ -403,6 +403,13 @@ class _Elements:
         return bool(rows == columns)
 
     @property
+    def own(self) -> list[int]:
+        """Those of joints that move, from their own angles to their own torques."""
+        _, columns, _ = self.estimate.Z.shape
+        perturbed = self.estimate.perturbed or range(columns)
+        return [joint * columns + column for column, joint in enumerate(perturbed)]
+
+    @property
     def total(self) -> FloatArray:
         """Variance with that of the corrections."""
         return np.asarray(self.noise + sum(np.abs(one) ** 2 for one in self.systematics))
@@ -503,7 +510,7 @@ class _Elements:
                 for place in (1, 2):
                     error = math.sqrt(max(variances[place, place], 0.0))
                     squares[place, row] += _noticed(values[place], error)
-        n = len(self.estimate.Z)
+        n, hidden = len(self.estimate.Z), self._change_by_hidden(plain)
         if self.whole and n <= _MOST_CUFFS:
             Z = _of_mbk(plain, self.omega).reshape(n, n, -1)
             common = [-Z[:, joint, None] * Z[None, joint] for joint in range(n)]
@@ -516,7 +523,8 @@ class _Elements:
                     soft, _ = hidden_square(value, error, _SOFT, sizes=(_CUFF,), positive=True)
                     square = max(square, soft)
                 squares += square * self.shifts(terms) ** 2
-            squares += self._change_by_hidden(plain) + self._change_by_coupling(Z)
+            hidden = hidden + self._change_by_coupling(Z)
+        squares += hidden
         # What rounding leaves is no change.
         least = _ROUNDING * np.abs(plain)
         return np.where(squares > least**2, squares, 0.0)
@@ -535,7 +543,7 @@ class _Elements:
             How likely each is, and what it adds to the elements if it is of the size that is
             assumed, (n², n_freq).
         """
-        if not self.whole or len(self.Z) > _MOST_CUFFS**2:
+        if len(self.Z) > _MOST_CUFFS**2:
             return []
         s, (_, B, K) = 1j * self.omega, values[:, :, None]
         arcs = [np.exp(-s * delay) / (1.0 + s / muscle) ** 2 for delay, muscle in _ARCS]
@@ -550,11 +558,11 @@ class _Elements:
 
         What acts across joints acts on its own joint, too, which tells whether it is there.
         """
-        n = len(self.estimate.Z)
-        change = np.zeros_like(values)
-        for (likely, terms), joint in product(self.hidden_terms(values), range(n)):
-            own, evidence, shifts = joint * (n + 1), 0.0, self.shifts(terms)
-            for row in (own, *(row for row in range(joint, n * n, n) if row != own)):
+        change, columns = np.zeros_like(values), self.estimate.Z.shape[1]
+        for (likely, terms), own in product(self.hidden_terms(values), self.own):
+            evidence, shifts = 0.0, self.shifts(terms)
+            others = range(own % columns, len(self.Z), columns)
+            for row in (own, *(row for row in others if row != own)):
                 told, error = self.coefficient_of(terms[row], row)
                 square, of_row = hidden_square(
                     told, error, likely, positive=True, elsewhere=evidence
@@ -795,7 +803,7 @@ def _with_delay(problem: _Elements) -> tuple[_Elements, CommonDelay | None]:
     )
     found, covariance = np.zeros(len(terms)), np.eye(len(terms))
     if told:
-        own = range(0, len(turned), math.isqrt(len(turned)) + 1)
+        own = problem.own
         every = [term for _, term in problem.hidden_terms(values)]
         alike = np.zeros((len(every) * len(own), *turned.shape), dtype=np.complex128)
         for place, (term, row) in enumerate(product(every, own)):

@@ -106,6 +106,9 @@ class ImpedanceEstimate:
     T: ComplexArray
     R: ComplexArray
     """Responses of torques and of angles (rad/(N·m)) to the perturbation; shape (n, n, n_freq)."""
+    perturbed: tuple[int, ...] = ()
+    """Joints of the columns, 0-based, where there are not those of all: (n, m, n_freq) is the shape
+    of the arrays then."""
     systematics: tuple[ComplexArray, ...] = ()
     """Standard errors of corrections that the values contain, or of biases that they are known to
     have, N·m/rad: complex, since each is the same error at all frequencies, in this proportion. The

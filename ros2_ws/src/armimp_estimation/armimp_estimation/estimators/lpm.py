@@ -173,6 +173,7 @@ class LpmFull:
             averages=min(column.freedom for column in columns) + 1.0,
             T=torque,
             R=R,
+            perturbed=() if whole else tuple(joints),
             systematics=systematics,
             bounded=len(told),
             line_power=powers,
