@@ -46,8 +46,9 @@ _SHOWN = 0.5
 _PARTS, _ENOUGH = 8, 16_384
 """Of each record, whose scatter tells the error of answers to rounding; and samples that suffice:
 the time goes with the square of the number of joints."""
-_TOLD = 1e-4
-"""Share of the power of a step that angles have to tell apart from other steps."""
+_TOLD = 0.01
+"""Share of the changes of torques that steps must explain within a period of when these were
+recorded: of commands that are recorded late it is that of chance, 0.003 at most."""
 _BESIDE = 3
 """Periods by which commands may be recorded too late or too early, to be told from answers."""
 _QUICK = (2.0, 3.0, 15.0, 20.0)
@@ -228,7 +229,7 @@ def answers_to_rounding(records: Sequence[TrialRecord]) -> tuple[FloatArray, Flo
     -------
     answers, errors : ndarray, shape (n, 2)
         In readings just after and just before the updates. Errors are from parts of the records;
-        infinite where angles hardly explain the steps.
+        infinite where the steps are those of other samples.
     """
     n, reading = records[0].joints, TorqueReading()
     at = slice(_BESIDE - 1, _BESIDE + 1)
@@ -245,14 +246,11 @@ def answers_to_rounding(records: Sequence[TrialRecord]) -> tuple[FloatArray, Flo
     found = [regress(cut(told, part), cut(changes, part))[0] for part in range(_PARTS)]
     own = np.arange(n)
     answers = np.reshape(found, (_PARTS, n, -1, n))[:, own, at, own]
-    # Power of what is told of each step that no other step explains.
-    squares = sum(_products(x, x) for x in told)
-    power = np.where(np.diag(squares) > 0.0, np.diag(squares), 1.0)
-    alone = 1.0 / np.diag(np.linalg.inv(squares + np.diag(1e-9 * power)))
-    whole = sum(np.sum(x**2, axis=1) for x in steps)
-    known = (alone > _TOLD * whole).reshape(-1, n)[at].T
     errors = np.std(answers, axis=1, ddof=1) / np.sqrt(_PARTS)
-    return np.mean(answers, axis=1), np.where(known, errors, np.inf)
+    # Commands of other samples explain nothing of the torques.
+    beside = slice(n * (_BESIDE - 1), n * (_BESIDE + 2))
+    _, explained = regress([rows[beside] for rows in steps], changes)
+    return np.mean(answers, axis=1), np.where(explained[:, None] > _TOLD, errors, np.inf)
 
 
 def _is_share_of_inertia(transmission: FloatArray) -> bool:

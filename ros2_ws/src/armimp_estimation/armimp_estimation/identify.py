@@ -198,8 +198,7 @@ def identify(
 
     responses = RobotResponses.of([trial.record for trial in ordered])
     order = tuple(range(len(names))) if responses is None else responses.order()
-    if order != tuple(range(len(names))):
-        ordered = tuple(in_order(trial, order) for trial in ordered)
+    ordered = tuple(in_order(trial, order) for trial in ordered)
     frf = frf_matrix(ordered)
     level = max(scores.coherence_of_chance(trial.spectra) for trial in ordered)
     for trial in ordered:
@@ -273,7 +272,7 @@ def identify(
     realised = scores.realisation(trusted.estimate, options.target)
     fit = trusted.fit
     balance = None
-    if responses is not None:
+    if responses is not None and responses.answer(order):
         balance = responses.balance(order, hold, reading, fit.delay)
     unbalanced, gains = judge_balance(names, balance, fit, options.calibration)
     problems += [*unbalanced, *judge_answers(names, records, balance, fit)]

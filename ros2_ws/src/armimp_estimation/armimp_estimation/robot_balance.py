@@ -69,7 +69,9 @@ _ERRORS = 5.0
 _NEGATIVE = 4.0
 _MOST_ORDERS = 4
 _CLEARLY = 0.3
-_NOT_ALL = 0.03
+_WEIGHTLESS = 0.02
+"""Inertia of a joint of the robot relative to the arm's, below which it is none: the torque is the
+command. The lightest robots beside heavy arms have a sixth."""
 _ANSWERS = 10.0
 """Power of the answer of a command relative to its variance that no chance has at most of the
 frequencies."""
@@ -97,7 +99,7 @@ _REFUTED = 3.0
 """Standard errors by which a gain has to differ from 1 to refute a declared calibration."""
 _AT_ONCE, _WHOLE = 0.1, 1.2
 """Share of a step of its command by which a torque may jump beyond what inertias allow, and at
-most: beyond, the step isn't of that sample."""
+most: beyond, it is in another unit, of which the balance tells."""
 _ROUNDED = 1.0
 """Power of second differences of an angle, relative to its resolution squared, up to which most of
 them is rounding, half of that square."""
@@ -121,16 +123,8 @@ class RobotBalance:
     speed, relative to that which does; shape (n, n)."""
     rubbing: FloatArray
     """Stiffness that friction of the perturbed joint may seem to have, N·m/rad, shape (n,)."""
-    answered: BoolArray
-    """Whether the command of each joint answers the perturbation, (n,), so that it is of the same
-    trial."""
     order: tuple[int, ...]
     """Row of the commands that belongs to each joint."""
-
-    @property
-    def permuted(self) -> bool:
-        """Whether commands are in another order than the joints."""
-        return self.order != tuple(range(len(self.order)))
 
     @property
     def M(self) -> FloatArray:
@@ -230,6 +224,16 @@ class RobotResponses:
         clearly = min(stiffness) < _CLEARLY * stiffness[0]
         return best.order if refuted and clearly and not best.impossible else given.order
 
+    def answer(self, order: tuple[int, ...]) -> bool:
+        """Whether commands in an order answer the perturbations, so that they are of the trials."""
+        for column, row in zip(self.columns, order, strict=True):
+            place = 2 * len(order) + row
+            variance = column.gain * column.noise[place, place].real
+            power = np.abs(column.response[place]) ** 2
+            if not np.median(power / np.maximum(variance, _TINY)) > _ANSWERS:
+                return False
+        return True
+
     def balance(
         self,
         order: tuple[int, ...],
@@ -285,7 +289,6 @@ class RobotResponses:
             unseen=self.hidden.share,
             undamped=undamped,
             rubbing=np.abs(np.diag(values[1])) * np.diag(undamped) * pace,
-            answered=self._answered(order),
             order=order,
         )
 
@@ -357,16 +360,6 @@ class RobotResponses:
             if joint == k:
                 pace[k] = rms / np.std(angle)
         return undamped, pace
-
-    def _answered(self, order: tuple[int, ...]) -> BoolArray:
-        """Whether the command of each joint answers the perturbation of its trial, (n,)."""
-        answers = np.zeros(len(order))
-        for k, (column, row) in enumerate(zip(self.columns, order, strict=True)):
-            place = 2 * len(order) + row
-            variance = column.gain * column.noise[place, place].real
-            power = np.abs(column.response[place]) ** 2
-            answers[k] = np.median(power / np.maximum(variance, _TINY))
-        return np.asarray(answers > _ANSWERS)
 
 
 def _least_squares(
@@ -539,7 +532,7 @@ def judge_balance(
     names : sequence of str
         Joint names.
     balance : RobotBalance or None
-        What the commands move; without any they can't confirm a gain.
+        What the commands move; without any that are of the trials, nothing confirms a gain.
     arm : MBKFit
         What was estimated of the arm from the same trials.
     calibration : Calibration
@@ -555,7 +548,7 @@ def judge_balance(
     if balance is None:
         return _nothing_confirmed(names, calibration)
     problems, wrong = [], []
-    if balance.permuted:
+    if balance.order != tuple(range(len(names))):
         order = ", ".join(names[row] for row in np.argsort(balance.order))
         problems.append(problem(ProblemCode.COMMANDS_PERMUTED, severity=Severity.NOTE, order=order))
     own = np.eye(len(names), dtype=np.bool_)
@@ -565,24 +558,19 @@ def judge_balance(
     beyond = ~(np.abs(shares) <= GAIN_TOLERANCE + _ERRORS * errors)
     # What makes a transducer show too much of its own torque is a gain.
     crossed = beyond & ~own & _explained_better(shares, errors) & ~(less < 0.0)[:, None]
-    nothing = beyond & (np.abs(shares + 1.0) <= _NOT_ALL + 2.0 * errors)
-    # The arm moves, but not by these commands.
-    foreign = (np.diag(nothing) & ~balance.answered & ~crossed.any(axis=1)).any()
-    explanations = [(crossed, shares, errors)]
-    if not foreign:
-        explanations += [
-            (beyond & own & ~_may_be_spring(shares), shares, errors),
-            (np.diag(less < 0.0), np.diag(less), np.diag(less_error)),
-        ]
+    explanations = [
+        (crossed, shares, errors),
+        (beyond & own & ~_may_be_spring(shares), shares, errors),
+        (np.diag(less < 0.0), np.diag(less), np.diag(less_error)),
+    ]
     for told, share, error in explanations:
         for i, row in np.argwhere(told):
             if i != row or names[i] not in wrong:
                 wrong.append(names[i])
                 problems.append(_wrong(names, i, row, share[i, row], error[i, row]))
-    if foreign:
-        untold, doubts = _nothing_confirmed(names, calibration)
-        return problems + untold, doubts
-    if balance.impossible:
+    robots, arms = np.diag(balance.M), np.abs(np.diag(arm.mbk.M))
+    weightless = robots + _ERRORS * np.diag(balance.M_se) < _WEIGHTLESS * arms
+    if balance.impossible or weightless.any():
         inertia = (
             "[" + "; ".join(" ".join(f"{x:.3g}" for x in row) for row in balance.M) + "] kg·m²"
         )
@@ -695,7 +683,7 @@ def _gain_of(name: str, share: float, error: float) -> dict[str, Any]:
 def in_order(trial: TrialData, order: tuple[int, ...]) -> TrialData:
     """Return a trial with its commands in the order of the joints."""
     record = trial.record
-    if record.command is None:
+    if record.command is None or order == tuple(range(record.joints)):
         return trial
     command = record.command[list(order)]
     return replace(trial, record=replace(record, command=command))

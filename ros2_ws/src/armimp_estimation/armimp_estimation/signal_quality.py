@@ -74,10 +74,9 @@ _TINY = float(np.finfo(np.float64).tiny)
 _WINDOW = 0.5
 _VALUES = 3
 _CHANGES = 5
-_OF_COMMAND, _SCALED = 0.02, 0.005
-"""Share of a torque beside its command, or a multiple of it, below which it is none on the arm: a
-robot has inertia, but hardly any beside a heavy arm."""
-_SAME = 0.03
+_COPIED = 0.005
+"""Share of a torque beside a multiple of its command below which it is none on the arm: a robot has
+inertia, but hardly any beside a heavy arm."""
 _LAGS = 4
 _BINS, _FOLDED, _FOLLOWING, _ALIKE = 10, 0.3, 0.85, 0.8
 """Bins of a coherence; power of a perturbation near half of the rate relative to that at 15 to
@@ -135,8 +134,7 @@ def _faults(record: TrialRecord, stream: str, joint: int) -> Iterator[tuple[Prob
         yield ProblemCode.TORQUE_REPEATS, {"percent": 100.0 * share}
     for source in ("command", "perturbation") if torques and joint == k else ():
         factor, share = _copied(record, source)
-        as_it_is = source == "command" and abs(factor - 1.0) < _SAME
-        if share < (_OF_COMMAND if as_it_is else _SCALED):
+        if share < _COPIED:
             about: Values = {"source": source, "factor": factor, "percent": 100.0 * share}
             yield ProblemCode.TORQUE_IS_COMMAND, about
 

@@ -88,6 +88,17 @@ def test_with_gravity_a_wrong_gain_is_refused_with_its_size_and_error(
             assert share == pytest.approx(gain, abs=3.5 * error)
 
 
+def test_torques_that_are_the_commands_of_the_drives_leave_a_robot_of_no_inertia() -> None:
+    rng, records = np.random.default_rng(3), recorded(ROBOT, np.ones(2))
+    for k, record in enumerate(records):
+        assert record.command is not None
+        noise = 0.01 * np.std(record.command) * rng.standard_normal(record.command.shape)
+        records[k] = dataclasses.replace(record, torque=np.roll(record.command, 1, axis=1) + noise)
+    result = identified(records, UNDECLARED)
+    assert not result.verdict.impedance
+    assert ProblemCode.ROBOT_INERTIA_IMPOSSIBLE in {one.code for one in result.problems}
+
+
 def pulsed(friction: float) -> TrialRecord:
     """Trial of one joint with Coulomb friction, N·m, pushed for 50 ms and left for 250 ms."""
     rate, substeps, mass, viscosity, stiffness = 1000.0, 5, 0.15, 0.65, 8.0
@@ -129,7 +140,7 @@ def test_a_gain_above_one_of_a_single_joint_leaves_the_robot_a_negative_viscosit
     assert 0.0 < float(found.values["error"]) < 0.1
 
 
-def rounded(fed_back: float, model: float | None = None) -> TrialRecord:
+def rounded(fed_back: float, model: float | None = None, noisy: float = 0.05) -> TrialRecord:
     """Trial of one joint whose law knows rounded angles, and noisy torques, which it feeds back.
 
     Given a share of the robot's inertia, the torques that are recorded come of the commands less
@@ -138,7 +149,7 @@ def rounded(fed_back: float, model: float | None = None) -> TrialRecord:
     rate, substeps, count, arm, inertia = 1000.0, 4, 6e-5, 0.06, 0.12
     rng, samples, step = np.random.default_rng(5), 20_000, 1.0 / (rate * substeps)
     force = signal.sosfilt(signal.butter(4, 15.0, fs=rate, output="sos"), rng.normal(size=samples))
-    noise = 0.05 * rng.standard_normal(samples)
+    noise = noisy * rng.standard_normal(samples)
     angle = speed = reading = command = slow = 0.0
     values = np.zeros((3, samples))
     for k in range(samples):
@@ -171,9 +182,9 @@ def test_a_torque_that_is_computed_from_the_command_is_refused(model: float) -> 
     assert float(found.values["most"]) < 60.0
 
 
-@pytest.mark.parametrize("fed_back", [0.0, 0.9])
-def test_a_law_that_feeds_noisy_torques_back_computes_none(fed_back: float) -> None:
-    record = rounded(fed_back)
+@pytest.mark.parametrize(("fed_back", "noisy"), [(0.0, 0.01), (0.9, 0.05)])
+def test_a_law_that_feeds_noisy_torques_back_computes_none(fed_back: float, noisy: float) -> None:
+    record = rounded(fed_back, noisy=noisy)
     result = identified([record], UNDECLARED)
     assert not computed(result)
     answers, errors = answers_to_rounding([record])
@@ -181,7 +192,7 @@ def test_a_law_that_feeds_noisy_torques_back_computes_none(fed_back: float) -> N
     assert errors.max() < 0.1
 
 
-@pytest.mark.parametrize("late", [2, 3, 5])
+@pytest.mark.parametrize("late", [2, 3, 5, 7, 10])
 def test_commands_that_are_recorded_periods_late_compute_no_torque(late: int) -> None:
     record = rounded(0.0)
     assert record.command is not None

@@ -562,19 +562,17 @@ def _postures_apart(
 
     A joint that is locked in trial k shows the inertia at the posture there, with its small motion
     R_jk, not that of its own trial. By a distance of postures M_ij changes by that share of
-    ``√(M_ii M_jj)`` at most. Data don't tell the size of this: where joints are held softly, R_jk
-    is mostly what the person moves.
+    ``√(M_ii M_jj)`` at most, of all rows i in proportion. Data don't tell the size of this: where
+    joints are held softly, R_jk is mostly what the person moves.
     """
     postures = np.stack([record.position.mean(axis=1) for record in records])
     size = np.sqrt(np.abs(np.diag(_inertia(impedance, f))))
     effects = []
-    for i, j, k in np.ndindex(impedance.shape[0], *impedance.shape[:2]):
+    for j, k in np.ndindex(impedance.shape[:2]):
         apart = float(np.linalg.norm(postures[j] - postures[k]))
         if j != k and apart > _APART:
-            effect = np.zeros_like(impedance)
-            change = size[i] * size[j] * apart / np.sqrt(3.0)
-            effect[i] = change * (2j * np.pi * f) ** 2 * R[j, k] * inverse[k]
-            effects.append(effect)
+            change = size * size[j] * apart / np.sqrt(3.0)
+            effects.append(change[:, None, None] * (2j * np.pi * f) ** 2 * R[j, k] * inverse[k])
     return effects
 
 
