@@ -9,8 +9,8 @@ readings and jumps by the Euler-Maclaurin formula (coefficients 1/2 and 1/12):
 
     τ(ω) = τ_before(ω) + [D (1/2 - jωL/12) + S/12] Δu(ω)
 
-up to fourth order in ωL. Readings that pass a filter or are late lack other multiples of D and S,
-see :mod:`armimp_estimation.torque_timing`. A delay of half a sample, ``T exp(jωL/2)``, puts the
+up to fourth order in ωL. The whole of it, also of readings that pass a filter or are late, is in
+:mod:`armimp_estimation.torque_timing`. A delay of half a sample, ``T exp(jωL/2)``, puts the
 inertial torque right as well, but overcorrects what does not jump: it adds ``K L/2`` to B and
 ``B L/2`` to M, and does not know of the part of u that overcomes friction. D need not be precise:
 an error of 10 % leaves 10 % of the skew.
@@ -27,8 +27,6 @@ from armimp_estimation.torque_timing import TorqueReading
 
 # Periods after a jump by which the torque is followed, from when it has passed the filter on.
 _PERIODS = 3
-# Value and slope at the jump of the parabola through the sums of the changes 1, 2, 3 periods later.
-_PARABOLA = np.array([[1.0, -2.0, 1.0], [0.0, 2.5, -1.5]])
 # How much of a step a reading may lack that has all of it.
 _PASSED = 0.01
 _DIFFERENCES = 4
@@ -73,31 +71,6 @@ class HoldCorrection:
     slope: FloatArray
     error: FloatArray
 
-    def missing(self, f: FloatArray, rate: float, reading: TorqueReading) -> ComplexArray:
-        """What readings lack, per step of the commands.
-
-        Parameters
-        ----------
-        f : ndarray, shape (n_freq,)
-            Frequencies, Hz.
-        rate : float
-            Updates per second, Hz.
-        reading : TorqueReading
-            How readings come about.
-
-        Returns
-        -------
-        ndarray, shape (n, n, n_freq)
-            N·m per N·m; ``D (1/2 - jωL/12) + S/12`` just before the updates.
-        """
-        if reading.prompt:
-            edge: ComplexArray = np.asarray(0.5 - 2j * np.pi * f / rate / 12.0)
-            bend: ComplexArray = np.full(f.shape, 1.0 / 12.0, dtype=np.complex128)
-        else:
-            edge, bend = reading.folded(f, rate)
-        lacking = self.torque[:, :, None] * edge + self.slope[:, :, None] * bend
-        return np.asarray(lacking, dtype=np.complex128)
-
 
 def without_skew(
     f: FloatArray,
@@ -131,9 +104,9 @@ def without_skew(
     known = reading.at_rate(rate)
     coefficients = np.eye(joints)[:, :, None]
     if jump is not None:
-        coefficients = np.concatenate(
-            (coefficients + 0.0 * f, jump.missing(f, rate, known)), axis=1
-        )
+        edge, bend = known.folded(f, rate)
+        lacking = jump.torque[:, :, None] * edge + jump.slope[:, :, None] * bend
+        coefficients = np.concatenate((coefficients + 0.0 * f, lacking), axis=1)
     turned = np.exp(2j * np.pi * f * late) / known.response(f)
     return np.asarray(coefficients * turned, dtype=np.complex128)
 
@@ -346,8 +319,6 @@ def _lags(reading: TorqueReading, rate: float) -> tuple[FloatArray, FloatArray, 
     edge : int
         How many changes it takes until the step is there.
     """
-    if reading.prompt:
-        return np.ones(1), _PARABOLA, 1
     weights = reading.whitening(rate)
     count = weights.size + 1 + _PERIODS
     answers = reading.answers(rate, count)

@@ -97,7 +97,6 @@ def judge_matrices(
                 value=value,
                 error=error,
                 unit=UNITS[letter],
-                suspect="torques or angles of two joints may be swapped",
             )
         )
     M, M_se = matrices["M"]
