@@ -19,7 +19,6 @@ gain above 1 where a locked joint that friction holds (κ > 0) explains it.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -67,7 +66,6 @@ _FLOOR = 0.2
 _TINY = float(np.finfo(np.float64).tiny)
 _ERRORS = 5.0
 _NEGATIVE = 4.0
-_MOST_ORDERS = 4
 _CLEARLY = 0.3
 _WEIGHTLESS = 0.02
 """Inertia of a joint of the robot relative to the arm's, below which it is none: the torque is the
@@ -216,13 +214,22 @@ class RobotResponses:
         given one stays unless it leaves what can't be chance, and another one a possible robot.
         """
         n = len(self.records)
-        orders = list(itertools.permutations(range(n))) if n <= _MOST_ORDERS else [tuple(range(n))]
-        balances = [self.balance(one) for one in orders]
-        stiffness = [float(np.linalg.norm(one.K)) for one in balances]
-        given, best = balances[0], balances[int(np.argmin(stiffness))]
-        refuted = (np.abs(given.K) > 2.0 * _ERRORS * given.K_se).any()
-        clearly = min(stiffness) < _CLEARLY * stiffness[0]
-        return best.order if refuted and clearly and not best.impossible else given.order
+        given = self.balance(tuple(range(n)))
+        if not (np.abs(given.K) > 2.0 * _ERRORS * given.K_se).any():
+            return given.order
+        # What moves a joint depends on the command that belongs to that joint alone.
+        stiffness, own = np.zeros((n, n)), np.arange(n)
+        for shift in range(n):
+            one = self.balance(tuple(np.roll(own, shift).tolist()))
+            stiffness[own, list(one.order)] = np.sum(one.K**2, axis=1)
+        # Hardly anybody has to wait for this import.
+        from scipy.optimize import linear_sum_assignment
+
+        _, best = linear_sum_assignment(np.nan_to_num(stiffness))
+        if not np.sum(stiffness[own, best]) < _CLEARLY**2 * np.trace(stiffness):
+            return given.order
+        found = self.balance(tuple(best.tolist()))
+        return given.order if found.impossible else found.order
 
     def answer(self, order: tuple[int, ...]) -> bool:
         """Whether commands in an order answer the perturbations, so that they are of the trials."""

@@ -88,6 +88,22 @@ def test_with_gravity_a_wrong_gain_is_refused_with_its_size_and_error(
             assert share == pytest.approx(gain, abs=3.5 * error)
 
 
+def test_commands_in_another_order_than_the_joints_are_put_in_order() -> None:
+    records = recorded(ROBOT, np.ones(2))
+    swapped = [
+        dataclasses.replace(one, command=one.command[::-1])
+        for one in records
+        if one.command is not None
+    ]
+    result = identified(swapped, UNDECLARED)
+    assert result.valid, result.problems
+    assert ProblemCode.COMMANDS_PERMUTED in {one.code for one in result.problems}
+    told, given = result.balance, identified(records, UNDECLARED).balance
+    assert told is not None
+    assert given is not None
+    np.testing.assert_allclose(told.M, given.M, rtol=1e-9)
+
+
 def test_torques_that_are_the_commands_of_the_drives_leave_a_robot_of_no_inertia() -> None:
     rng, records = np.random.default_rng(3), recorded(ROBOT, np.ones(2))
     for k, record in enumerate(records):
