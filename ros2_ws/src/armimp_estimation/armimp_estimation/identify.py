@@ -272,7 +272,7 @@ def identify(
     realised = scores.realisation(trusted.estimate, options.target)
     fit = trusted.fit
     balance = None
-    if responses is not None and responses.answer(order):
+    if responses is not None:
         balance = responses.balance(order, hold, reading, fit.delay)
     unbalanced, gains = judge_balance(names, balance, fit, options.calibration)
     problems += [*unbalanced, *judge_answers(names, records, balance, fit)]

@@ -184,7 +184,10 @@ class RobotResponses:
 
     @classmethod
     def of(cls, records: Sequence[TrialRecord]) -> RobotResponses | None:
-        """Those of trials; None if there are no commands, or something does not respond."""
+        """Those of trials; None if there are no commands, or something does not respond.
+
+        Of commands at least one has to answer each perturbation: others are not of these trials.
+        """
         channels = [
             np.concatenate([record.position, record.torque, record.command])
             for record in records
@@ -198,6 +201,8 @@ class RobotResponses:
             stacked = np.stack([one.response for one in columns], axis=1)
             inverse = invert(stacked[:n], columns[0].f)
         except DataError:
+            return None
+        if not all((_certainty(one)[2 * n :] > _ANSWERS).any() for one in columns):
             return None
         return cls(
             records=tuple(records),
@@ -230,16 +235,6 @@ class RobotResponses:
             return given.order
         found = self.balance(tuple(best.tolist()))
         return given.order if found.impossible else found.order
-
-    def answer(self, order: tuple[int, ...]) -> bool:
-        """Whether commands in an order answer the perturbations, so that they are of the trials."""
-        for column, row in zip(self.columns, order, strict=True):
-            place = 2 * len(order) + row
-            variance = column.gain * column.noise[place, place].real
-            power = np.abs(column.response[place]) ** 2
-            if not np.median(power / np.maximum(variance, _TINY)) > _ANSWERS:
-                return False
-        return True
 
     def balance(
         self,
@@ -367,6 +362,13 @@ class RobotResponses:
             if joint == k:
                 pace[k] = rms / np.std(angle)
         return undamped, pace
+
+
+def _certainty(column: LocalResponse) -> FloatArray:
+    """Median power of the responses of a trial relative to their variances, by channel, (C,)."""
+    variance = column.gain * np.einsum("ccf->cf", column.noise).real
+    power = np.abs(column.response) ** 2
+    return np.asarray(np.median(power / np.maximum(variance, _TINY), axis=1))
 
 
 def _least_squares(
