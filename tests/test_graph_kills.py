@@ -208,7 +208,7 @@ def assert_recorded(done: Kill, figures: Figures) -> None:
     if samples > LOST:
         (trial,) = read_bag(bag).trials
         assert trial.record is not None
-        lost = samples - trial.record.samples
+        lost = max(samples - trial.record.samples, 0)
         figures.add(f"{done.victim} killed while it was recorded", lost_samples=(lost, ""))
         assert lost <= LOST
 
