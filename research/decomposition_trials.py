@@ -5,17 +5,20 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import JsonValue
 
+from armimp_bringup.bench import available_cores
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import SimulatedExperiment, run_offline
 from armimp_bringup.parameters import NodeParameters, node_parameters
-from armimp_bringup.study.engine import threads
+from armimp_bringup.study.engine import Backend
 from armimp_bringup.terminal import display
 from armimp_common.errors import ConfigurationError
 from armimp_common.status import Phase
@@ -184,7 +187,10 @@ def in_threads(
     def numbered(task: tuple[int, Work]) -> tuple[int, Result]:
         return task[0], work(task[1])
 
-    ready = threads(workers).run(numbered, enumerate(tasks))
+    count = workers or available_cores()
+    pool = ThreadPoolExecutor(count)
+    close = partial(pool.shutdown, wait=False, cancel_futures=True)
+    ready = Backend(pool=pool, workers=count, close=close).run(numbered, enumerate(tasks))
     early: dict[int, Result] = {}
     due = 0
     display().progress(0, len(tasks), things="batches")

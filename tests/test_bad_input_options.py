@@ -66,7 +66,7 @@ OF_OTHERS: list[tuple[tuple[str, ...], int, str]] = [
         for options, words in (
             (("--seeds", "1:"), "--seeds '1:': '1:' is neither a seed nor a range"),
             (("--workers", "two"), "Invalid value for '--workers'"),
-            (("--workers", "2", "--scheduler", "tcp://x:1"), "--workers is for threads"),
+            (("--workers", "2", "--scheduler", "tcp://x:1"), "--workers is for processes"),
             (("--estimator", "guess"), "there is no 'guess', only welch_siso"),
             (("--config", "nowhere.yaml"), "nowhere.yaml: No such file or directory"),
         )

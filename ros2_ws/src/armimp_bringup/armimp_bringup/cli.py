@@ -295,13 +295,14 @@ def reproduce(
     ] = None,
     seeds: Annotated[str, typer.Option(help="Seeds, as in 77 or 0:10 or 1,5,10:20.")] = "0",
     workers: Annotated[
-        int | None, typer.Option(min=1, help="Number of threads.", show_default="one for each core")
+        int | None,
+        typer.Option(min=1, help="Processes.", show_default="one for each core"),
     ] = None,
     scheduler: Annotated[
         str | None,
         typer.Option(
             help="Scheduler of a dask cluster to run on: tcp://host:port.",
-            show_default="none, threads of this machine",
+            show_default="none, processes of this machine",
         ),
     ] = None,
     config: Annotated[
@@ -315,7 +316,7 @@ def reproduce(
     with Display() as display:
         display.phase("starting")
         from armimp_bringup.study import select_conditions
-        from armimp_bringup.study.engine import cluster, threads
+        from armimp_bringup.study.engine import cluster, processes
         from armimp_bringup.study.study import present_verdict, run_study
         from armimp_common.compiled import on_compiling
         from armimp_estimation.summary import OriginSummary
@@ -326,9 +327,9 @@ def reproduce(
         conditions = select_conditions(only or (), seeds)
         if scheduler is not None and workers is not None:
             raise ConfigurationError(
-                "--workers is for threads of this machine, a --scheduler has its own"
+                "--workers is for processes of this machine, a --scheduler has its own"
             )
-        backend = threads(workers) if scheduler is None else cluster(scheduler)
+        backend = processes(workers) if scheduler is None else cluster(scheduler)
         origin = OriginSummary.of(sys.argv)
         verdict = run_study(
             settings, conditions, directory, backend, figures=figures, origin=origin

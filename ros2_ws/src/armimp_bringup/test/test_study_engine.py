@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import os
 import sys
 import threading
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,17 +23,13 @@ from armimp_bringup.study import (
     parse_seeds,
     select_conditions,
 )
-from armimp_bringup.study.engine import (
-    cluster,
-    run_batch,
-    split_evenly,
-    threads,
-)
+from armimp_bringup.study.engine import cluster, processes, run_batch, split_evenly
 from armimp_bringup.study.study import run_study
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_common.versions import software
 from armimp_sim.dynamics import WIDTH
 from support.graph import PATIENCE
+from support.studies import threads
 
 BASE = ExperimentConfig(duration=4.0, estimators=("welch_siso", "lpm_full"))
 ONE = (Condition(friction=3, resolution=3, perturbation=1, seed=5),)
@@ -82,6 +80,15 @@ def test_the_first_error_of_a_task_is_raised_and_ends_the_others_but_for_those_a
             thread.join(PATIENCE)
     # One more may have begun before the error was heard of.
     assert max(begun) <= 2
+
+
+def test_processes_give_results_and_the_errors_of_their_tasks_and_tell_that_they_died() -> None:
+    assert sorted(processes(2).run(abs, [-1, 2, -3])) == [1, 2, 3]
+    unknown = BASE.model_copy(update={"estimators": ("guess",)})
+    with pytest.raises(ConfigurationError, match="guess"):
+        list(processes(1).run(partial(run_batch, unknown, software()), [ONE]))
+    with pytest.raises(DataError, match="a worker died: "):
+        list(processes(1).run(os._exit, [3]))
 
 
 def test_wrong_backends_are_told_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

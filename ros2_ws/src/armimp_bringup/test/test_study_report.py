@@ -14,7 +14,6 @@ import pytest
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.study import StudyEntry, saved_curves, select_conditions
-from armimp_bringup.study.engine import threads
 from armimp_bringup.study.figures import impedance_figure, levels_figure
 from armimp_bringup.study.scores import (
     COHERENCE_SCORES,
@@ -29,6 +28,7 @@ from armimp_common.errors import ConfigurationError
 from armimp_estimation.mbk import MBK
 from armimp_estimation.summary import ImpedanceCurve
 from support.results import read_study
+from support.studies import threads
 
 BASE = ExperimentConfig(duration=4.0, estimators=("welch_siso", "lpm_full"))
 CONDITIONS = select_conditions(["friction=0+3,resolution=3,perturbation=1"], "1:3")

@@ -1,13 +1,16 @@
-"""Batches of conditions: each side by side in one compiled loop, in threads or on a cluster."""
+"""Batches of conditions: each side by side in a compiled loop, in processes or on a cluster."""
 
 from __future__ import annotations
 
 import importlib
 import itertools
+import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import CancelledError, Executor, ThreadPoolExecutor, as_completed
+from concurrent.futures import CancelledError, Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import partial
+from multiprocessing import get_context
 from typing import Any, TypeAlias, TypeVar
 
 from armimp_bringup.bench import available_cores
@@ -149,23 +152,28 @@ class Backend:
             for future in as_completed([self.pool.submit(work, task) for task in tasks]):
                 yield future.result()
         except lost as error:
-            raise DataError(f"a worker of the cluster died: {error}") from None
+            raise DataError(f"a worker died: {error}") from None
         finally:
             self.close()
 
 
-def threads(workers: int | None = None) -> Backend:
-    """Return threads of this process; most of the time they are in compiled code, without the GIL.
+def processes(workers: int | None = None) -> Backend:
+    """Return processes of this machine: estimates hold up one another in threads of a process.
 
     Parameters
     ----------
     workers : int, optional
-        Number of threads; by default one for each core.
+        Number of processes; by default one for each core.
     """
     workers = workers or available_cores()
-    pool = ThreadPoolExecutor(workers)
+    pool = ProcessPoolExecutor(
+        workers,
+        mp_context=get_context("spawn"),
+        initializer=signal.signal,  # Ctrl-C ends them without a word
+        initargs=(signal.SIGINT, signal.SIG_DFL),
+    )
     close = partial(pool.shutdown, wait=False, cancel_futures=True)
-    return Backend(pool=pool, workers=workers, close=close)
+    return Backend(pool=pool, workers=workers, close=close, lost=(BrokenProcessPool,))
 
 
 def cluster(address: str) -> Backend:

@@ -14,6 +14,7 @@ from rich.measure import Measurement
 from rich.table import Table
 
 from armimp_bringup.config import ExperimentConfig, prepare_directory
+from armimp_bringup.offline import simulate
 from armimp_bringup.parameters import node_parameters
 from armimp_bringup.study import (
     LEVELS,
@@ -48,6 +49,7 @@ _FILES: Final = {
     CONFIG_FILE: "what the results were made with",
     RESULTS_DIRECTORY + "/": "result and curves of each condition",
 }
+_MOMENT: Final = 2.0  # s
 _MOST_FAILURES: Final = 20
 _VARIED: Final = {*LEVELS, "seed", "mode", "processes"}
 """What differs between the conditions of a study, and is not part of its configuration."""
@@ -93,7 +95,8 @@ def run_study(
     """
     here = software()
     # What is set wrongly should show before anything is made.
-    node_parameters(condition_config(base, conditions[0]), None)
+    first = condition_config(base, conditions[0])
+    node_parameters(first, None)
     prepare_directory(directory)
     results = directory / RESULTS_DIRECTORY
     curves = partial(saved_curves, results)
@@ -104,9 +107,12 @@ def run_study(
     described = json.loads(base.model_dump_json(exclude=_VARIED))
     described = {"schema": 1, "experiment": described, **here}
     write_text(directory / CONFIG_FILE, json.dumps(described, indent=1) + "\n")
+    # A moment of it, so that machine code is made here, and not by each worker.
+    simulate([first.model_copy(update={"duration": _MOMENT})])
     batches = split_evenly(conditions, backend.workers)
     found: dict[Condition, StudyEntry] = {}
     display().progress(0, len(conditions), things="conditions")
+    display().phase("simulating and estimating the first")
     for batch in backend.run(partial(run_batch, base, here), batches):
         for entry, of_estimators in batch:
             save_result(results, entry, of_estimators)
