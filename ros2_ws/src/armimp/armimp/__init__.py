@@ -19,5 +19,6 @@ Arrays of another rig, one trial for each joint::
 
 from armimp.facade import Recording, Result, identify, read_bag, simulate
 from armimp_common.errors import ArmimpError
+from armimp_estimation.fit import Calibration
 
-__all__ = ["ArmimpError", "Recording", "Result", "identify", "read_bag", "simulate"]
+__all__ = ["ArmimpError", "Calibration", "Recording", "Result", "identify", "read_bag", "simulate"]

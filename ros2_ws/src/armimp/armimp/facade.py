@@ -16,6 +16,7 @@ from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.alignment.trial_windows import HIGHEST, LOWEST
 from armimp_estimation.arm_models import ModelFit, supported
+from armimp_estimation.fit import Calibration
 from armimp_estimation.mbk import MBK
 from armimp_estimation.metadata import Metadata
 from armimp_estimation.problems import Problem
@@ -29,9 +30,10 @@ class Recording:
     trials: tuple[TrialRecord, ...]
     """Perturbation (N·m), position (rad) and torque on the arm (N·m), of shape (n, N)."""
     known: Metadata = field(default_factory=Metadata)
-    """What is known beside these: how torques were read, of transducers and encoders, the arm that
-    was simulated. What is not told is assumed, such as 1 % of gain and of cross-talk and 1.5 % of
-    angles; its ``model_copy(update=...)`` tells more, for :func:`dataclasses.replace`."""
+    """What is known beside these, such as how torques were read, and the arm that was simulated."""
+    calibration: Calibration = field(default_factory=Calibration.undeclared)
+    """What is known of transducers and encoders; by default what is assumed of any, 1 % of gain and
+    of cross-talk, 1.5 % of angles; :func:`dataclasses.replace` declares another one."""
     problems: tuple[Problem, ...] = ()
     """What was wrong with the trials when they were read."""
 
@@ -211,7 +213,8 @@ def simulate(**options: Any) -> Recording:
 
     config = load_config(None, options)
     (experiment,) = run_without_ros([config])
-    return Recording(trials=experiment.records, known=experiment.known)
+    known = experiment.known
+    return Recording(trials=experiment.records, known=known, calibration=known.calibration)
 
 
 def read_bag(*bags: str | Path, rate: float | None = None) -> Recording:
@@ -249,8 +252,12 @@ def read_bag(*bags: str | Path, rate: float | None = None) -> Recording:
     if rate is not None:
         metadata["sampling_rate"] = json.dumps(float(rate))
     known = Metadata.of(metadata)
-    problems = tuple(problems_of(trials, known))
-    return Recording(trials=tuple(records), known=known, problems=problems)
+    return Recording(
+        trials=tuple(records),
+        known=known,
+        calibration=known.calibration,
+        problems=tuple(problems_of(trials, known)),
+    )
 
 
 def identify(recording: Recording, estimator: str = "lpm_full", model: str | None = None) -> Result:
@@ -281,9 +288,10 @@ def identify(recording: Recording, estimator: str = "lpm_full", model: str | Non
     if not recording.trials:
         raise DataError("there is no trial in the recording")
     known = recording.known
+    options = replace(known.options, calibration=recording.calibration)
     if model is not None:
-        known = known.model_copy(update={"arm_model": model})
-    found = identify_records([[one] for one in recording.trials], [estimator], known)
+        options = replace(options, model=model)
+    found = identify_records([[one] for one in recording.trials], [estimator], known, options)
     found = replace(found, problems=(*recording.problems, *found.problems))
     one = found.estimators[estimator]
     return Result(

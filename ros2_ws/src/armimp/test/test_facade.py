@@ -175,13 +175,15 @@ def test_what_is_declared_of_how_linear_transducers_are_decides_the_errors_besid
     person = {"voluntary.rms": 0.3}
     bent = armimp.simulate(
         duration=2.0, arm_sim={**person, "sensors.torque.hysteresis": 0.05}
-    ).known
-    assert bent.linearity_uncertainty is None
+    ).calibration
+    assert bent.linearity is None
     recording = armimp.simulate(duration=20.0, seed=1, arm_sim=person)
-    known = recording.known
-    assert known.linearity_uncertainty == 0.0
-    others = (known.model_copy(update={"linearity_uncertainty": one}) for one in (0.0, None, 0.1))
-    declared, unknown, poor = (armimp.identify(replace(recording, known=one)) for one in others)
+    known = recording.calibration
+    assert known.linearity == 0.0
+    declared, unknown, poor = (
+        armimp.identify(replace(recording, calibration=replace(known, linearity=one)))
+        for one in (0.0, None, 0.1)
+    )
     assert np.array_equal(declared.B, unknown.B)
     assert (unknown.B_se > declared.B_se).all()
     assert (poor.B_se > 2.0 * declared.B_se).all()

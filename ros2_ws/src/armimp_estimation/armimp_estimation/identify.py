@@ -147,15 +147,19 @@ def _deciding(results: Mapping[str, EstimatorResult]) -> tuple[str, ...]:
 
 
 def identify_records(
-    trials: Sequence[Sequence[TrialRecord]], estimators: Sequence[str | Estimator], known: Metadata
+    trials: Sequence[Sequence[TrialRecord]],
+    estimators: Sequence[str | Estimator],
+    known: Metadata,
+    options: IdentifyConfig | None = None,
 ) -> Identification:
     """Identify from the intact stretches of each trial, and from what is known beside them.
 
-    Welch segments are those that suit the shortest trial; see :func:`identify` for the rest.
+    Welch segments are those that suit the shortest trial, and options by default those that follow
+    from what is known; see :func:`identify` for the rest.
     """
     segment = segment_for(trials)
     data = [TrialData.of(*one, segment=segment, reading=known.reading) for one in trials]
-    return identify(data, estimators, known.truth, known.options)
+    return identify(data, estimators, known.truth, options or known.options)
 
 
 def identify(
