@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 from typing import Final, TypeVar
 
 import numpy as np
@@ -188,9 +187,7 @@ def in_threads(
         return task[0], work(task[1])
 
     count = workers or available_cores()
-    pool = ThreadPoolExecutor(count)
-    close = partial(pool.shutdown, wait=False, cancel_futures=True)
-    ready = Backend(pool=pool, workers=count, close=close).run(numbered, enumerate(tasks))
+    ready = Backend.of(ThreadPoolExecutor(count), count).run(numbered, enumerate(tasks))
     early: dict[int, Result] = {}
     due = 0
     display().progress(0, len(tasks), things="batches")

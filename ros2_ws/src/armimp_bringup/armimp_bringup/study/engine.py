@@ -142,6 +142,12 @@ class Backend:
     lost: tuple[type[Exception], ...] = ()
     """Errors that mean the death of a worker."""
 
+    @classmethod
+    def of(cls, pool: Executor, workers: int, *lost: type[Exception]) -> Backend:
+        """An executor of this machine."""
+        close = partial(pool.shutdown, wait=False, cancel_futures=True)
+        return cls(pool=pool, workers=workers, close=close, lost=lost)
+
     def run(self, work: Callable[[Task], Done], tasks: Iterable[Task]) -> Iterator[Done]:
         """Yield the results of all tasks, in the order in which they are ready.
 
@@ -172,8 +178,7 @@ def processes(workers: int | None = None) -> Backend:
         initializer=signal.signal,  # Ctrl-C ends them without a word
         initargs=(signal.SIGINT, signal.SIG_DFL),
     )
-    close = partial(pool.shutdown, wait=False, cancel_futures=True)
-    return Backend(pool=pool, workers=workers, close=close, lost=(BrokenProcessPool,))
+    return Backend.of(pool, workers, BrokenProcessPool)
 
 
 def cluster(address: str) -> Backend:

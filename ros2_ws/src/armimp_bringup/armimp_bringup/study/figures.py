@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from multiprocessing import get_context
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,8 +14,8 @@ from matplotlib.figure import Figure
 
 from armimp_bringup.bench import available_cores
 from armimp_bringup.study import LEVELS, Condition
+from armimp_bringup.study.engine import processes
 from armimp_bringup.study.scores import COHERENCE_SCORES, FIT_SCORES, Score, Table, statistics
-from armimp_common.errors import DataError
 from armimp_estimation.figures import TWO_COLUMNS, element_figure, matrix_figure, save_figure
 from armimp_estimation.mbk import MBK
 from armimp_estimation.report.plots import (
@@ -237,27 +235,20 @@ def write_figures(
         drawings.append((f"fig3-{name}", levels_figure, of_estimator, FIT_SCORES))
         drawings.append((f"fig4-{name}", levels_figure, of_estimator, COHERENCE_SCORES))
         shown += [f"VAF and R² by level, {name}", f"coherences by level, {name}"]
-    files = _drawn(directory, drawings)
-    return {path.name: one for one, paths in zip(shown, files, strict=True) for path in paths}
-
-
-def _drawn(
-    directory: Path, drawings: Sequence[tuple[str, _Drawing, Any, Any]]
-) -> Iterator[list[Path]]:
-    """Files of the figures, in their order; many are drawn side by side."""
     workers = min(available_cores(), len(drawings) // _WORTH_A_PROCESS)
-    if workers < 2:
-        yield from (_draw(directory, *one) for one in drawings)
-        return
-    try:
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-            yield from pool.map(_draw, itertools.repeat(directory), *zip(*drawings, strict=True))
-    except BrokenProcessPool:
-        raise DataError("figures: a process that draws them ended early") from None
+    draw = partial(_draw, directory)
+    paths = dict(processes(workers).run(draw, drawings) if workers > 1 else map(draw, drawings))
+    return {
+        path.name: words
+        for (where, *_), words in zip(drawings, shown, strict=True)
+        for path in paths[where]
+    }
 
 
-def _draw(directory: Path, name: str, draw: _Drawing, *arguments: Any) -> list[Path]:
-    return save_figure(draw(*arguments), directory / name)
+def _draw(directory: Path, drawing: tuple[str, _Drawing, Any, Any]) -> tuple[str, list[Path]]:
+    """Name of a drawing, and its files."""
+    name, draw, *arguments = drawing
+    return name, save_figure(draw(*arguments), directory / name)
 
 
 def impedance_figure(curves: Mapping[Condition, ImpedanceCurve], truth: MBK) -> Figure:
