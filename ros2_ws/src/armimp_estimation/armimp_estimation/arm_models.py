@@ -326,7 +326,7 @@ class _Problem:
         self.parameters = (*model.parameters, *([_LATENESS] if self.doubt else []))
         self.shapes = [(n,) * one.rank for one in self.parameters]
         self.ends = np.cumsum([math.prod(shape) for shape in self.shapes])
-        Z, variance, power = estimate.Z, estimate.variance, estimate.line_power
+        Z, variance, power = estimate.Z, estimate.variance, estimate.power
         self.weights = fit_weights(estimate.f, Z, variance, floor, power)
         # Weights are relative, with the largest of each element 1: rows differ in their noise.
         least = np.min(estimate.variance + (floor * np.abs(estimate.Z)) ** 2, axis=2)

@@ -417,8 +417,8 @@ class _Elements:
     @cached_property
     def weights(self) -> FloatArray:
         """Of the frequencies in the fit of each element."""
-        estimate, power = self.estimate, self.estimate.line_power
-        power = None if power is None else np.tile(power, (len(estimate.Z), 1))
+        estimate = self.estimate
+        power = _flat(np.broadcast_to(estimate.power, estimate.Z.shape))
         return fit_weights(estimate.f, self.Z, self.total, estimate.weight_floor, power)
 
     @cached_property
@@ -939,35 +939,28 @@ def fit_weights(
     impedance: ComplexArray,
     variance: FloatArray,
     weight_floor: float,
-    line_power: FloatArray | None = None,
+    power: FloatArray | float = 1.0,
 ) -> FloatArray:
-    """Inverse of the floored variance, smoothed over frequency (geometric mean), at most 1.
+    """Inverse of the variance, smoothed over frequency (geometric mean) and floored, at most 1.
 
     Frequencies are along the last axis of all arrays, (..., n_freq). The variance at one frequency
     comes from few averages; weights that follow its chance fluctuations would favour the
     frequencies whose variance came out too small, and the standard errors would come out too small
-    with them. Where random errors are larger than the floor, weights are those of the variance.
+    with them. As far as it goes with the inverse of the power behind each value, it is no chance.
 
-    Where the power of the lines is known, the variance is smoothed as far as it is chance, per
-    power, and floored afterwards. What floors are for, as harmonics of friction, falls on all lines
-    alike: of lines that are stronger than their mean it is a smaller part.
+    Where random errors are larger than the floor, weights are those of the variance. What floors
+    are for, as harmonics of friction, falls on all frequencies alike: where power is above its mean
+    they are less.
     """
-    # Even with no floor a variance below rounding means nothing.
+    power = np.broadcast_to(power, variance.shape)
+    usual = np.mean(power, axis=-1, keepdims=True)
     size = np.abs(impedance)
+    floor = weight_floor * size * np.sqrt(np.minimum(1.0, usual / power))
+    # Even with no floor a variance below rounding means nothing.
     rounding = np.finfo(np.float64).eps * np.max(size, axis=-1, keepdims=True)
-    floor = weight_floor * size
-    if line_power is not None:
-        usual = np.mean(line_power, axis=-1, keepdims=True)
-        floor = floor * np.sqrt(np.minimum(1.0, usual / line_power))
-    floor = floor**2 + rounding**2
-    tiny = np.finfo(np.float64).tiny
-    if line_power is not None:
-        smooth = _smooth(f, np.log(variance * line_power + tiny))
-        smooth = np.log(np.exp(smooth) / line_power + floor)
-    else:
-        smooth = _smooth(f, np.log(np.maximum(variance + floor, tiny)))
-    weights: FloatArray = np.exp(np.min(smooth, axis=-1, keepdims=True) - smooth)
-    return weights
+    noise = np.exp(_smooth(f, np.log(variance * power + np.finfo(np.float64).tiny))) / power
+    total = noise + floor**2 + rounding**2
+    return np.asarray(np.min(total, axis=-1, keepdims=True) / total)
 
 
 def _smooth(f: FloatArray, logarithm: FloatArray) -> FloatArray:

@@ -125,9 +125,9 @@ class ImpedanceEstimate:
     (n, n, n, n_freq)."""
     inverse: ComplexArray | None = None
     """What takes it to the errors of the impedance: ``δZ = V · inverse``; shape (n, n, n_freq)."""
-    line_power: FloatArray | None = None
-    """Power of the perturbation of each trial by frequency, up to a factor, if it is not chance:
-    variances go with its inverse; shape (n, n_freq)."""
+    power: FloatArray | float = 1.0
+    """Power of the perturbation of each trial behind each value, up to a factor: variances go with
+    its inverse; shape (n, n_freq), or 1 if it is alike."""
     weight_floor: float = 0.2
     """Relative standard deviation that the M-B-K fit adds, in quadrature, to that of each value
     before it serves as a weight. The variance does not know of errors in proportion to the

@@ -42,13 +42,11 @@ _MOST_NEAR = 64
 """
 _NEARER = 3
 _TINY = float(np.finfo(np.float64).tiny)
-_LINE_FLOOR = 0.001
-"""Relative error that responses at the lines of a multisine are allowed beside their variance."""
 _SPAN = 0.25
 """Hz on either side of a bin that local polynomials may span: in shorter records, where bins are
 wider, fewer take part. The responses of an arm have a resonance around 1 Hz."""
-_FLOOR = 0.005
-"""Relative error of the polynomials beside the variance that the weights of the fit allow for."""
+_FLOOR = 0.0003
+"""Relative error that the weights of the fit allow responses beside their variance."""
 _SKEW = 0.002
 """Relative standard error of the correction of what jumps, which no residual shows, as far as it is
 of the inertial torque. In simulation D is within 0.7 %, half of the times within 0.2 %."""
@@ -150,7 +148,6 @@ class LpmFull:
         every[n:, :n], coefficients[:, joints] = near.impedance(f), -beside
         half_period = 0.5 / rate
         delay_uncertainty = self._delay_uncertainty(jump, rate)
-        powers = _line_power(columns)
         told: list[ComplexArray] = []
         lost: list[ComplexArray] = []
         whole = len(records) == n
@@ -176,8 +173,8 @@ class LpmFull:
             perturbed=() if whole else tuple(joints),
             systematics=systematics,
             bounded=len(told),
-            line_power=powers,
-            weight_floor=_FLOOR if columns[0].line_power is None else _LINE_FLOOR,
+            power=1.0 / np.stack([column.gain for column in columns]),
+            weight_floor=_FLOOR,
             friction_skew=added.real.astype(np.complex128),
             delay_uncertainty=delay_uncertainty,
             delay_unknown=half_period,
@@ -420,11 +417,6 @@ def _moved(columns: Sequence[LocalResponse], records: Sequence[TrialRecord]) -> 
                 "joint_does_not_move",
             )
     return list(columns) if kept.all() else [column.at(kept) for column in columns]
-
-
-def _line_power(columns: Sequence[LocalResponse]) -> FloatArray | None:
-    powers = [column.line_power for column in columns if column.line_power is not None]
-    return np.stack(powers) if len(powers) == len(columns) else None
 
 
 def _without_drift(record: TrialRecord) -> TrialRecord:
