@@ -509,6 +509,10 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         for gap in (1e-4, 1e-3, 5e-3):
             loosely: dict[str, Any] = {"cuff": 1e4, "loose": gap, "voluntary": hiding}
             add(MUST, "loose cuff", (f"{gap:g} rad, {hiding:g} N·m", loosely))
+    for gap in (3e-3, 1e-2, 2e-2):
+        # Beside all lines of a multisine, nothing but the lines themselves tells.
+        play: dict[str, Any] = {"cuff": 1e3, "loose": gap, "voluntary": 0.2, "duration": 30.0}
+        add(MUST, "loose cuff, multisine", (f"{gap:g} rad", {"waveform": "multisine", **play}))
     for stiff in (3e5, 1e5):
         softly: dict[str, Any] = {"cuff": stiff, "voluntary": 0.3}
         add(MUST, "cuff, voluntary 0.3 N·m", (f"{stiff / 1e3:g} kN·m/rad", softly))
@@ -804,6 +808,8 @@ def verdict_on(
     trials = assemble_trials(streams_of(recordings), ())
     metadata = dict.fromkeys(CALIBRATION_KEYS, "0") if calibrated else {}
     metadata.pop("linearity_uncertainty", None)  # which no laboratory knows to be nothing
+    # What other models would say is no part of the verdict on M, B and K.
+    metadata["arm_model"] = '"mbk"'
     if calibrated or scale:
         metadata["angle_uncertainty"] = str(scale)
     names = NAMES[: len(recordings)]

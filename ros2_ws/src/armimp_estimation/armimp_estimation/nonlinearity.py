@@ -274,8 +274,8 @@ TERMS: Mapping[str, Term] = {
         kind=Kind.GAIN,
         slope=3.0,
         large=0.1,
-        likely=0.05,
-        sizes=(0.1,),
+        likely=0.15,
+        sizes=(0.01, 0.03, 0.1),
         doubted=1.0,
     ),
     "drift": Term(

@@ -85,6 +85,7 @@ class ProblemCode(str, Enum):
     DELAY_CORRECTED = "delay_corrected"
     TIMING_REFUTED = "timing_refuted"
     LACK_OF_FIT = "lack_of_fit"
+    RESPONSE_UNEVEN = "response_uneven"
     HIGH_PASSED = "high_passed"
     MODEL_OFFERED = "model_offered"
     MODEL_DECLARED = "model_declared"

@@ -366,9 +366,8 @@ class RobotResponses:
 
 def _certainty(column: LocalResponse) -> FloatArray:
     """Median power of the responses of a trial relative to their variances, by channel, (C,)."""
-    variance = column.gain * np.einsum("ccf->cf", column.noise).real
     power = np.abs(column.response) ** 2
-    return np.asarray(np.median(power / np.maximum(variance, _TINY), axis=1))
+    return np.asarray(np.median(power / np.maximum(column.variance, _TINY), axis=1))
 
 
 def _least_squares(

@@ -32,6 +32,10 @@ per cent."""
 BIAS_BOUND = 0.1
 """Largest share of a torque that motion of locked joints explains, band mean, see
 :func:`armimp_estimation.scores.bias_bound`. Good locking stays below 0.03."""
+UNEVEN = 0.05
+"""Largest share of a torque at the lines of a multisine that no linear arm explains. Linear ones
+beside friction and coarse encoders stay below 0.01, arms that play in their cuffs have 0.07 to 0.5.
+"""
 _NOTICED = 5.0
 _CORNER = 0.03
 """Corner of a high-pass, Hz, below which what it does is small enough for the standard errors."""
@@ -266,6 +270,14 @@ def judge_estimate(
         for i, k in np.ndindex(fit.lack.shape)
         if decides and not fit.lack[i, k] <= fit.lack_limit
     ]
+    if estimate.uneven is not None:
+        problems += [
+            problem(
+                ProblemCode.RESPONSE_UNEVEN, estimator=name, name=names[k], percent=100.0 * share
+            )
+            for k, share in enumerate(estimate.uneven)
+            if share > UNEVEN
+        ]
     if not estimate.unbiased:
         return problems
     corner, error = fit.high_pass

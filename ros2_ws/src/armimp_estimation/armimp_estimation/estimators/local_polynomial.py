@@ -63,6 +63,11 @@ class LocalResponse:
         gain: FloatArray = np.sum(np.abs(self.weights) ** 2, axis=1)
         return gain
 
+    @property
+    def variance(self) -> FloatArray:
+        """Of each response, (C, n_freq)."""
+        return np.asarray(self.gain * np.einsum("ccf->cf", self.noise).real)
+
     def at(self, kept: BoolArray) -> LocalResponse:
         """Return the same at some of the frequencies."""
         return replace(
@@ -90,7 +95,7 @@ class LocalResponse:
         size, window = self.f.size, 2 * _LINES + 1
         if self.line_power is None or size < window:
             return self
-        variance = self.gain * np.einsum("ccf->cf", self.noise[outputs, outputs]).real
+        variance = self.variance[outputs]
         first = np.clip(np.arange(size) - _LINES, 0, size - window)
         places = first[:, None] + np.arange(window)
         distance = (self.f[places] - self.f[:, None]) / (self.f[-1] - self.f[0])

@@ -1,5 +1,6 @@
 """Impedance by local polynomials: the whole record at once, free of leakage and of torque skew."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -47,6 +48,9 @@ _SPAN = 0.25
 wider, fewer take part. The responses of an arm have a resonance around 1 Hz."""
 _FLOOR = 0.0003
 """Relative error that the weights of the fit allow responses beside their variance."""
+_BY_CHANCE, _SCATTER = 1.1, 2.5
+"""What chance makes of the variance by the scatter of F lines, per that of noise: the mean, and what
+it hardly exceeds that by, times √F."""
 _SKEW = 0.002
 """Relative standard error of the correction of what jumps, which no residual shows, as far as it is
 of the inertial torque. In simulation D is within 0.7 %, half of the times within 0.2 %."""
@@ -129,10 +133,8 @@ class LpmFull:
         joints = [record.perturbed_joint for record in records]
         near = self._arm_near(records, jump)
         mixed = self._beside(near, jump, rate)
-        columns = [
-            column.with_scatter_of_lines(slice(n, 2 * n))
-            for column in self._columns(records, with_steps=jump is not None, mix=mixed)
-        ]
+        plain = self._columns(records, with_steps=jump is not None, mix=mixed)
+        columns = [column.with_scatter_of_lines(slice(n, 2 * n)) for column in plain]
         f = columns[0].f
         stacked = np.stack([column.response for column in columns], axis=1)
         R = stacked[joints]
@@ -179,6 +181,7 @@ class LpmFull:
             delay_uncertainty=delay_uncertainty,
             delay_unknown=half_period,
             unbiased=True,
+            uneven=_uneven(plain, columns, torque, joints),
             without_slow=tuple(without_slow(records)) if whole else (),
             hold=jump,
             covariance=covariance_of(columns, every),
@@ -417,6 +420,31 @@ def _moved(columns: Sequence[LocalResponse], records: Sequence[TrialRecord]) -> 
                 "joint_does_not_move",
             )
     return list(columns) if kept.all() else [column.at(kept) for column in columns]
+
+
+def _uneven(
+    plain: Sequence[LocalResponse],
+    scattered: Sequence[LocalResponse],
+    T: ComplexArray,
+    joints: Sequence[int],
+) -> FloatArray:
+    """Share of each trial's own torque by which lines scatter, if that is beyond noise, (m,).
+
+    Parameters
+    ----------
+    plain, scattered : sequence of LocalResponse
+        With the variance by noise alone, and with that of the lines' scatter.
+    T : ndarray, shape (n, m, n_freq)
+    joints : sequence of int
+        Those that are perturbed.
+    """
+    shares = np.zeros(len(joints))
+    for column, joint in enumerate(joints):
+        row = len(T) + joint
+        noise, scatter = (np.sum(one[column].variance[row]) for one in (plain, scattered))
+        if scatter > (_BY_CHANCE + _SCATTER / math.sqrt(T.shape[2])) * noise:
+            shares[column] = (scatter - noise) / np.sum(np.abs(T[joint, column]) ** 2)
+    return shares
 
 
 def _without_drift(record: TrialRecord) -> TrialRecord:
