@@ -40,14 +40,14 @@ OF_RUN = [
     *(("--target-error", text, f'"{text}": is no share') for text in ("0", "100%", "nan")),
 ]
 STRANGE = {
-    **{name: "does not exist" for name in ("nowhere", "no\nwhere", "\x1b[31mred", "a\u2028b")},
+    **dict.fromkeys(("nowhere", "no\nwhere", "\x1b[31mred", "a\u2028b"), "does not exist"),
     "no\udcffwhere": r"no\udcffwhere: its name is not UTF-8",
 }
 """Names of recordings, and what is said of them."""
+READING = ("estimate", "replay")
 OF_OTHERS: list[tuple[tuple[str, ...], int, str]] = [
-    *(((command, name), 1, STRANGE[name]) for command in ("estimate", "replay") for name in STRANGE),
-    (("estimate", __file__), 1, "neither an MCAP nor an SQLite3 file"),
-    (("replay", __file__), 1, "neither an MCAP nor an SQLite3 file"),
+    *(((command, name), 1, said) for command in READING for name, said in STRANGE.items()),
+    *(((command, __file__), 1, "neither an MCAP nor an SQLite3 file") for command in READING),
     (("estimate", str(Path(__file__).parent)), 1, "is not a bag"),
     (("run", "--frition", "2"), 2, "--friction"),
     (
