@@ -46,45 +46,45 @@ Edit = Callable[[Message], Message]
 
 
 class Driver(Answering):
-    """A driver in real time and the checker in front of it, on one clock.
+    """A driver in real time and the checker in front of it, on one clock; sound but for defects."""
 
-    `watchdog` tells whether it stops without commands, `lets_go` whether torque then goes,
-    `latches` whether it waits for a reset, `resets` whether it grants that, and `deaf` whether it
-    only says that it stops when told to. While the checker is `held_up`, nothing that the driver
-    sends reaches it; `told_to_stop` is the tick of the stop. `drive` is what it makes of a torque,
-    `sign` that of its transducers.
-    """
+    watchdog = True
+    """Whether it stops without commands."""
+    lets_go = True
+    """Whether torque then goes."""
+    latches = True
+    """Whether it waits for a reset."""
+    resets = True
+    """Whether it grants that."""
+    deaf = False
+    """Whether it only says that it stops when told to."""
+    moody = False
+    sign = 1.0
+    """That of its transducers."""
 
-    def __init__(
-        self,
-        *,
-        watchdog: bool = True,
-        lets_go: bool = True,
-        latches: bool = True,
-        resets: bool = True,
-        deaf: bool = False,
-        held_up: Callable[[int], bool] = lambda _: False,
-        moody: bool = False,
-        drive: Callable[[Torque], Torque] = lambda torque: torque,
-        sign: float = 1.0,
-    ) -> None:
+    def __init__(self, **defects: Any) -> None:
         self.time_ns, self.tick = NS_PER_S, 0
         super().__init__(JOINTS, self.obey, now_ns=lambda: self.time_ns, sleep=lambda _: None)
         self.rig = SimulatedRig(SimulatorParameters.preset())
-        self.watchdog, self.lets_go, self.latches = watchdog, lets_go, latches
-        self.resets, self.deaf = resets, deaf
-        self.held_up, self.moody = held_up, moody
-        self.drive, self.sign = drive, sign
         self.encoders = {
-            topic: JointStateEncoder(JOINTS, field)
-            for topic, field in VALUE_FIELD.items()
-            if topic in SENSOR_TOPICS
+            topic: JointStateEncoder(JOINTS, VALUE_FIELD[topic]) for topic in SENSOR_TOPICS
         }
         self.errors: list[Error] = []
         self.commanded: Torque = ZERO
         self.silent = -1
         self.told_to_stop: float = math.inf
+        """Tick of the stop."""
         self.waiting: list[tuple[str, bytes]] = []
+        for name, defect in defects.items():
+            setattr(self, name, defect)
+
+    def held_up(self, tick: int) -> bool:
+        """Whether nothing that it sends reaches the checker."""
+        return False
+
+    def drive(self, torque: Torque) -> Torque:
+        """What it makes of a torque."""
+        return torque
 
     def obey(self, torque: Torque) -> None:
         self.silent, self.commanded = 0, torque
@@ -397,9 +397,11 @@ def test_each_defect_of_a_driver_under_torque_is_named_and_nothing_else(
 
 
 def test_when_the_watchdog_of_a_deaf_driver_speaks_after_the_stop_expect_its_torque_named() -> None:
-    driver = Driver(deaf=True)
-    driver.held_up = lambda tick: 300 < tick - driver.told_to_stop < 310
-    record = moved(driver)
+    class HeldUp(Driver):
+        def held_up(self, tick: int) -> bool:
+            return 300 < tick - self.told_to_stop < 310
+
+    record = moved(HeldUp(deaf=True))
     assert record.moves.stop is not None
     assert record.moves.stop.told == pytest.approx(0.306, abs=0.005)
     assert failed(record) == [KEPT]
