@@ -84,7 +84,9 @@ def test_when_the_record_is_too_short_expect_the_number_of_samples(samples: int)
 
 
 @pytest.mark.parametrize("repeated", [0.0, 0.3])
-def test_noise_at_lines_has_what_comes_back_in_each_period(repeated: float) -> None:
+def test_noise_at_lines_has_what_comes_back_in_each_period_and_responses_no_transient(
+    repeated: float,
+) -> None:
     rng = np.random.default_rng(8)
     bins, count = 1024, 6
     spectrum = np.zeros(bins // 2 + 1, dtype=np.complex128)
@@ -98,7 +100,8 @@ def test_noise_at_lines_has_what_comes_back_in_each_period(repeated: float) -> N
     whole = np.tile(source, count)
     periods = Periods.of(whole)
     assert periods is not None
-    outputs = np.stack([np.tile(once, count) + noise, noise])
+    transient = np.std(once) * np.exp(-np.arange(bins * count) / 300.0)
+    outputs = np.stack([np.tile(once, count) + noise + transient, noise])
     plain = local_response(whole, outputs, RATE, (0.3, 15.0), periods=periods)
     found = plain.with_scatter_of_lines(slice(0, 1))
     known = 1.0 + 0.2j * found.f / (0.5 * RATE)
