@@ -2,8 +2,9 @@
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -58,27 +59,21 @@ SAMPLES = ARM_RECORDING.records[0].samples
 STREAMS = (PERTURBATION, JOINT_STATES, TORQUE_SENSORS)
 
 
-@dataclass
 class Desk:
     """A recorder with a list of what it handed over."""
 
-    directory: Path | None
-    names: tuple[str, ...] = NAMES
-    finished: list[Trial] = field(default_factory=list)
-    problems: list[Problem] = field(default_factory=list)
-    target_error: float = 0.0
-    least_duration: float = 20.0
-    together: int = 1
-
-    def __post_init__(self) -> None:
-        self.recorder = TrialRecorder(
-            self.names,
-            self.directory,
-            METADATA,
-            self.on_finished,
-            target_error=self.target_error,
-            least_duration=self.least_duration,
-        )
+    def __init__(
+        self,
+        directory: Path | None,
+        names: tuple[str, ...] = NAMES,
+        *,
+        together: int = 1,
+        **options: Any,
+    ) -> None:
+        self.directory, self.together = directory, together
+        self.finished: list[Trial] = []
+        self.problems: list[Problem] = []
+        self.recorder = TrialRecorder(names, directory, METADATA, self.on_finished, **options)
 
     def on_finished(self, trial: Trial | Problem) -> None:
         if isinstance(trial, Problem):
