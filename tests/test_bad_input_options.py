@@ -107,6 +107,7 @@ WRONG = {
     "arm_sim: &a {b: *a}": f"{NOT_YAML}the alias *a is not allowed",
     "&a {arm_sim: *a}": f"{NOT_YAML}the alias *a is not allowed",
     "estimators: &a [*a]": f"{NOT_YAML}the alias *a is not allowed",
+    "estimators: &a [x]\narm_sim: {b: *a}": f"{NOT_YAML}the alias *a is not allowed",
     "[1, 2]": "not [1, 2]",
     # Names
     "colour: red": "'colour' does not exist",

@@ -10,6 +10,7 @@ import pytest
 from armimp_bringup.cli import main
 from armimp_bringup.study.scores import StudyVerdict
 from armimp_bringup.terminal import describe
+from armimp_common.versions import software
 from support.command import interrupted, program
 from support.results import read_study
 
@@ -68,8 +69,10 @@ def test_a_file_decides_what_options_leave_open_and_an_estimator_without_targets
     assert "2 of 2 conditions" in told.err
     entries = read_study(tmp_path / "out" / "study.json")
     assert [(one.friction, one.seed) for one in entries] == [(0, 3), (0, 4)]
+    assert [(trial.k, trial.ticks) for trial in entries[0].trials] == [(1, 4_000), (2, 4_000)]
     config = json.loads(json.dumps(entries[0].config))
-    assert config["experiment"]["duration"] == 4.0
+    assert config["versions"] == software()["versions"]
+    assert (config["experiment"]["seed"], config["experiment"]["duration"]) == (3, 4.0)
     assert config["arm_sim"]["voluntary.rms"] == 0.2
 
 
