@@ -58,18 +58,6 @@ def composed(run: Run) -> FinishedRun:
     return run()
 
 
-@pytest.fixture(scope="session")
-def separate(run: Run) -> FinishedRun:
-    """The same in one process for each node."""
-    return run(processes="separate")
-
-
-@pytest.fixture(scope="session")
-def other_seed(run: Run) -> FinishedRun:
-    """The default experiment, but short, with another seed."""
-    return run(seed=2)
-
-
 @pytest.fixture
 def driver_domain(environment: None, monkeypatch: pytest.MonkeyPatch) -> int:
     """A domain that is free: who checks a driver will claim it, not the test."""

@@ -16,7 +16,7 @@ from armimp_common.process import endpoints
 from armimp_estimation.summary import read_summary
 from support.command import program
 from support.processes import wait_until
-from support.runs import FinishedRun
+from support.runs import FinishedRun, Run
 
 pytestmark = pytest.mark.slow
 
@@ -41,10 +41,10 @@ def start(
 
 
 def test_two_experiments_at_once_do_not_hear_each_other(
-    tmp_path: Path, composed: FinishedRun, other_seed: FinishedRun
+    tmp_path: Path, composed: FinishedRun, run: Run
 ) -> None:
     """Every message of each is the same, to the last bit, as when it is alone on the machine."""
-    alone = {1: composed, 2: other_seed}
+    alone = {1: composed, 2: run(seed=2)}
     processes = {1: "composed", 2: "separate"}
     with ExitStack() as stack:
         others = {}

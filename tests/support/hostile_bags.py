@@ -384,23 +384,6 @@ def storage_that_is_cut_while_it_is_read(directory: Path) -> Arguments:
     return arguments
 
 
-# --- configurations ---------------------------------------------------------------------------
-
-
-def config(directory: Path, content: str) -> Arguments:
-    file = directory / "config.yaml"
-    file.write_text(content)
-    return configured(file)
-
-
-@attack
-def config_of_nested_aliases(directory: Path) -> Arguments:
-    """Aliases of aliases of aliases, nine of them in each."""
-    lines = [f"a0: &a0 [{', '.join('x' * 9)}]"]
-    lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 12)]
-    return config(directory, "arm_sim:\n" + "".join(f"  {line}\n" for line in lines))
-
-
 # --- trying them ------------------------------------------------------------------------------
 
 _KILLED_AFTER: Final = 240

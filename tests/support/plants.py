@@ -77,30 +77,24 @@ def in_lockstep(
     return samples
 
 
-def random_chain(n: int, seed: int = 0) -> PlanarChain:
-    """A robot in which no two numbers are alike."""
-    random = np.random.default_rng([n, seed])
-    masses, centres = random.uniform(0.2, 2.0, n), random.uniform(0.02, 0.3, n)
-    return PlanarChain(
-        lengths=tuple(random.uniform(0.1, 0.5, n)),
-        moments=tuple(masses * centres**2 + random.uniform(0.01, 0.1, n)),
-        masses=tuple(masses),
-        centres=tuple(centres),
-    )
-
-
-def random_plant(n: int, seed: int = 0, **changes: Any) -> SimulatorParameters:
+def random_plant(n: int) -> SimulatorParameters:
     """A plant in which no two numbers are alike and no matrix is symmetric."""
-    random = np.random.default_rng([100 + n, seed])
-    parts: dict[str, Any] = {
-        "arm": HumanArm(
+    random = np.random.default_rng(100 + n)
+    masses, centres = random.uniform(0.2, 2.0, n), random.uniform(0.02, 0.3, n)
+    return rig(
+        HumanArm(
             posture=tuple(random.uniform(-1.0, 1.0, n)),
             inertia=tuple((0.1 * np.eye(n) + random.uniform(-0.02, 0.02, (n, n))).ravel()),
             damping=tuple(random.uniform(-1.0, 1.0, n * n)),
             stiffness=tuple(random.uniform(-9.0, 9.0, n * n)),
         ),
-        "robot": random_chain(n, seed + 1),
-        "friction": LuGre(
+        PlanarChain(
+            lengths=tuple(random.uniform(0.1, 0.5, n)),
+            moments=tuple(masses * centres**2 + random.uniform(0.01, 0.1, n)),
+            masses=tuple(masses),
+            centres=tuple(centres),
+        ),
+        friction=LuGre(
             coulomb=tuple(random.uniform(0.4, 2.0, n)),
             static=tuple(random.uniform(2.0, 3.0, n)),
             sigma_0=tuple(random.uniform(400.0, 2000.0, n)),
@@ -108,15 +102,15 @@ def random_plant(n: int, seed: int = 0, **changes: Any) -> SimulatorParameters:
             sigma_2=tuple(random.uniform(0.05, 0.2, n)),
             stribeck_velocity=tuple(random.uniform(0.01, 0.1, n)),
         ),
-    }
-    return rig(**{**parts, **changes})
+    )
 
 
 def coriolis_torque(robot: PlanarChain, theta: Array, velocity: Array) -> Array:
-    """C(θ, θ̇) θ̇ (n,), N·m."""
-    phi, rate = np.cumsum(theta), np.cumsum(velocity)
-    absolute = (robot.coefficients() * np.sin(phi[:, None] - phi[None, :])) @ rate**2
-    return np.flip(np.cumsum(np.flip(absolute)))
+    """C(θ, θ̇) θ̇ (n,), N·m: by Lagrange, with ∂M/∂θ_k from an imaginary step, which is exact."""
+    shifted: Any = theta + 1e-30j * np.eye(theta.size)
+    gradient = np.array([robot.mass_matrix(one).imag for one in shifted]) / 1e-30
+    rate = np.tensordot(velocity, gradient, axes=1)
+    return np.asarray(rate @ velocity - 0.5 * (gradient @ velocity) @ velocity)
 
 
 def slopes(config: SimulatorParameters, state: Array, torque: Array) -> Array:

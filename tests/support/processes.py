@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
+
+from psutil import Process, process_iter
 
 from armimp_common.errors import ConfigurationError
 from armimp_common.realtime import require_precedence
@@ -35,13 +35,9 @@ def wait_until(condition: Callable[[], bool], what: str, patience: float = 120.0
 
 def processes_of(*words: str | Path) -> list[int]:
     """Processes whose command line has all these words in it, but for this one."""
-    found = []
-    for entry in Path("/proc").iterdir():
-        with suppress(OSError):
-            if entry.name.isdigit() and int(entry.name) != os.getpid():
-                command = (entry / "cmdline").read_bytes().decode(errors="replace")
-                found += [int(entry.name)] if all(str(one) in command for one in words) else []
-    return found
+    commands = {one: " ".join(one.info["cmdline"] or ()) for one in process_iter(["cmdline"])}
+    del commands[Process()]
+    return [one.pid for one, told in commands.items() if all(str(word) in told for word in words)]
 
 
 def permitted_priority() -> int:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TypeAlias
 
 import numpy as np
 
@@ -77,8 +77,5 @@ class FinishedRun:
             np.testing.assert_array_equal(mine.command, offline.command)
 
 
-class Run(Protocol):
-    """Runs a short experiment with these options of `armimp_bringup.config.ExperimentConfig`."""
-
-    def __call__(self, **options: Any) -> FinishedRun:
-        """Run it."""
+Run: TypeAlias = Callable[..., FinishedRun]
+"""Runs a short experiment with options of `armimp_bringup.config.ExperimentConfig`."""

@@ -15,9 +15,7 @@ from support.synthetic_bags import Message
 ModelT = TypeVar("ModelT", bound=BaseModel)
 
 
-def fed_synchronizer(
-    on_samples: Callable[[int], None] = lambda _: None,
-) -> tuple[StreamSynchronizer, dict[str, Callable[[bytes], None]]]:
+def fed_synchronizer() -> tuple[StreamSynchronizer, dict[str, Callable[[bytes], None]]]:
     """A synchronizer, and what takes the messages of each stream for it."""
     waiting: dict[str, list[bytes]] = {topic: [] for topic in FETCHED}
 
@@ -28,8 +26,7 @@ def fed_synchronizer(
 
         return take
 
-    sources = {topic: source(topic) for topic in FETCHED}
-    synchronizer = StreamSynchronizer(sources, on_samples, lambda: None)
+    synchronizer = StreamSynchronizer({topic: source(topic) for topic in FETCHED})
     receivers = {topic: messages.append for topic, messages in waiting.items()}
     return synchronizer, {**receivers, PERTURBATION: synchronizer.receive}
 

@@ -46,8 +46,7 @@ class SyntheticConfig:
     lock_stiffness: float = 1e9
     """Locked joints give way to the torque of the arm."""
     voluntary: float = 0.0
-    """Rms of each joint; it moves the arm through the loop."""
-    voluntary_bandwidth: float = 2.0
+    """Rms of each joint, below 2 Hz; it moves the arm through the loop."""
     torque_noise: float = 0.0
     """Of the sensors, white and outside the loop."""
     position_noise: float = 0.0
@@ -72,7 +71,7 @@ def synthetic_trial(arm: MBK, joint: int, config: SyntheticConfig, seed: int) ->
     force = np.zeros((n, f.size), dtype=np.complex128)
     shape = (f >= config.lowest) / np.sqrt(1.0 + (f / config.bandwidth) ** 16)
     force[joint] = _noise(rng, samples, shape, config.perturbation)
-    shape = 1.0 / np.sqrt(1.0 + (f / config.voluntary_bandwidth) ** 2)
+    shape = 1.0 / np.sqrt(1.0 + (f / 2.0) ** 2)
     voluntary = np.stack([_noise(rng, samples, shape, config.voluntary) for _ in range(n)])
 
     angles = np.linalg.solve(control + impedance, (force - voluntary).T[:, :, None])

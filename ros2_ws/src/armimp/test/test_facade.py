@@ -102,7 +102,15 @@ ONES = np.ones((1, 1, 5000))
     ("changed", "message"),
     [
         ({"position": ONES[:, :, 1:]}, "trial 1: position has 4999 samples"),
-        ({"position": np.where(np.arange(5000) == 7, math.nan, ONES)}, "is nan at sample 7"),
+        ({"command": ONES[:, :, 1:]}, "trial 1: command has 4999 samples"),
+        *(
+            ({name: np.where(np.arange(5000) == 7, bad, ONES)}, f"{name} of joint_1 is {bad} at")
+            for name, bad in zip(
+                (*SIGNALS, "command"), (math.nan, math.nan, math.inf, -math.inf), strict=True
+            )
+        ),
+        ({"joint_names": ["a", "b"]}, r"shape \(1, 5000\), expected \(2, N\)"),
+        ({"joint_names": ["a", "a"]}, "distinct"),
         ({"position": np.ma.masked_array(ONES, mask=np.arange(5000) == 3)}, "nan at sample 3"),
         ({"position": ONES[0]}, "shape"),
         ({"position": ONES + 1j}, "complex"),

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+
+from support.processes import run_python
 
 PROGRAM = """
 import numpy as np
@@ -34,5 +34,4 @@ for rig in ("paper", "realistic"):
 
 @pytest.mark.slow
 def test_after_it_a_run_compiles_nothing_any_more(tmp_path: Path) -> None:
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    subprocess.run([sys.executable, "-c", PROGRAM], env=environment, check=True)
+    run_python("-c", PROGRAM, env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)})

@@ -15,14 +15,6 @@ from armimp_estimation.metadata import Metadata
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 
 
-def test_in_real_time_both_nodes_are_told_and_each_gets_a_process() -> None:
-    config = load_config(None, {"mode": "realtime", "priority": 20})
-    parameters = node_parameters(config, None)
-    assert config.processes == "separate"
-    for node in (parameters.simulator, parameters.controller):
-        assert (node.mode, node.realtime.priority) == ("realtime", 20)
-
-
 @pytest.mark.parametrize(
     ("known", "gamma"),
     [({}, 100.0), ({"command_delay": 1}, 60.0), ({"arm_frequency": [6.5, 10.7]}, 100.0)],
@@ -34,12 +26,15 @@ def test_a_rig_that_is_known_to_lag_gets_the_slower_law_and_a_known_arm_does_not
     assert node_parameters(config, None).controller.law.gamma == gamma
 
 
-def test_parameters_of_single_nodes_prevail() -> None:
+def test_in_real_time_each_gets_a_process_and_is_told_but_what_single_nodes_are_told_prevails() -> (
+    None
+):
     overrides: Overrides = {"realtime": {"priority": 7}}
-    config = ExperimentConfig(mode="realtime", priority=20, arm_sim=overrides)
+    config = load_config(None, {"mode": "realtime", "priority": 20, "arm_sim": overrides})
+    assert config.processes == "separate"
     parameters = node_parameters(config, None)
-    assert parameters.simulator.realtime.priority == 7
-    assert parameters.controller.realtime.priority == 20
+    for node, priority in ((parameters.simulator, 7), (parameters.controller, 20)):
+        assert (node.mode, node.realtime.priority) == ("realtime", priority)
 
 
 @pytest.mark.parametrize(

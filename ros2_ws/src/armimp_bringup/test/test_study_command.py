@@ -10,6 +10,7 @@ import pytest
 from armimp_bringup.cli import main
 from armimp_bringup.study.scores import StudyVerdict
 from armimp_bringup.terminal import describe
+from armimp_common.versions import software
 from support.command import interrupted, program
 from support.results import read_study
 
@@ -49,10 +50,15 @@ def test_interrupted_study_ends_at_once(tmp_path: Path) -> None:
         assert interrupted(study, 130) == ["armimp: interrupted"]
 
 
-def test_estimator_without_targets_exits_with_0_and_prints_json_alone(
+def test_a_file_decides_what_options_leave_open_and_an_estimator_without_targets_meets_them(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    options = ("--estimator", "welch_full", "--json", "--seeds", "3:5", "--workers", "1")
+    file = tmp_path / "study.yaml"
+    file.write_text(
+        "estimators: [welch_full]\nfriction: 2\nseed: 5\nduration: 99.0\n"
+        "arm_sim: {voluntary: {rms: 0.2}}\n"
+    )
+    options = ("--config", str(file), "--json", "--seeds", "3:5", "--workers", "1")
     assert _reproduce(tmp_path / "out", *SHORT, *options) == 0
     told = capsys.readouterr()
     printed = json.loads(told.out)
@@ -61,22 +67,12 @@ def test_estimator_without_targets_exits_with_0_and_prints_json_alone(
     assert {one["estimator"] for one in printed["worst"]} == {"welch_full"}
     assert {one["met"] for one in printed["worst"]} == {None}
     assert "2 of 2 conditions" in told.err
-
-
-def test_configuration_file_decides_what_options_leave_open(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file = tmp_path / "study.yaml"
-    file.write_text(
-        "estimators: [welch_full]\nfriction: 2\nseed: 5\nduration: 99.0\n"
-        "arm_sim: {voluntary: {rms: 0.2}}\n"
-    )
-    assert _reproduce(tmp_path / "out", *SHORT, "--config", str(file)) == 0
-    (entry,) = read_study(tmp_path / "out" / "study.json")
-    assert list(entry.estimators) == ["welch_full"]
-    assert (entry.friction, entry.seed) == (0, 0)
-    config = json.loads(json.dumps(entry.config))
-    assert config["experiment"]["duration"] == 4.0
+    entries = read_study(tmp_path / "out" / "study.json")
+    assert [(one.friction, one.seed) for one in entries] == [(0, 3), (0, 4)]
+    assert [(trial.k, trial.ticks) for trial in entries[0].trials] == [(1, 4_000), (2, 4_000)]
+    config = json.loads(json.dumps(entries[0].config))
+    assert config["versions"] == software()["versions"]
+    assert (config["experiment"]["seed"], config["experiment"]["duration"]) == (3, 4.0)
     assert config["arm_sim"]["voluntary.rms"] == 0.2
 
 

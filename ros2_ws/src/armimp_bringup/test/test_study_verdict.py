@@ -60,9 +60,7 @@ def _estimator(joints: int = 2) -> EstimatorSummary:
     )
 
 
-def _entry(
-    *, estimators: tuple[str, ...] = ("welch_siso", "lpm_full"), joints: int = 2, **changes: Any
-) -> StudyEntry:
+def _entry(*, joints: int = 2, **changes: Any) -> StudyEntry:
     values: dict[str, Any] = {
         "config": {},
         "joints": joints,
@@ -79,7 +77,7 @@ def _entry(
             )
             for k in range(joints)
         ],
-        "estimators": {name: _estimator(joints) for name in estimators},
+        "estimators": {name: _estimator(joints) for name in ("welch_siso", "lpm_full")},
         "truth": _truth(joints),
         "friction": 0,
         "resolution": 0,

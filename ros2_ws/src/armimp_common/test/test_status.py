@@ -123,8 +123,3 @@ def test_when_a_value_is_nonsense_expect_malformed_message(
     what = record.STATUS_NAME.partition(": ")[2]
     with pytest.raises(MalformedMessageError, match=rf"^{what}: .*{key.split('_', 1)[0]}"):
         type(record).from_values({**record.to_values(), key: text})
-
-
-def test_when_numbers_contradict_expect_no_record() -> None:
-    with pytest.raises(ValueError, match="start_ns is missing"):
-        TrialStatus(**{**dict(STATUS), "start_ns": None})

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
-from rclpy.serialization import serialize_message
-from sensor_msgs.msg import JointState
 from std_msgs.msg import UInt64
 
 from armimp_common import heartbeat, qos, topics
+from armimp_common.cdr import JointStateEncoder
 from armimp_common.executor import Spinner
 from armimp_common.schema import Value
 from armimp_common.status import (
@@ -20,10 +19,9 @@ from armimp_common.status import (
     Phase,
     StoppingDecision,
     status_message,
-    to_time,
     values_of,
 )
-from armimp_common.topics import ESTIMATOR_NODE, PERIOD_NS, SIM_NODE, SUPERVISOR_NODE
+from armimp_common.topics import ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
 from armimp_control.node import ImbicControllerNode
 from armimp_control.safety_limiter import SafetyParameters
 from support.controller import (
@@ -104,17 +102,10 @@ def world(node: Node, spinner: Spinner, launch: Launch) -> World:
     return World(node, spinner, launch)
 
 
-def encoded(names: Sequence[str]) -> bytes:
-    message = JointState(name=list(names), position=list(POSTURE), effort=list(ZERO))
-    message.header.stamp = to_time(START + 60 * PERIOD_NS)
-    data: bytes = serialize_message(message)
-    return data
-
-
 MALFORMED = {
-    "truncated": encoded(NAMES)[:-30],
+    "truncated": JointStateEncoder(NAMES, "position").encode(START, POSTURE)[:-30],
     "empty": b"",
-    "unknown joint": encoded(("shoulder", "wrist")),
+    "unknown joint": JointStateEncoder(("shoulder", "wrist"), "position").encode(START, POSTURE),
 }
 """Of each kind one; which messages are malformed, the tests of the decoder say."""
 

@@ -366,13 +366,6 @@ def test_commands_that_are_numbered_anew_for_each_trial_belong_to_their_samples(
         np.testing.assert_array_equal(found.command, command)
 
 
-@pytest.mark.parametrize("stray", [0, FIRST - 1, -1])
-def test_a_perturbation_of_another_time_that_displaces_the_commands_is_found(stray: int) -> None:
-    topics = RECORDING.by_topic()
-    topics[PERTURBATION].insert(FIRST - 1, topics[PERTURBATION][stray])
-    assert ProblemCode.PERTURBATIONS_FOREIGN in codes(assemble(topics))
-
-
 @pytest.mark.parametrize(
     ("intervals", "count", "parts", "excluded"),
     [("10-12 35-35", 4, [10, 21, 3], 6), ("38-70", 9, [38], 2)],

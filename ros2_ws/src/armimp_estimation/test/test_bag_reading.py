@@ -214,6 +214,12 @@ class TestTopics:
         messages = (*typed(RECORDING.messages, "/rig"), *typed([stray]))
         assert_reads(write_foreign(tmp_path / "bag", messages))
 
+    def test_other_type_is_named(self, tmp_path: Path) -> None:
+        kinds = {absolute(JOINT_STATES): "std_msgs/msg/String"}
+        messages = ((m[0], kinds.get(m[0], m[1]), *m[2:]) for m in typed(RECORDING.messages))
+        path = write_foreign(tmp_path / "bag", messages)
+        assert "joint_states is of type std_msgs/msg/String" in refusal(path)
+
     def test_other_encoding_is_named(self, tmp_path: Path) -> None:
         path = write_mcap(tmp_path / "bag.mcap", RECORDING.messages, encoding="json")
         assert refusal(path) == (

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -45,27 +45,20 @@ SETTLE, TICKS, REST = 60, 100, 60
 MADE_UP = synthetic_recording(perturbed=(0, 1), ticks=TICKS, settle=SETTLE, rest=REST).messages
 """Two trials, much too short to be estimated."""
 ONE_TRIAL = 4 * (SETTLE + TICKS + REST) + 3
-DONE = next(
-    (
-        TRIAL,
-        0,
-        encode_trial_status(changed(decode_trial_status(raw), phase=Phase.DONE)),
-    )
-    for topic, _, raw in reversed(MADE_UP)
-    if topic == TRIAL
-)
+LAST = next(decode_trial_status(raw) for topic, _, raw in reversed(MADE_UP) if topic == TRIAL)
+DONE = (TRIAL, 0, encode_trial_status(changed(LAST, phase=Phase.DONE)))
 CHUNK = 800
 """Messages sent at a time: less than queues hold."""
 
 
-class Script:
-    """Stands for simulator, controller and people: plays messages, and keeps what comes back."""
+class Desk:
+    """An estimator, whoever plays messages to it and hears what comes back, and its results."""
 
-    def __init__(self, node: Node) -> None:
-        self.node = node
+    def __init__(self, context: Context, node: Node, spinner: Spinner, directory: Path) -> None:
+        self.context, self.node, self.spinner, self.directory = context, node, spinner, directory
+        self.made: list[ImpedanceEstimatorNode] = []
         self.echoes = 0
         self.results: list[DiagnosticStatus] = []
-        self.progress: list[DiagnosticStatus] = []
         kinds: dict[str, type[Any]] = {
             **dict.fromkeys(topics.VALUE_FIELD, JointState),
             COMMANDS: Float64MultiArray,
@@ -79,13 +72,26 @@ class Script:
             subscribe_raw(node, topic, kind, self.on_echo, profile=qos.PROFILES[topic])
             for topic, kind in kinds.items()
         ]
-        self.people = [
-            node.create_subscription(DiagnosticStatus, topic, kept.append, qos.PROFILES[topic])
-            for topic, kept in ((RESULT, self.results), (topics.PROGRESS, self.progress))
-        ]
+        self.people = node.create_subscription(
+            DiagnosticStatus, RESULT, self.results.append, qos.PROFILES[RESULT]
+        )
 
     def on_echo(self, message: bytes) -> None:
         self.echoes += 1
+
+    def make(self, changes: Mapping[str, Value] | None = None) -> None:
+        settings = EstimatorParameters(directory=str(self.directory / "out"), progress_period=0.05)
+        self.estimator = ImpedanceEstimatorNode(
+            context=self.context, parameter_overrides=overrides(settings, changes)
+        )
+        self.made.append(self.estimator)
+        self.spinner.add_node(self.estimator)
+
+    def bring_up(self) -> None:
+        self.make()
+        assert self.estimator.trigger_configure() is SUCCESS, self.estimator.transition_error
+        assert self.estimator.trigger_activate() is SUCCESS, self.estimator.transition_error
+        self.wait_for_estimator()
 
     def wait_for_estimator(self) -> None:
         # One subscription of each topic is the echo.
@@ -93,71 +99,35 @@ class Script:
         wait_until(
             lambda: all(one.get_subscription_count() >= 2 for one in publishers), "who listens"
         )
-        wait_for_partners(self.node, subscriptions=self.people)
+        wait_for_partners(self.node, subscriptions=[self.people])
 
-    def play(self, spinner: Spinner, messages: Iterable[Message]) -> None:
+    def play(self, messages: Iterable[Message]) -> None:
         """Publish messages no faster than they are received."""
         sent = list(messages)
         for start in range(0, len(sent), CHUNK):
             wanted = self.echoes + len(sent[start : start + CHUNK])
             for topic, _, raw in sent[start : start + CHUNK]:
                 self.publishers[topic].publish(raw)
-            eventually(spinner, partial(self.has_heard, wanted), "echoes")
+            self.eventually(partial(self.has_heard, wanted), "echoes")
 
     def has_heard(self, wanted: int) -> bool:
         return self.echoes >= wanted
+
+    def eventually(self, condition: Callable[[], bool], what: str) -> None:
+        eventually(self.spinner, condition, what)
 
     @property
     def conclusions(self) -> list[DiagnosticStatus]:
         return [result for result in self.results if result.name == RESULT_NAME]
 
-    def concluded(self) -> bool:
-        return bool(self.conclusions)
-
-
-class Desk:
-    """An estimator, a script that feeds it, and where its results go."""
-
-    def __init__(self, context: Context, node: Node, spinner: Spinner, directory: Path) -> None:
-        self.context, self.node, self.spinner, self.directory = context, node, spinner, directory
-        self.made: list[ImpedanceEstimatorNode] = []
-
-    @cached_property
-    def script(self) -> Script:
-        return Script(self.node)
-
-    def make(self, changes: Mapping[str, Value] | None = None, **kwargs: Any) -> None:
-        settings = EstimatorParameters(directory=str(self.directory / "out"), progress_period=0.05)
-        self.estimator = ImpedanceEstimatorNode(
-            context=self.context, parameter_overrides=overrides(settings, changes), **kwargs
-        )
-        self.made.append(self.estimator)
-        self.spinner.add_node(self.estimator)
-
-    def bring_up(self) -> None:
-        self.make()
-        self.activate()
-
-    def activate(self) -> None:
-        script = self.script
-        assert self.estimator.trigger_configure() is SUCCESS, self.estimator.transition_error
-        assert self.estimator.trigger_activate() is SUCCESS, self.estimator.transition_error
-        script.wait_for_estimator()
-
-    def play(self, messages: Iterable[Message]) -> None:
-        self.script.play(self.spinner, messages)
-
-    def eventually(self, condition: Callable[[], bool], what: str) -> None:
-        eventually(self.spinner, condition, what)
-
     def conclude(self) -> None:
-        self.eventually(self.script.concluded, "the conclusion")
+        self.eventually(lambda: bool(self.conclusions), "the conclusion")
 
     def announce(self, phase: Phase) -> None:
         raw = next(raw for topic, _, raw in MADE_UP if topic == TRIAL)
         start_ns = None if phase is Phase.SETTLE else 0
         status = changed(decode_trial_status(raw), phase=phase, start_ns=start_ns)
-        self.script.publishers[TRIAL].publish(encode_trial_status(status))
+        self.publishers[TRIAL].publish(encode_trial_status(status))
 
     @property
     def summary(self) -> Summary:
@@ -206,7 +176,7 @@ class TestFaults:
 
         desk.play([*statuses, DONE])
         a_moment(desk.spinner)
-        assert desk.script.conclusions == []
+        assert desk.conclusions == []
         desk.play([message for message in MADE_UP if message[0] != TRIAL])
         desk.conclude()
 
@@ -287,7 +257,7 @@ class TestLife:
         summary = desk.summary
         assert summary.problems[0].code is ProblemCode.RECORDING_STOPPED
         assert not summary.valid
-        assert desk.script.conclusions[0].level == bytes([Level.ERROR])
+        assert desk.conclusions[0].level == bytes([Level.ERROR])
         assert len(desk.bags) == 2
         (cut,) = read_bag(desk.bags[-1]).trials
         assert 35 <= cut.segments[0].samples <= 40
@@ -296,9 +266,9 @@ class TestLife:
         """Perturbations that still wait for their callback would be paired with later commands."""
         desk.make()
         assert desk.estimator.trigger_configure() is SUCCESS
-        desk.script.wait_for_estimator()
+        desk.wait_for_estimator()
         for topic, _, raw in MADE_UP[1 : 1 + 4 * 30]:
-            desk.script.publishers[topic].publish(raw)
+            desk.publishers[topic].publish(raw)
 
         assert desk.estimator.trigger_activate() is SUCCESS
         desk.play(MADE_UP)
@@ -331,7 +301,7 @@ class TestController:
         self.begin(desk, Phase.PERTURB)
         report(desk.estimator._controller, alive=1, silent=0)
         a_moment(desk.spinner)
-        assert not desk.script.conclusions
+        assert not desk.conclusions
 
         report(desk.estimator._controller, alive=0, silent=1)
 

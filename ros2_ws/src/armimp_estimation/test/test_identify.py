@@ -207,13 +207,20 @@ def test_when_axes_of_trials_and_joints_are_exchanged_expect_channels_of_other_t
 
 
 def test_when_locking_fails_expect_it_in_the_verdict_though_derived_coherence_is_high() -> None:
-    result = identify(
-        synthetic_trials(dataclasses.replace(LOOP, lock_stiffness=100.0)), ESTIMATORS, None, CONFIG
-    )
+    loose = synthetic_trials(dataclasses.replace(LOOP, lock_stiffness=100.0))
+    result = identify(loose, ("welch_siso", "lpm_full"), TWO_JOINT_ARM, CONFIG)
     codes = {problem.code for problem in result.problems if problem.estimator == "welch_siso"}
     assert {ProblemCode.LOCK_RATIO, ProblemCode.LOCK_BIAS} <= codes
-    assert not result.valid
-    assert (result.estimators["welch_siso"].coherence_derived > 0.9).all()
+    assert not Verdict.of(result.problems, "welch_siso").impedance
+    siso, full = (result.estimators[name] for name in ("welch_siso", "lpm_full"))
+    assert (siso.coherence_derived > 0.9).all()
+    assert siso.vaf is not None
+    assert siso.vaf.min() < 0.0
+    # Inversion of the whole matrix undoes motion of all joints.
+    assert full.vaf is not None
+    assert full.vaf.min() > 99.0
+    assert Verdict.of(result.problems, "lpm_full").impedance
+    assert result.deciding == ("lpm_full",)
     said = "\n".join(map(str, result.problems))
     for locked, moved in (("joint_2", "joint_1"), ("joint_1", "joint_2")):
         assert f"{locked} was not held still while {moved} was perturbed: within the band" in said

@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 from scipy.signal import butter, lfilter, sosfilt
 
 from armimp_estimation.distortion import Distortion
-from armimp_estimation.estimators.local_polynomial import local_response
 from armimp_estimation.mbk import MBK
 from armimp_estimation.nonlinearity import deviations
 from armimp_estimation.periods import Periods, common_lines
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.trial import drift_of, segment_for
-from support.synthetic_trials import LOOP, TWO_JOINT_ARM, made_record, synthetic_trial
+from support.synthetic_trials import LOOP, TWO_JOINT_ARM, made_record, part_of, synthetic_trial
 
 Array = NDArray[np.float64]
 PERIOD = 4096
@@ -80,12 +79,13 @@ def test_what_does_not_repeat_itself_or_has_too_few_lines_has_no_periods(signal:
     assert Periods.of(signal) is None
 
 
-def test_segments_are_periods_where_all_trials_have_the_same_ones() -> None:
+def test_segments_are_periods_that_all_trials_have_or_else_suit_the_shortest() -> None:
     loop = dataclasses.replace(LOOP, samples=50_000, rate=1000.0)
     record = synthetic_trial(TWO_JOINT_ARM, 0, loop, 3)
     periodic = dataclasses.replace(record, perturbation=np.stack([multisine(12.3)[:50_000]] * 2))
     assert segment_for([[periodic], [periodic]]) == 4096
     assert segment_for([[periodic], [record]]) == 8192
+    assert segment_for([[record], [part_of(record, 0, 9000)]]) == 2048
     above_the_band = np.resize([0.5, 0.1, -0.4, -0.6, 0.2, 0.7, -0.5], record.perturbation.shape)
     quick = dataclasses.replace(record, perturbation=above_the_band)
     assert segment_for([[quick]]) == 8192
@@ -103,33 +103,6 @@ def test_lines_in_common_are_those_of_all_perturbations_that_are_periodic() -> N
     assert common_lines([few, few], 1000.0, (0.1, 9.0)) is not None
     assert common_lines([every, periods(list(range(1, 41)), 3001)], 1000.0, (0.1, 9.0)) is None
     assert common_lines([None, None], 1000.0, (0.1, 9.0)) is None
-
-
-def test_response_at_the_lines_is_free_of_the_transient_and_scatter_tells_its_error() -> None:
-    """A first-order system that starts from rest, behind it noise that differs by period."""
-    source = multisine(6.2)
-    periods = Periods.of(source)
-    assert periods is not None
-    pole = np.exp(-1e-3 / 0.4)
-    output = lagging_behind(source, pole)
-
-    def response(disturbance: Array) -> tuple[NDArray[np.complex128], Array, Array]:
-        output_of_all = (output + disturbance)[None]
-        found = local_response(source, output_of_all, 1000.0, (0.0, 15.0), periods=periods)
-        variance = found.gain * found.noise[0, 0].real
-        return found.response[0], variance, found.f
-
-    clean, _, f = response(np.zeros_like(source))
-    assert np.allclose(f, LINES * 1000.0 / PERIOD)
-    true = (1.0 - pole) / (1.0 - pole * np.exp(-2j * np.pi * f / 1000.0))
-    assert np.max(np.abs(clean / true - 1.0)) < 2e-4
-    random = np.random.default_rng(5)
-    ratios = []
-    for _ in range(40):
-        noisy, variance, _ = response(0.05 * random.standard_normal(source.size))
-        ratios.append(np.abs(noisy - clean) ** 2 / variance)
-    # 440 values of mean 1, with one standard deviation each and a little more.
-    assert np.mean(ratios) == pytest.approx(1.0, abs=0.25)
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.02])

@@ -2,8 +2,9 @@
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ from armimp_common.topics import (
 )
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.alignment.streams import Streams
-from armimp_estimation.alignment.synchronizer import StreamSynchronizer
+from armimp_estimation.alignment.synchronizer import FETCHED
 from armimp_estimation.bags import read_bag
 from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
 from armimp_estimation.problems import Problem, ProblemCode
@@ -52,34 +53,27 @@ SETTLE, TICKS, REST = 10, 100, 10
 MADE_UP = synthetic_recording(perturbed=(0, 1), ticks=TICKS, settle=SETTLE, rest=REST)
 NAMES = ("shoulder", "elbow")
 METADATA = {"seed": "7", "joint_names": '["shoulder", "elbow"]'}
-BAG_NAMES = ("trial_1_joint_1", "trial_2_joint_2")
 ARM_RECORDING = recorded_arm()
 ARM_NAMES = ARM_RECORDING.records[0].joint_names
 SAMPLES = ARM_RECORDING.records[0].samples
 STREAMS = (PERTURBATION, JOINT_STATES, TORQUE_SENSORS)
 
 
-@dataclass
 class Desk:
     """A recorder with a list of what it handed over."""
 
-    directory: Path | None
-    names: tuple[str, ...] = NAMES
-    finished: list[Trial] = field(default_factory=list)
-    problems: list[Problem] = field(default_factory=list)
-    target_error: float = 0.0
-    least_duration: float = 20.0
-    together: int = 1
-
-    def __post_init__(self) -> None:
-        self.recorder = TrialRecorder(
-            self.names,
-            self.directory,
-            METADATA,
-            self.on_finished,
-            target_error=self.target_error,
-            least_duration=self.least_duration,
-        )
+    def __init__(
+        self,
+        directory: Path | None,
+        names: tuple[str, ...] = NAMES,
+        *,
+        together: int = 1,
+        **options: Any,
+    ) -> None:
+        self.directory, self.together = directory, together
+        self.finished: list[Trial] = []
+        self.problems: list[Problem] = []
+        self.recorder = TrialRecorder(names, directory, METADATA, self.on_finished, **options)
 
     def on_finished(self, trial: Trial | Problem) -> None:
         if isinstance(trial, Problem):
@@ -98,36 +92,19 @@ class Desk:
     def assert_bags_read_as_handed_over(self) -> None:
         for trial in self.finished:
             assert self.directory is not None
+            assert trial.bag == f"bags/trial_{trial.trial}_joint_{trial.trial}"
+            assert 0.0 < trial.rtf < math.inf
             if not all(trial.statistics.streams[topic].received for topic in STREAMS):
                 with pytest.raises(BagError, match="no "):
-                    read_bag(self.directory / str(trial.bag))
+                    read_bag(self.directory / trial.bag)
                 continue
-            (read,) = read_bag(self.directory / str(trial.bag)).trials
+            content = read_bag(self.directory / trial.bag)
+            assert content.metadata.items() >= METADATA.items()
+            (read,) = content.trials
             assert (read.window, read.statistics) == (trial.window, trial.statistics)
             assert read.problems == trial.problems
             for one, other in zip(read.segments, trial.segments, strict=True):
                 assert_same(one, other)
-
-
-@pytest.mark.parametrize("together", [1, 10, 50])
-def test_each_trial_gets_a_bag_that_reads_as_what_was_handed_over(
-    tmp_path: Path, together: int
-) -> None:
-    desk = Desk(tmp_path, together=together)
-    desk.feed(MADE_UP.messages)
-    assert desk.problems == []
-    assert [bag.name for bag in desk.bags] == list(BAG_NAMES)
-    desk.assert_bags_read_as_handed_over()
-    for number, (path, trial) in enumerate(zip(desk.bags, desk.finished, strict=True), 1):
-        assert trial.bag == f"bags/{path.name}"
-        assert 0.0 < trial.rtf < math.inf
-        assert_same(trial.intact()[0], MADE_UP.records[number - 1])
-        content = read_bag(path)
-        assert content.metadata.items() >= METADATA.items()
-        assert content.notes == ()
-        raws = [raw for topic, _, raw in content.messages() if topic == TRIAL]
-        phases = [decode_trial_status(raw).phase for raw in raws]
-        assert phases == [Phase.SETTLE, Phase.PERTURB, Phase.REST]
 
 
 @settings(max_examples=30, deadline=None)
@@ -236,24 +213,24 @@ def test_trials_may_come_in_any_order_of_their_times(
 
 @pytest.mark.parametrize("announced", [False, True])
 @pytest.mark.parametrize("together", [1, 7, 20])
-def test_a_trial_that_ends_early_has_no_sample_of_the_rest(announced: bool, together: int) -> None:
+def test_a_trial_that_ends_early_has_no_sample_of_the_rest_nor_has_its_bag(
+    tmp_path: Path, announced: bool, together: int
+) -> None:
     def longer(message: Message) -> list[Message]:
         """With statuses of trials that were planned to be twice as long."""
         topic, time_ns, raw = message
         if topic != TRIAL or (status := decode_trial_status(raw)).phase is Phase.REST:
             return [message]
-        planned = (
-            topic,
-            time_ns,
-            encode_trial_status(changed(status, ticks=2 * TICKS)),
-        )
+        planned = (topic, time_ns, encode_trial_status(changed(status, ticks=2 * TICKS)))
         return [planned, *([message] if announced and status.phase is Phase.PERTURB else [])]
 
-    desk = Desk(None, together=together)
+    desk = Desk(tmp_path, together=together)
     desk.feed(told for message in MADE_UP.messages for told in longer(message))
     for trial, expected in zip(desk.finished, MADE_UP.records, strict=True):
         assert trial.window.saved == TICKS
         assert_same(trial.intact()[0], expected)
+    desk.recorder.stop()
+    desk.assert_bags_read_as_handed_over()
 
 
 @pytest.mark.parametrize("drift", [-1e-4, 1e-4])
@@ -363,17 +340,12 @@ def test_the_last_trial_accounts_for_motion_of_locked_joints_and_the_first_says_
 # --- The synchronizer of the recorder: complete samples, in order, and nothing waits for ever ---
 
 
-def filled(others: int, perturbations: int) -> StreamSynchronizer:
-    """A synchronizer with so many numbered messages of each stream."""
-    synchronizer, deliver = fed_synchronizer()
-    for topic in DATA_STREAMS:
-        for number in range(perturbations if topic == PERTURBATION else others):
-            deliver[topic](str(number).encode())
-    return synchronizer
-
-
 def test_nothing_waits_for_perturbations_that_stay_away() -> None:
-    assert len(filled(10_000, perturbations=0).take()[JOINT_STATES]) == 8000
+    synchronizer, deliver = fed_synchronizer()
+    for topic in FETCHED:
+        for _ in range(10_000):
+            deliver[topic](b"1")
+    assert len(synchronizer.take()[JOINT_STATES]) == 8000
 
 
 def test_once_closed_nothing_more_is_taken_and_what_waits_is_kept() -> None:

@@ -3,7 +3,7 @@
 import functools
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -11,16 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from armimp_common.cdr import decode_trial_statuses
 from armimp_common.errors import DataError
 from armimp_common.realtime import TimingLimits
 from armimp_common.status import TimingFigures
-from armimp_common.topics import CONTROLLER_NODE, JOINT_STATES, PERIOD_NS
-from armimp_estimation.alignment.assemble import Trial
+from armimp_common.topics import CONTROLLER_NODE, JOINT_STATES, PERIOD_NS, TRIAL
+from armimp_estimation.alignment.assemble import Trial, assemble_trials
+from armimp_estimation.alignment.streams import decode_streams
 from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.metadata import RECORD_KEY, Metadata, Timing, latest_metadata
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
-from armimp_estimation.recorder import TrialRecorder
 from armimp_estimation.report import report_page
 from armimp_estimation.result import Result, conclude
 from armimp_estimation.spectra import segment_averages
@@ -31,16 +32,15 @@ from armimp_estimation.summary import (
     write_frf,
     write_summary,
 )
-from armimp_estimation.trial import TrialData, segment_for
+from armimp_estimation.trial import TrialData
 from support.results import METADATA as SHOWN
-from support.streams import changed, record
-from support.synthetic_bags import Message, recorded_arm
+from support.streams import changed
+from support.synthetic_bags import SyntheticRecording, recorded_arm
 from support.synthetic_trials import (
     SEGMENT,
     TWO_JOINT_ARM,
     SyntheticConfig,
     part_of,
-    synthetic_trial,
     synthetic_trials,
 )
 
@@ -51,25 +51,16 @@ METADATA = {**SHOWN, "joint_names": json.dumps(NAMES)}
 NOISE = problem(ProblemCode.STALLED, seconds=30.0)
 
 
-def recorded(
-    messages: Iterable[Message] = RECORDING.messages, directory: Path | None = None
-) -> list[Trial]:
-    """The trials as a recorder hands them over."""
-    trials: list[Trial] = []
-
-    def keep(trial: Trial | Problem) -> None:
-        assert isinstance(trial, Trial), trial
-        trials.append(trial)
-
-    recorder = TrialRecorder(NAMES, directory, METADATA, keep)
-    record(recorder, messages)
-    recorder.stop()
-    return trials
+def recorded(recording: SyntheticRecording = RECORDING) -> list[Trial]:
+    """The trials of a recording."""
+    topics = recording.by_topic()
+    statuses, _ = decode_trial_statuses(topics[TRIAL])
+    return list(assemble_trials(decode_streams(NAMES, topics), statuses))
 
 
 LIVE = recorded()
 LOST = {RECORDING.records[1].start_ns + tick * PERIOD_NS for tick in range(4000, 4037)}
-GAP = [one for one in RECORDING.messages if one[0] != JOINT_STATES or one[1] not in LOST]
+KEPT = tuple(one for one in RECORDING.messages if one[0] != JOINT_STATES or one[1] not in LOST)
 
 
 def result_of(
@@ -200,7 +191,7 @@ def test_metadata_that_make_no_sense_are_refused_in_one_line(
 
 
 def test_trials_that_lost_samples_are_refused_or_estimated_from_their_intact_parts() -> None:
-    trials = recorded(GAP)
+    trials = recorded(replace(RECORDING, messages=KEPT))
     refused, healed = result_of(trials), result_of(trials, allow_gaps=True)
     assert codes(refused) == codes(healed) == [ProblemCode.SAMPLES_MISSING]
     assert not refused.curves
@@ -235,12 +226,6 @@ def test_segments_of_all_parts_are_averaged_and_none_spans_a_gap() -> None:
     assert twice[0] == pytest.approx(2 * once[0])
     assert twice[0] > joined[0]
     np.testing.assert_allclose(twice[1], once[1])
-
-
-def test_all_trials_get_the_segments_of_the_one_that_can_have_least() -> None:
-    long = synthetic_trial(TWO_JOINT_ARM, 0, SyntheticConfig(samples=33_000), 1)
-    assert segment_for([[long]]) == 8192
-    assert segment_for([[long], [part_of(long, 0, 9000)]]) == 2048
 
 
 # --- timing in real time ----------------------------------------------------------------------

@@ -5,6 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import signal
 
+import armimp
 from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.estimators.welch import multiply
 from armimp_estimation.fit import Calibration
@@ -14,6 +15,7 @@ from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import Problem, ProblemCode
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.trial import TrialData
+from armimp_sim.presets import human_arm, robot
 from support.synthetic_trials import (
     TWO_JOINT_ARM,
     SyntheticConfig,
@@ -156,68 +158,57 @@ def test_a_gain_above_one_of_a_single_joint_leaves_the_robot_a_negative_viscosit
     assert 0.0 < float(found.values["error"]) < 0.1
 
 
-def rounded(fed_back: float, model: float | None = None, noisy: float = 0.05) -> TrialRecord:
-    """Trial of one joint whose law knows rounded angles, and noisy torques, which it feeds back.
-
-    Given a share of the robot's inertia, the torques that are recorded come of the commands less
-    what a model with that would take.
-    """
-    rate, substeps, count, arm, inertia = 1000.0, 4, 6e-5, 0.06, 0.12
-    rng, samples, step = np.random.default_rng(5), 20_000, 1.0 / (rate * substeps)
-    force = signal.sosfilt(signal.butter(4, 15.0, fs=rate, output="sos"), rng.normal(size=samples))
-    noise = noisy * rng.standard_normal(samples)
-    angle = speed = reading = command = slow = 0.0
-    values = np.zeros((3, samples))
-    for k in range(samples):
-        passive = 0.4 * speed + 8.0 * angle
-        torque = passive + arm * (command - 0.1 * speed - passive) / (arm + inertia) + noise[k]
-        last, reading = reading, count * np.round(angle / count)
-        slow += 0.3 * ((reading - last) * rate - slow)
-        values[:, k] = reading, torque, command
-        command = 10.0 * force[k] - 4.0 * reading - 1.0 * slow + fed_back * torque
-        for _ in range(substeps):
-            passive = 0.5 * speed + 8.0 * angle
-            speed += step * (command - passive) / (arm + inertia)
-            angle += step * speed
-    position, torques, before = values[:, None]
-    if model is not None:
-        smooth = signal.sosfiltfilt(signal.butter(2, 40.0, fs=rate, output="sos"), position)
-        moved = np.gradient(smooth, 1.0 / rate, axis=1)
-        taken = model * inertia * np.gradient(moved, 1.0 / rate, axis=1) + 0.1 * moved
-        torques = before - taken + 0.01 * rng.standard_normal(before.shape)
-    after = np.append(before[:, 1:], [[command]], axis=1)
-    return made_record(position, torques, force[None], rate=rate, command=after)
+def simulated(law: str = "tde", noise: float = 0.05) -> TrialRecord:
+    """Trial of one joint whose law knows rounded angles, and noisy torques, which it feeds back."""
+    sensors = {"sensors.torque.noise": noise, "sensors.torque.resolution": 0.0}
+    recording = armimp.simulate(
+        joints=1, duration=20.0, seed=1, friction=0, internal_model=law, arm_sim=sensors
+    )
+    return recording.trials[0]
 
 
-@pytest.mark.parametrize("model", [0.8, 0.9])
-def test_a_torque_that_is_computed_from_the_command_is_refused(model: float) -> None:
-    result = identified([rounded(0.0, model)], UNDECLARED)
+def modelled(share: float) -> TrialRecord:
+    """A trial with commands for torques, less what a model with this share of inertia takes."""
+    record = simulated()
+    assert record.command is not None
+    smooth = signal.butter(2, 40.0, fs=record.rate, output="sos")
+    speed = np.gradient(signal.sosfiltfilt(smooth, record.position), 1.0 / record.rate, axis=1)
+    taken = share * robot(1).moments[0] * np.gradient(speed, 1.0 / record.rate, axis=1)
+    noise = 0.01 * np.random.default_rng(5).standard_normal(speed.shape)
+    torque = np.roll(record.command, 1, axis=1) - taken - 0.1 * speed + noise
+    return dataclasses.replace(record, torque=torque)
+
+
+@pytest.mark.parametrize("share", [0.8, 0.9])
+def test_a_torque_that_is_computed_from_the_command_is_refused(share: float) -> None:
+    result = identified([modelled(share)], UNDECLARED)
     (found,) = computed(result)
     assert not result.verdict.impedance
     assert float(found.values["percent"]) == pytest.approx(100.0, abs=30.0)
     assert float(found.values["most"]) < 60.0
 
 
-@pytest.mark.parametrize(("fed_back", "noisy"), [(0.0, 0.01), (0.9, 0.05)])
-def test_a_law_that_feeds_noisy_torques_back_computes_none(fed_back: float, noisy: float) -> None:
-    record = rounded(fed_back, noisy=noisy)
-    result = identified([record], UNDECLARED)
-    assert not computed(result)
+@pytest.mark.parametrize(("law", "noise"), [("tde", 0.01), ("observer", 0.05)])
+def test_a_law_that_feeds_noisy_torques_back_computes_none(law: str, noise: float) -> None:
+    record = simulated(law, noise)
+    assert not computed(identified([record], UNDECLARED))
     answers, errors = answers_to_rounding([record])
-    np.testing.assert_array_less(np.abs(answers - [0.0, 1.0 / 3.0]), 4.0 * errors)
+    arm = human_arm(1).inertia[0]
+    at_once = arm / (arm + robot(1).moments[0])
+    np.testing.assert_array_less(np.abs(answers - [0.0, at_once]), 4.0 * errors)
     assert errors.max() < 0.1
 
 
 @pytest.mark.parametrize("late", [2, 3, 5, 7, 10])
 def test_commands_that_are_recorded_periods_late_compute_no_torque(late: int) -> None:
-    record = rounded(0.0)
+    record = simulated()
     assert record.command is not None
     command = np.roll(record.command, late, axis=1)
     assert not computed(identified([dataclasses.replace(record, command=command)], UNDECLARED))
 
 
 def test_where_angles_tell_nothing_of_commands_no_torque_is_said_to_be_computed() -> None:
-    record = rounded(0.0, 0.8)
+    record = modelled(0.8)
     fine = record.position + 1e-6 * np.random.default_rng(1).standard_normal(record.position.shape)
     assert not computed(identified([dataclasses.replace(record, position=fine)], UNDECLARED))
 

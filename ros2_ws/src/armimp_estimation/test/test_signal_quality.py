@@ -59,15 +59,6 @@ def logged(signals: np.ndarray, logger: str) -> np.ndarray:
     return np.apply_along_axis(lambda signal: np.interp(at, k, signal), -1, signals)
 
 
-@pytest.mark.parametrize("logger", LOGGERS)
-@pytest.mark.parametrize("size", [1.0, 4.0, 30.0, 300.0])
-def test_readings_between_which_a_logger_interpolated_are_as_coarse_as_they_were(
-    size: float, logger: str
-) -> None:
-    signal = motion(1, 1e-3, 1e-3 * size)
-    assert counts_of(logged(signal, logger)) == pytest.approx(counts_of(signal), abs=2.0)
-
-
 @pytest.mark.parametrize("step", [1e-12, 1e-5])
 def test_values_that_last_by_chance_or_by_a_fault_say_nothing_of_the_resolution(
     step: float,

@@ -18,8 +18,8 @@ RATE = 30.0
 """So that the band ends at half of it, Hz."""
 
 
-def signals(channels: int, samples: int, seed: int = 0) -> FloatArray:
-    rng = np.random.default_rng(seed)
+def signals(channels: int, samples: int) -> FloatArray:
+    rng = np.random.default_rng(0)
     mixing = rng.standard_normal((channels, channels))
     offset = 10.0 * rng.standard_normal((channels, 1))
     return mixing @ rng.standard_normal((channels, samples)) + offset

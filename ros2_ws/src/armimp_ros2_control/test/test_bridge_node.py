@@ -168,16 +168,20 @@ def test_what_cannot_be_used_takes_the_torque_away_and_is_told(
     world.await_fault(words)
 
 
-def test_the_emergency_stop_zeroes_torque_until_the_reset_which_is_refused_under_torque(
+def test_the_emergency_stop_zeroes_torque_again_and_again_until_a_reset_refused_under_torque(
     world: World,
 ) -> None:
     world.push()
     assert world.call(topics.SIM_STOP_SERVICE)[0]
     world.until_told(*ZERO)
     world.await_fault("emergency stop")
-    # Torque is commanded further.
-    a_moment(world.spinner)
-    assert world.told[-1] == ZERO
+    # Torque is commanded further; without samples, too, fault and zero torque are told.
+    world.running, before = False, len(world.told)
+    eventually(world.spinner, lambda: len(world.faults) >= 3, "the fault, three times")
+    assert set(world.told[before:]) == {ZERO}
+    assert len(world.told) - before > 10
+    world.running = True
+    world.feed()
     granted, message = world.call(topics.SIM_RESET_SERVICE)
     assert not granted
     assert "not zero torque" in message
@@ -188,11 +192,3 @@ def test_the_emergency_stop_zeroes_torque_until_the_reset_which_is_refused_under
     assert world.call(topics.SIM_RESET_SERVICE)[0]
     world.answer = PUSH
     world.until_told(*PUSH)
-
-
-def test_the_fault_is_repeated_and_zero_torque_is_told_again_and_again(world: World) -> None:
-    assert world.call(topics.SIM_STOP_SERVICE)[0]
-    before = len(world.told)
-    eventually(world.spinner, lambda: len(world.faults) >= 3, "the fault, three times")
-    assert set(world.told[before:]) == {ZERO}
-    assert len(world.told) - before > 10

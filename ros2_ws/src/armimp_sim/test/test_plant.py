@@ -17,9 +17,7 @@ from armimp_sim.parameters import RK4_RADIUS, SimulatorParameters
 from armimp_sim.plant import IntegrationError, Plant
 from support.plants import (
     changed,
-    coriolis_torque,
     load,
-    random_chain,
     random_plant,
     set_state,
     slopes,
@@ -105,32 +103,11 @@ def test_inputs_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
         plant.tick(good, np.zeros(shape))
 
 
-# --- Equations of motion: the chain against mechanics, the compiled plant against numpy ---------
+# --- Equations of motion: the compiled plant against mechanics in numpy -------------------------
 
 
 JOINTS = range(1, 8)
 """A plant of each size is compiled for itself."""
-
-
-@pytest.mark.parametrize("n", JOINTS)
-def test_coriolis_torque_follows_from_the_mass_matrix_by_lagrange(n: int) -> None:
-    chain, h = random_chain(n), 1e-5
-    random = np.random.default_rng(n)
-    theta, velocity = random.uniform(-np.pi, np.pi, n), random.uniform(-3.0, 3.0, n)
-    gradient = np.array(
-        [
-            (chain.mass_matrix(theta + h * axis) - chain.mass_matrix(theta - h * axis)) / (2.0 * h)
-            for axis in np.eye(n)
-        ]
-    )  # ∂M/∂θ_k
-    rate = np.tensordot(velocity, gradient, axes=1)
-    expected = rate @ velocity - 0.5 * np.einsum("kij,i,j->k", gradient, velocity, velocity)
-    computed = coriolis_torque(chain, theta, velocity)
-    assert computed == pytest.approx(expected, rel=1e-8, abs=1e-8)
-    # Ṁ − 2C is skew: the Coriolis torque does no work beyond the change of inertia.
-    assert velocity @ computed == pytest.approx(0.5 * velocity @ rate @ velocity, abs=1e-8)
-    if n > 1:
-        assert np.max(np.abs(computed)) > 0.01
 
 
 @pytest.mark.parametrize(
