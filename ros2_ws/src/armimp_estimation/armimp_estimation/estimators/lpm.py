@@ -49,8 +49,8 @@ wider, fewer take part. The responses of an arm have a resonance around 1 Hz."""
 _FLOOR = 0.0003
 """Relative error that the weights of the fit allow responses beside their variance."""
 _BY_CHANCE, _SCATTER = 1.1, 2.5
-"""Variance by the scatter of F lines, per that of noise, that chance makes: its mean, and by how much
-it is hardly exceeded, times √F."""
+"""Variance by the scatter of F lines, per that of noise, that chance makes: its mean, and by how
+much it is hardly exceeded, times √F."""
 _SKEW = 0.002
 """Relative standard error of the correction of what jumps, which no residual shows, as far as it is
 of the inertial torque. In simulation D is within 0.7 %, half of the times within 0.2 %."""
