@@ -81,7 +81,7 @@ def test_one_torque_that_is_read_for_both_joints_is_refused(level: float) -> Non
 
 
 def test_a_joint_that_floats_in_its_cuff_is_refused_by_the_lines_alone() -> None:
-    floating = Mismatch(cuff=1e3, loose=2e-2, voluntary=0.2, waveform="multisine", duration=20.0)
+    floating = Mismatch(cuff=1e3, loose=2e-2, voluntary=0.2, waveform="multisine", duration=30.0)
     valid, worst, _, problems = outcome(floating, seed=7)
     assert not valid
     assert worst > 5.0

@@ -952,14 +952,14 @@ def fit_weights(
     are for, as harmonics of friction, falls on all frequencies alike: where power is above its mean
     they are less.
     """
-    power = np.broadcast_to(power, variance.shape)
+    power, tiny = np.broadcast_to(power, variance.shape), np.finfo(np.float64).tiny
     usual = np.mean(power, axis=-1, keepdims=True)
     size = np.abs(impedance)
-    floor = weight_floor * size * np.sqrt(np.minimum(1.0, usual / power))
+    floor = weight_floor * np.exp(_smooth(f, np.log(size + tiny)))
     # Even with no floor a variance below rounding means nothing.
     rounding = np.finfo(np.float64).eps * np.max(size, axis=-1, keepdims=True)
-    noise = np.exp(_smooth(f, np.log(variance * power + np.finfo(np.float64).tiny))) / power
-    total = noise + floor**2 + rounding**2
+    noise = np.exp(_smooth(f, np.log(variance * power + tiny))) / power
+    total = noise + floor**2 * np.minimum(1.0, usual / power) + rounding**2
     return np.asarray(np.min(total, axis=-1, keepdims=True) / total)
 
 
