@@ -7,8 +7,8 @@ from pydantic import BaseModel
 
 from armimp_common.cdr import decode_trial_status
 from armimp_common.status import Phase, TrialStatus
-from armimp_common.topics import PERTURBATION, TRIAL
-from armimp_estimation.alignment.synchronizer import FETCHED, StreamSynchronizer
+from armimp_common.topics import DATA_STREAMS, PERTURBATION, TRIAL
+from armimp_estimation.alignment.synchronizer import StreamSynchronizer
 from armimp_estimation.recorder import TrialRecorder
 from support.synthetic_bags import Message
 
@@ -19,7 +19,7 @@ def fed_synchronizer(
     on_samples: Callable[[int], None] = lambda _: None,
 ) -> tuple[StreamSynchronizer, dict[str, Callable[[bytes], None]]]:
     """A synchronizer, and what takes the messages of each stream for it."""
-    waiting: dict[str, list[bytes]] = {topic: [] for topic in FETCHED}
+    waiting: dict[str, list[bytes]] = {topic: [] for topic in DATA_STREAMS}
 
     def source(topic: str) -> Callable[[], Sequence[bytes]]:
         def take() -> Sequence[bytes]:
@@ -28,10 +28,9 @@ def fed_synchronizer(
 
         return take
 
-    sources = {topic: source(topic) for topic in FETCHED}
-    synchronizer = StreamSynchronizer(sources, on_samples, lambda: None)
+    sources = {topic: source(topic) for topic in DATA_STREAMS}
     receivers = {topic: messages.append for topic, messages in waiting.items()}
-    return synchronizer, {**receivers, PERTURBATION: synchronizer.receive}
+    return StreamSynchronizer(sources, on_samples), receivers
 
 
 def record(
