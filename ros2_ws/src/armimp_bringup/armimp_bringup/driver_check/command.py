@@ -86,7 +86,6 @@ def report(
         "passed": not count["fail"] and not count["inconclusive"],
         **count,
         "findings": [asdict(finding) for finding in findings],
-        "mode": "realtime" if record.paced else "lockstep",
         "lifecycle": record.lifecycle,
         "domain_id": domain,
         "options": options.model_dump(mode="json"),
