@@ -187,7 +187,7 @@ def in_threads(
         return task[0], work(task[1])
 
     count = workers or available_cores()
-    ready = Backend.of(ThreadPoolExecutor(count), count).run(numbered, enumerate(tasks))
+    ready = Backend(ThreadPoolExecutor(count), count).run(numbered, enumerate(tasks))
     early: dict[int, Result] = {}
     due = 0
     display().progress(0, len(tasks), things="batches")

@@ -23,7 +23,7 @@ def first_cells(header: str) -> list[str]:
 
 def record() -> Record:
     moves = Moves(stale=Ending(), stop=Ending())
-    return Record(joints=("shoulder",), paced=True, endpoints=[], streams={}, moves=moves)
+    return Record(joints=("shoulder",), endpoints=[], streams={}, moves=moves)
 
 
 def test_the_keys_of_the_json_object_are_those_of_the_page() -> None:

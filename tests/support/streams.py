@@ -7,8 +7,8 @@ from pydantic import BaseModel
 
 from armimp_common.cdr import decode_trial_status
 from armimp_common.status import Phase, TrialStatus
-from armimp_common.topics import PERTURBATION, TRIAL
-from armimp_estimation.alignment.synchronizer import FETCHED, StreamSynchronizer
+from armimp_common.topics import DATA_STREAMS, PERTURBATION, TRIAL
+from armimp_estimation.alignment.synchronizer import StreamSynchronizer
 from armimp_estimation.recorder import TrialRecorder
 from support.synthetic_bags import Message
 
@@ -17,7 +17,7 @@ ModelT = TypeVar("ModelT", bound=BaseModel)
 
 def fed_synchronizer() -> tuple[StreamSynchronizer, dict[str, Callable[[bytes], None]]]:
     """A synchronizer, and what takes the messages of each stream for it."""
-    waiting: dict[str, list[bytes]] = {topic: [] for topic in FETCHED}
+    waiting: dict[str, list[bytes]] = {topic: [] for topic in DATA_STREAMS}
 
     def source(topic: str) -> Callable[[], Sequence[bytes]]:
         def take() -> Sequence[bytes]:
@@ -26,9 +26,9 @@ def fed_synchronizer() -> tuple[StreamSynchronizer, dict[str, Callable[[bytes], 
 
         return take
 
-    synchronizer = StreamSynchronizer({topic: source(topic) for topic in FETCHED})
+    sources = {topic: source(topic) for topic in DATA_STREAMS}
     receivers = {topic: messages.append for topic, messages in waiting.items()}
-    return synchronizer, {**receivers, PERTURBATION: synchronizer.receive}
+    return StreamSynchronizer(sources), receivers
 
 
 def record(

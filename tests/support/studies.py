@@ -7,4 +7,4 @@ from armimp_bringup.study.engine import Backend
 
 def threads(workers: int) -> Backend:
     """So many threads."""
-    return Backend.of(ThreadPoolExecutor(workers), workers)
+    return Backend(ThreadPoolExecutor(workers), workers)

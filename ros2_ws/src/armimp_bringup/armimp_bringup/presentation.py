@@ -7,7 +7,6 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -48,12 +47,16 @@ class Stopwatch:
 
     def __init__(self) -> None:
         self._began = time.monotonic() - age()
-        self._phases: list[tuple[Phase, float]] = []
-        self._shown = math.nan
+        self._first = self._last = self._shown = math.nan
+        self._perturbing = False
 
     def note(self, phase: Phase) -> None:
         """Take note that a phase of a trial begins."""
-        self._phases.append((phase, time.monotonic()))
+        if self._perturbing:
+            self._last = time.monotonic()
+        self._perturbing = phase is Phase.PERTURB
+        if self._perturbing and math.isnan(self._first):
+            self._first = time.monotonic()
 
     def shown(self) -> None:
         """Take note that M, B and K are on the screen."""
@@ -61,14 +64,11 @@ class Stopwatch:
 
     def stop(self) -> WallSummary:
         """Wall times until now; NaN without any sample."""
-        first = next((at for phase, at in self._phases if phase is Phase.PERTURB), math.nan)
-        ends = (at for (one, _), (_, at) in pairwise(self._phases) if one is Phase.PERTURB)
-        last = max(ends, default=math.nan)
         return WallSummary(
-            before=first - self._began,
-            trials=last - first,
-            result=self._shown - last,
-            after=time.monotonic() - last,
+            before=self._first - self._began,
+            trials=self._last - self._first,
+            result=self._shown - self._last,
+            after=time.monotonic() - self._last,
         )
 
 

@@ -90,6 +90,8 @@ class BagPlayer(Node):
         if not last.ended:
             self._spinner.spin_until(Future(), _ON_THE_WAY)
             self._senders[topics.TRIAL].publish(_status(Phase.REST, replace(last, trial=_NEVER), 0))
+            # Heard before there is a sample of the next bag, which the estimator would fetch first.
+            self._spinner.spin_until(Future(), _ON_THE_WAY)
 
     def finish(self, last: TrialWindow, trials: int) -> None:
         """Announce that nothing more will come."""

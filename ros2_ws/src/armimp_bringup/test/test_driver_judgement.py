@@ -179,7 +179,6 @@ def moved(driver: Driver) -> Record:
     moves = Checker(checker, CheckOptions(joints=JOINTS, move=True)).move()
     return Record(
         joints=JOINTS,
-        paced=True,
         endpoints=[
             *(endpoint(topic, "publisher") for topic in SENSOR_TOPICS),
             endpoint(COMMANDS, "subscriber"),

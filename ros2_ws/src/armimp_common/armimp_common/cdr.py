@@ -36,7 +36,8 @@ _HEADER_SIZE: Final = 4
 _MAX_SURPLUS: Final = 15
 """Bytes tolerated after the last field: senders round sizes up by at most this much."""
 _STAMP: Final = struct.Struct("<iI")
-_UINT32, _UINT64 = struct.Struct("<I"), struct.Struct("<Q")
+_UINT32: Final = struct.Struct("<I")
+_COUNT: Final = struct.Struct("<4sQ")
 _NUMBERS: Final = struct.Struct("<4x2I")
 """Number of dimensions and data offset of a command."""
 
@@ -84,10 +85,6 @@ class CdrReader:
     def uint32(self) -> int:
         """Read an unsigned number that may differ from message to message."""
         return int(_UINT32.unpack_from(self._data, self._take(4, 4))[0])
-
-    def uint64(self) -> int:
-        """Read a long unsigned number that may differ from message to message."""
-        return int(_UINT64.unpack_from(self._data, self._take(8, 8))[0])
 
     def count(self, item_size: int) -> int:
         """Read the length of a sequence whose items take at least `item_size` bytes each."""
@@ -140,10 +137,16 @@ def decode_count(data: Buffer) -> int:
     MalformedMessageError
         On truncated or foreign bytes.
     """
-    reader = CdrReader(data, "UInt64")
-    count = reader.uint64()
-    reader.finish()
-    return count
+    if data[:2] != _LITTLE[:2] or not 0 <= len(data) - _COUNT.size <= _MAX_SURPLUS:
+        raise MalformedMessageError(
+            f"UInt64 is not one: {len(data)} bytes {bytes(data[:16]).hex()}"
+        )
+    return int(_COUNT.unpack_from(data)[1])
+
+
+def encode_count(count: int) -> bytes:
+    """Encode a count of 64 bits."""
+    return _COUNT.pack(_LITTLE, count)
 
 
 class _Layout:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from typing import Any
 from weakref import WeakSet
 
@@ -31,8 +32,8 @@ class RawPublisher:
 
     Parameters
     ----------
-    node, topic
-        Where to publish.
+    node, topic, profile
+        Where to publish, and how.
     message_type
         Message class of the topic.
 
@@ -43,8 +44,10 @@ class RawPublisher:
         protected the publisher from being destroyed by another thread meanwhile: twice the time.
     """
 
-    def __init__(self, node: Node, topic: str, message_type: type[Any]) -> None:
-        self.publisher: Publisher = node.create_publisher(message_type, topic, qos.SAMPLE)
+    def __init__(
+        self, node: Node, topic: str, message_type: type[Any], profile: QoSProfile = qos.SAMPLE
+    ) -> None:
+        self.publisher: Publisher = node.create_publisher(message_type, topic, profile)
         self.send: Callable[[bytes], None] = self.publisher.handle.publish_raw
 
 
@@ -214,11 +217,9 @@ def take_all(subscription: Subscription) -> list[bytes]:
         If the subscription was destroyed.
     """
     handle: Any = subscription.handle
-    taken: list[bytes] = []
     with handle:
-        while (found := handle.take_message(subscription.msg_type, True)) is not None:
-            taken.append(found[0])
-    return taken
+        take = partial(handle.take_message, subscription.msg_type, True)
+        return [message for message, _ in iter(take, None)]
 
 
 def _nobody(message: bytes) -> None:

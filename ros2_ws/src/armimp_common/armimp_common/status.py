@@ -7,7 +7,6 @@ reads back without loss. The message of the status has the same in words, for pe
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from enum import Enum, IntEnum
 from typing import TYPE_CHECKING, Annotated, ClassVar, Final, TypeAlias
@@ -42,7 +41,6 @@ Its decision is made and travels meanwhile, and everybody hears of the end befor
 Value: TypeAlias = bool | int | float | str | Sequence[float]
 """What `format_value` turns into text."""
 
-_INTEGER: Final = re.compile(r"-?[0-9]{1,40}")
 _INTERVALS: Final = r"^([0-9]{1,19}-[0-9]{1,19}( [0-9]{1,19}-[0-9]{1,19}){0,99})?$"
 _MOST: Final = 2**53
 """Numbers of progress beyond which nobody is believed."""
@@ -66,18 +64,6 @@ def format_value(value: Value | None) -> str:
     return " ".join(repr(float(item)) for item in value)
 
 
-def _integer(value: object) -> object:
-    if isinstance(value, str) and not _INTEGER.fullmatch(value):
-        raise ValueError("is not an integer")
-    return value
-
-
-def _truth(value: object) -> object:
-    if isinstance(value, str) and value not in ("true", "false"):
-        raise ValueError("is neither true nor false")
-    return value
-
-
 def _none_if_empty(value: object) -> object:
     return None if value == "" else value
 
@@ -86,23 +72,20 @@ def _split(value: object) -> object:
     return value.split() if isinstance(value, str) else value
 
 
-_Integer: TypeAlias = Annotated[int, BeforeValidator(_integer)]
-_Count: TypeAlias = Annotated[_Integer, Field(ge=0)]
-_Number: TypeAlias = Annotated[_Integer, Field(ge=1)]
+_Count: TypeAlias = Annotated[int, Field(ge=0)]
+_Number: TypeAlias = Annotated[int, Field(ge=1)]
 _Believed: TypeAlias = Annotated[_Count, Field(lt=_MOST)]
-_Truth: TypeAlias = Annotated[bool, BeforeValidator(_truth)]
 _Joint: TypeAlias = Annotated[
     int,
     Field(ge=0),
     # On the wire, where a person may read it, it counts from 1.
     BeforeValidator(lambda value: int(value) - 1 if isinstance(value, str) else value),
-    BeforeValidator(_integer),
     PlainSerializer(lambda joint: joint + 1),
 ]
 _Duration: TypeAlias = Annotated[float, BeforeValidator(lambda s: math.nan if s is None else s)]
 """NaN where nothing was measured; JSON has null for it."""
 _Numbers: TypeAlias = Annotated[tuple[float, ...], BeforeValidator(_split)]
-_MaybeCount: TypeAlias = Annotated[_Integer | None, BeforeValidator(_none_if_empty)]
+_MaybeCount: TypeAlias = Annotated[int | None, BeforeValidator(_none_if_empty)]
 _MaybeNumber: TypeAlias = Annotated[float | None, BeforeValidator(_none_if_empty)]
 
 
@@ -208,7 +191,7 @@ class TrialStatus(Record):
     """Perturbed samples of this trial: as planned, or less from when it is to end early."""
     seed: _Count
     """Seed of the perturbation."""
-    valid: _Truth
+    valid: bool
     """False as soon as something spoiled the present trial."""
     cause: Cause = Cause.NONE
     """Why it is not valid, as a code; empty if it is."""
@@ -258,7 +241,7 @@ class StoppingDecision(Record):
     samples: _Count
     """Perturbed samples that were judged, the first ones of the trial; 0 announces the first
     decision."""
-    enough: _Truth
+    enough: bool
     """Whether all relative standard errors of the column are below the bound."""
     due: _MaybeCount
     """Number of samples at which the next decision is made; empty if there will be none."""
@@ -363,7 +346,7 @@ class Progress(Record):
     """Standard errors of K."""
     largest_error: _MaybeNumber = None
     """Largest of these standard errors relative to the absolute value of its parameter."""
-    preliminary: _Truth = False
+    preliminary: bool = False
     """Whether another joint had no trial yet: the values then contain what locked joints move, of
     which the standard errors know nothing."""
 

@@ -18,6 +18,7 @@ from armimp_common.cdr import (
     JointStateDecoder,
     JointStateEncoder,
     decode_count,
+    encode_count,
     joint_names_of,
     stamp_of,
 )
@@ -304,6 +305,7 @@ def test_decode_many_of_commands_agrees_with_decode(length: int) -> None:
 @given(st.integers(0, 2**64 - 1))
 def test_what_rclpy_sends_is_read_also_with_a_little_surplus(count: int) -> None:
     data: bytes = serialize_message(UInt64(data=count))
+    assert encode_count(count) == data
     for one in (data, data + bytes(4)):
         assert decode_count(one) == count
 

@@ -14,13 +14,13 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.serialization import deserialize_message
-from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, UInt64
 
 from armimp_common import qos, topics
 from armimp_common.arrays import ComplexArray, FloatArray
+from armimp_common.cdr import encode_count
 from armimp_common.errors import (
     ArmimpError,
     ConfigurationError,
@@ -33,6 +33,7 @@ from armimp_common.lifecycle import ManagedNode, reported
 from armimp_common.parameters import ParameterSet
 from armimp_common.pubsub import (
     PollingNode,
+    RawPublisher,
     subscribe_raw,
     take_all,
     wait_for_partners,
@@ -47,7 +48,7 @@ from armimp_common.status import (
     values_of,
 )
 from armimp_estimation.alignment.assemble import Trial
-from armimp_estimation.alignment.synchronizer import FETCHED, TOGETHER, StreamSynchronizer
+from armimp_estimation.alignment.synchronizer import TOGETHER, StreamSynchronizer
 from armimp_estimation.alignment.trial_windows import AnnouncedTrials, fault_of
 from armimp_estimation.frf import frf_matrix
 from armimp_estimation.metadata import RECORD_KEY, Metadata, Timing
@@ -58,8 +59,8 @@ from armimp_estimation.result import Result, conclude
 from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.trial import TrialData
 
-_LATE_PERIOD = 0.005
-"""How often to poll for messages that are late (s); mostly there are none."""
+_POLL_PERIOD = 0.001
+"""How often what has come is fetched (s): in lockstep twenty samples, where a machine is fast."""
 _STRAGGLERS = 5.0
 """Seconds after the end of the last trial in which samples of it may still come."""
 _SHOWN = 16
@@ -103,25 +104,21 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         self._reset()
         self._progress = self.create_publisher(DiagnosticStatus, topics.PROGRESS, qos.PROGRESS)
         self._result = self.create_publisher(DiagnosticStatus, topics.RESULT, qos.LATCHED)
-        self._received = self.create_publisher(UInt64, topics.RECEIVED, qos.LATCHED)
+        self._received = RawPublisher(self, topics.RECEIVED, UInt64, qos.LATCHED)
         self._stopping = self.create_publisher(DiagnosticStatus, topics.STOPPING, qos.LATCHED)
-        fetched = {
+        streams = {
             topic: self.subscribe_unattended(
                 topic, Float64MultiArray if topic == topics.COMMANDS else JointState
             )
-            for topic in FETCHED
+            for topic in topics.DATA_STREAMS
         }
-        self._late = steady_timer(self, _LATE_PERIOD, self._on_late, autostart=False)
+        self._streams = list(streams.values())
         self._synchronizer = StreamSynchronizer(
-            {topic: partial(take_all, stream) for topic, stream in fetched.items()},
+            {topic: partial(take_all, stream) for topic, stream in streams.items()},
             self._on_samples,
-            self._late.reset,
         )
         self._synchronizer.close()
-        self._leading = subscribe_raw(
-            self, topics.PERTURBATION, JointState, self._synchronizer.receive
-        )
-        self._streams: list[Subscription] = [*fetched.values(), self._leading]
+        self._poll = steady_timer(self, _POLL_PERIOD, self._synchronizer.poll, autostart=False)
         beside = [
             subscribe_raw(
                 self,
@@ -135,8 +132,8 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         self._timer = steady_timer(
             self, self._settings.progress_period, self._on_timer, autostart=False
         )
-        self.own(self._timer, self._late, *self._streams, *beside)
-        self.own(self._received, self._stopping, self._progress, self._result)
+        self.own(self._timer, self._poll, *self._streams, *beside)
+        self.own(self._received.publisher, self._stopping, self._progress, self._result)
         return TransitionCallbackReturn.SUCCESS
 
     @reported
@@ -150,12 +147,11 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         )
         self._active = True
         self.result = None
-        # Messages that came before do not count; the synchronizer discards its own.
-        take_all(self._leading)
-        self._synchronizer.open()
+        self._synchronizer.open()  # messages that came before do not count
         self._recorded = 0
-        self._received.publish(UInt64(data=0))
+        self._received.send(encode_count(0))
         self._timer.reset()
+        self._poll.reset()
         return super().on_activate(state)
 
     @reported
@@ -215,8 +211,9 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         """Take nothing more, and tell those who wait for the recorder."""
         self._active = False
         self._synchronizer.close()
-        self._received.publish(UInt64(data=topics.RECORDER_GONE))
+        self._received.send(encode_count(topics.RECORDER_GONE))
         self._timer.cancel()
+        self._poll.cancel()
 
     def _finish(self) -> None:
         """Record all that has come, and conclude."""
@@ -234,7 +231,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             if (decision := self._recording.decide()) is not None:
                 self._announced.note(decision)
                 self._stopping.publish(status_message(decision))
-            self._received.publish(UInt64(data=samples))
+            self._received.send(encode_count(samples))
 
     @contextmanager
     def _giving_up(self) -> Iterator[None]:
@@ -263,6 +260,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             return
         if topic == topics.DIAGNOSTICS:
             self._note_timing(message)
+        self._record()  # so that it stands beside the last sample there is
         with self._giving_up():
             self._recording.add_beside(topic, message)
 
@@ -354,11 +352,6 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
 
     def _refuse(self, topic: str, reason: object) -> None:
         self._note(problem(ProblemCode.MESSAGE_REFUSED, stream=topic, reason=str(reason)))
-
-    def _on_late(self) -> None:
-        """Poll for messages that the perturbation of their sample has overtaken."""
-        if not self._synchronizer.poll():
-            self._late.cancel()
 
     def _on_timer(self) -> None:
         if self._active:

@@ -248,8 +248,8 @@ class TestLife:
         part = MADE_UP[: ONE_TRIAL + 4 * (SETTLE + 40)]
         desk.play(part)
         samples = sum(topic == topics.PERTURBATION for topic, _, _ in part)
-        synchronizer = desk.estimator._synchronizer
-        desk.eventually(lambda: synchronizer._leading == samples, "all that was sent")
+        counts = desk.estimator._synchronizer._counts
+        desk.eventually(lambda: counts()[topics.PERTURBATION] == samples, "all that was sent")
 
         getattr(desk.estimator, how)()
         desk.conclude()

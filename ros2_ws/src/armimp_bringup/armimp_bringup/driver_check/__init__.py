@@ -121,12 +121,10 @@ class Record:
     """Everything known about a driver."""
 
     joints: tuple[str, ...]  # that are expected, in the order of commands
-    paced: bool  # whether samples come by themselves; else one comes for each command
     endpoints: Sequence[Endpoint]  # without those of the checker
     streams: Mapping[str, Sequence[Message]]  # at rest, by topic
     moving: Mapping[str, Sequence[Message]] = field(default_factory=dict)  # under torque
     malformed: Mapping[str, int] = field(default_factory=dict)  # that could not be decoded
-    answered: int = 0  # commands sent in lockstep while the streams were recorded
     services: frozenset[str] = frozenset()  # relative to the namespace
     lifecycle: str | None = None  # how it was found; None if it is no lifecycle node
     most: float = 0.0  # rad, how far a joint was allowed to go

@@ -35,10 +35,10 @@ from armimp_common.errors import GraphError
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.process import stop_on_signals
 from armimp_common.realtime import RealtimeScheduling
-from armimp_common.topics import JOINT_STATES, RATE
+from armimp_common.topics import JOINT_STATES
 
 _PATIENCE, _LONG = 10.0, 60.0
-_LISTEN, _LATER = 0.5, 0.2
+_LISTEN = 0.5
 _SILENCE = 10.0
 """Without samples for this long, a driver has stopped sending them, s."""
 _REST, _HOLD = 200, 400
@@ -96,18 +96,12 @@ class Checker:
     ----------
     node : what talks with the driver
     options : what the user asks for
-
-    Attributes
-    ----------
-    paced : whether samples come by themselves; else one comes for each command
     """
 
     def __init__(self, node: Conversation, options: CheckOptions) -> None:
         self._node, self._options = node, options
         self._joints, self._amount = options.joints, options.torque
         self._guard = MotionGuard(options.joints, options.most_motion)
-        self.paced = True
-        self._lead = 0  # samples that come before the first command in lockstep
         self._known: frozenset[str] = frozenset()  # statuses that have the level ERROR anyway
 
     def record(self) -> Record:
@@ -125,9 +119,11 @@ class Checker:
             state = self._find()
         with self._active(state):
             node.wait(lambda: False, _LISTEN)
-            self.paced = max(map(len, node.kept.values())) > 20
-            first = self._record_at_rest()
-            answers, faults = node.answered, list(node.errors)
+            # Lines, as a display that refreshes itself would disturb what is measured here.
+            say(f"listening to the driver for {options.duration:g} s")
+            first = node.samples
+            node.wait(lambda: False, options.duration)
+            faults = list(node.errors)
             self._known = frozenset(error.name for error in faults)
             streams = _decoded(node, dict.fromkeys(SENSOR_TOPICS, first))
             trouble = self._trouble(streams)
@@ -147,12 +143,10 @@ class Checker:
             endpoints, services = node.endpoints(), node.safety_services()
         return Record(
             joints=options.joints,
-            paced=self.paced,
             endpoints=endpoints,
             streams=streams,
             moving=_decoded(node, begin),
             malformed={topic: kept.count(None) for topic, kept in node.kept.items()},
-            answered=answers,
             services=services,
             lifecycle=state,
             most=options.most_motion,
@@ -221,29 +215,6 @@ class Checker:
         wanted = {(topic, "publisher") for topic in SENSOR_TOPICS}
         return roles >= {*wanted, (topics.COMMANDS, "subscriber")}
 
-    def _record_at_rest(self) -> int:
-        """Record, without commands or under zero torque; return the number of the first sample."""
-        node, duration = self._node, self._options.duration
-        # Lines, as a display that refreshes itself would disturb the times that are measured here.
-        say(f"listening to the driver for {duration:g} s")
-        if self.paced:
-            first = node.samples
-            node.wait(lambda: False, duration)
-            return first
-        node.play([(round(duration * RATE), node.zero)])
-        node.answer()
-        last = -1
-        while node.playing and node.samples > last:
-            last = node.samples
-            node.wait(lambda: not node.playing, _SILENCE)
-        # The answer to the last command is still to come. Of a driver that was active before, the
-        # first sample was missed.
-        node.wait(lambda: node.samples > node.answered, 1.0)
-        # Those that no command has asked for may still be on their way.
-        node.wait(lambda: node.samples > node.answered + 1, _LATER)
-        self._lead = node.samples - node.answered
-        return 0
-
     def _trouble(self, streams: dict[str, list[Message]]) -> str:
         """Return why no torque may be commanded; empty if nothing speaks against it."""
         for topic, kept in streams.items():
@@ -257,8 +228,6 @@ class Checker:
     def _begin_to_answer(self, state: str | None) -> None:
         """Answer every sample from now on; if possible also for the driver, from its first one."""
         node, name = self._node, self._options.node
-        if not self.paced:
-            return
         again = state in ("unconfigured", "inactive")
         if again:
             self._manager.change(name, "deactivate")
@@ -270,7 +239,7 @@ class Checker:
 
     def _leave(self, state: str | None) -> None:
         """Reset a driver that stays active after the silence that begins now, which is a fault."""
-        if self.paced and state in (None, "active"):
+        if state in (None, "active"):
             self._node.torque = None
             self._node.wait(lambda: False, _LISTEN)
             self._node.call(topics.SIM_RESET_SERVICE, _PATIENCE)
@@ -285,9 +254,8 @@ class Checker:
             for joint, name in enumerate(self._joints):
                 say(f"pushing {name}")
                 moves.pushes.append(self._watched(moves, partial(self._push, joint)))
-            if self.paced:
-                say(f"keeping silent while {self._joints[0]} is pushed")
-                moves.stale = self._watched(moves, self._keep_silent)
+            say(f"keeping silent while {self._joints[0]} is pushed")
+            moves.stale = self._watched(moves, self._keep_silent)
             say(f"calling the emergency stop while {self._joints[0]} is pushed")
             moves.stop = self._watched(moves, self._stop_under_torque)
             say("commanding zero torque as a second publisher")
@@ -365,16 +333,11 @@ class Checker:
         """Call the emergency stop, and command torque on; reset."""
         node, torque = self._node, self._torque(0)
         self._settle()
-        script: list[Step] = [(_REST, node.zero), (_HOLD, torque)]
-        if self.paced:
-            # Torque is commanded on for some time, no longer, should the stop be a bad one.
-            start = node.samples
-            node.play([*script, (_STOPPING, torque)])
-            end = start + _REST + _HOLD
-            self._wait(lambda: node.samples > end or bool(self._guard.objection))
-        else:
-            # Time stands still until the stop has answered.
-            start = self._play(script)
+        # Torque is commanded on for some time, no longer, should the stop be a bad one.
+        start = node.samples
+        node.play([(_REST, node.zero), (_HOLD, torque), (_STOPPING, torque)])
+        end = start + _REST + _HOLD
+        self._wait(lambda: node.samples > end or bool(self._guard.objection))
         self._require_calm()
         since, end = node.now(), node.samples
         stop = node.call(topics.SIM_STOP_SERVICE, _TOLD, since)
@@ -382,11 +345,8 @@ class Checker:
         # held up. Torque has to go with the answer.
         after = node.samples
         told = self._told(since)
-        if self.paced:
-            self._wait(lambda: not node.playing and node.samples >= after + _SETTLE)
-            self._require_calm()
-        else:
-            self._play([(_SETTLE, torque)])
+        self._wait(lambda: not node.playing and node.samples >= after + _SETTLE)
+        self._require_calm()
         ended = self._measured(0, start, end, after)
         again = self._pushed(0, _AGAIN, (_SETTLE, node.zero))
         return Ending(told=told, ended=ended, again=again, stop=stop, reset=self._reset()), since
@@ -427,14 +387,9 @@ class Checker:
         """Play a script, and return the number of the first sample that it answers."""
         node = self._node
         self._require_calm()
-        start = node.samples if self.paced else node.samples - 1
+        start = node.samples
         node.play(script)
-        if not self.paced:
-            node.answer()
         self._wait(lambda: not node.playing)
-        if not self.paced:
-            # The last command is answered, too.
-            node.wait(lambda: node.samples >= node.answered + self._lead, 1.0)
         self._require_calm()
         return start
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -43,12 +43,12 @@ def check_driver(options: CheckOptions, *, domain_id: int | None, yes: bool, as_
         ask(options, domain)
     record = probe(options, domain)
     findings = judge(record)
+    told = report(findings, record, options, domain)
     if as_json:
-        print(json.dumps(report(findings, record, options, domain)))
+        print(json.dumps(told))
     else:
-        print_findings(findings)
-    bad = with_outcome(findings, Outcome.FAIL) or with_outcome(findings, Outcome.INCONCLUSIVE)
-    return 1 if bad else 0
+        print_findings(findings, told)
+    return 0 if told["passed"] else 1
 
 
 def ask(options: CheckOptions, domain: int) -> None:
@@ -86,15 +86,14 @@ def report(
         "passed": not count["fail"] and not count["inconclusive"],
         **count,
         "findings": [asdict(finding) for finding in findings],
-        "mode": "realtime" if record.paced else "lockstep",
         "lifecycle": record.lifecycle,
         "domain_id": domain,
         "options": options.model_dump(mode="json"),
     }
 
 
-def print_findings(findings: Sequence[Finding]) -> None:
-    """Print a table of all findings, and the outcome."""
+def print_findings(findings: Sequence[Finding], told: Mapping[str, Any]) -> None:
+    """Print a table of all findings, and the outcome, of which the report has the numbers."""
     out = Console(soft_wrap=True)
     table = Table(box=SIMPLE_HEAD)
     for column in ("check", "", "found", "limit"):
@@ -105,10 +104,9 @@ def print_findings(findings: Sequence[Finding]) -> None:
         cells = (escape(text) for text in (finding.figure, finding.limit))
         table.add_row(escape(finding.check), f"[{colour}]{finding.outcome.value}[/]", *cells)
     out.print(table)
-    count = {outcome: len(with_outcome(findings, outcome)) for outcome in Outcome}
-    failed, unsure = count[Outcome.FAIL], count[Outcome.INCONCLUSIVE]
+    failed, unsure = told["fail"], told["inconclusive"]
     words = f"{failed} of {len(findings)} checks failed" if failed else "no check failed"
     words = f"[bold{' red' if failed else ''}]{words}[/]"
     if unsure:
         words += f", [yellow]{unsure} inconclusive[/]"
-    out.print(f"{words}; {count[Outcome.NOT_CHECKED]} not made")
+    out.print(f"{words}; {told['not_checked']} not made")

@@ -103,7 +103,7 @@ class Answering:
         self.guard: MotionGuard | None = None  # when it objects, zero torque is the answer
         self.zero: Torque = (0.0,) * len(joints)
         self.torque: Torque | None = None  # answer to each sample, beside a script
-        self.samples = self.answered = 0  # complete samples that came, commands sent
+        self.samples = 0  # complete samples that came
         # Monotonic times (s) of the last command, and of the last one before a silence.
         self.last_sent = self.silent_since = 0.0
         self.gap = 0.0  # s, longest time between two commands that was not meant to be longer
@@ -124,7 +124,7 @@ class Answering:
         return bool(self._script)
 
     def answer(self) -> None:
-        """Answer the newest sample, as it comes, or again to set time going in lockstep."""
+        """Answer the newest sample."""
         torque = self.torque
         if self._script:
             count, torque = self._script.popleft()
@@ -136,7 +136,6 @@ class Answering:
             return
         if self.guard is not None and self.guard.objection:
             torque = self.zero
-        self.answered += 1
         self._publish(torque)
         now = self.now()
         if self.last_sent:

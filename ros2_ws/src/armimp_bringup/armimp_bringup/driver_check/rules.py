@@ -156,12 +156,7 @@ def _judge_timing(record: Record) -> Iterator[Finding]:
         if len(messages) < 2:
             continue
         yield from _judge_stamps(topic, messages)
-        if record.paced:
-            yield from _judge_pace(topic, messages)
-            continue
-        figure = f"{len(messages)} for {record.answered} commands"
-        good = 0 <= len(messages) - record.answered <= 1
-        yield _judged(f"{topic}: rate", good, figure, "one for each command, and the first")
+        yield from _judge_pace(topic, messages)
     yield _judge_pairs(record)
 
 
@@ -233,7 +228,7 @@ def _judge_moves(record: Record) -> Iterator[Finding]:
     if moves.moved is None or (moves.missing and not moves.fault):
         yield _missing(record, check, limit)
     else:
-        excused = bool(moves.fault) and record.paced and moves.gap > _REGULAR
+        excused = bool(moves.fault) and moves.gap > _REGULAR
         held_up = f"; commands were held up for {1e3 * moves.gap:.3g} ms" if excused else ""
         good = None if excused else not moves.fault
         yield _judged(check, good, (moves.fault or "none") + held_up, limit)
@@ -243,8 +238,7 @@ def _judge_moves(record: Record) -> Iterator[Finding]:
         yield _missing(record, "torque: joint and sign", _WAYS_LIMIT)
         yield _missing(record, "torque_sensors: sign", _SIGN_LIMIT)
         yield _missing(record, "torque: delay", _DELAY_LIMIT)
-    if moves.stale is not None or record.paced:
-        yield from _judge_ending(record, "stale commands", moves.stale)
+    yield from _judge_ending(record, "stale commands", moves.stale)
     if moves.stop is not None:
         yield _judge_answer(moves.stop)
     yield from _judge_ending(record, "emergency stop", moves.stop)

@@ -6,10 +6,9 @@ import importlib
 import itertools
 import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import CancelledError, Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from functools import partial
 from multiprocessing import get_context
 from typing import Any, TypeAlias, TypeVar
 
@@ -131,22 +130,14 @@ def estimate_condition(
     return entry, {name: ImpedanceCurve.of(one) for name, one in found.items()}
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Backend:
     """Where a study runs: an executor, and how many tasks it has at work at the same time."""
 
     pool: Executor
     workers: int
-    close: Callable[[], object]
-    """Ends it, without waiting for tasks at work."""
     lost: tuple[type[Exception], ...] = ()
     """Errors that mean the death of a worker."""
-
-    @classmethod
-    def of(cls, pool: Executor, workers: int, *lost: type[Exception]) -> Backend:
-        """An executor of this machine."""
-        close = partial(pool.shutdown, wait=False, cancel_futures=True)
-        return cls(pool=pool, workers=workers, close=close, lost=lost)
 
     def run(self, work: Callable[[Task], Done], tasks: Iterable[Task]) -> Iterator[Done]:
         """Yield the results of all tasks, in the order in which they are ready.
@@ -154,13 +145,17 @@ class Backend:
         The first error of a task is raised, and ends the others but for those at work.
         """
         lost: tuple[type[Exception], ...] = (CancelledError, *self.lost)
+        futures: list[Future[Done]] = []
         try:
-            for future in as_completed([self.pool.submit(work, task) for task in tasks]):
+            futures += (self.pool.submit(work, task) for task in tasks)
+            for future in as_completed(futures):
                 yield future.result()
         except lost as error:
             raise DataError(f"a worker died: {error}") from None
         finally:
-            self.close()
+            for future in futures:
+                future.cancel()
+            self.pool.shutdown(wait=False)
 
 
 def processes(workers: int | None = None) -> Backend:
@@ -178,7 +173,7 @@ def processes(workers: int | None = None) -> Backend:
         initializer=signal.signal,  # Ctrl-C ends them without a word
         initargs=(signal.SIGINT, signal.SIG_DFL),
     )
-    return Backend.of(pool, workers, BrokenProcessPool)
+    return Backend(pool, workers, (BrokenProcessPool,))
 
 
 def cluster(address: str) -> Backend:
@@ -212,9 +207,4 @@ def cluster(address: str) -> Backend:
     if not workers:
         client.close()
         raise DataError(f"--scheduler {address}: the cluster has no workers")
-    return Backend(
-        pool=client.get_executor(pure=False),
-        workers=workers,
-        close=client.close,
-        lost=(distributed.KilledWorker,),
-    )
+    return Backend(client.get_executor(pure=False), workers, (distributed.KilledWorker,))

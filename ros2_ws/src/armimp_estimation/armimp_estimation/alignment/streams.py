@@ -197,6 +197,8 @@ def decode_streams(joint_names: Sequence[str], messages: Mapping[str, Sequence[b
 def stamps_in_step(messages: Mapping[str, Sequence[bytes]], after_ns: int = -1) -> list[int]:
     """Stamps (ns) of messages of the four streams that are those of ticks one after the other.
 
+    All messages of a stream are of one length then.
+
     This is plain Python on purpose: it is called once in fifty ticks, when the code of numpy has
     left the caches of the processor, and a few of its operations take longer than this loop.
 
@@ -209,11 +211,13 @@ def stamps_in_step(messages: Mapping[str, Sequence[bytes]], after_ns: int = -1) 
     count = len(messages.get(PERTURBATION, ()))
     if not count or any(len(messages.get(topic, ())) != count for topic in DATA_STREAMS):
         return []
+    if any(len(set(map(len, messages[topic]))) != 1 for topic in DATA_STREAMS):
+        return []
     heads, states, sensors = (
         [message[: _HEAD.size] for message in messages[topic]]
         for topic in (PERTURBATION, JOINT_STATES, TORQUE_SENSORS)
     )
-    if not heads == states == sensors or set(map(len, heads)) != {_HEAD.size}:
+    if not heads == states == sensors or len(heads[0]) != _HEAD.size:
         return []
     stamps: list[int] = []
     for head, seconds, nanoseconds in _HEAD.iter_unpack(b"".join(heads)):

@@ -16,7 +16,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
-from itertools import accumulate, chain, repeat
+from itertools import repeat
 from pathlib import Path
 from typing import Final
 
@@ -86,6 +86,13 @@ def _encoded(*records: McapRecord) -> bytes:
 
 HEAD: Final = MAGIC + _encoded(Header(profile="ros2", library="armimp"))
 """First bytes of all files that are written here."""
+
+
+@cache
+def _row(lengths: tuple[int, ...]) -> struct.Struct:
+    """Message records of these lengths, one after the other."""
+    head = MESSAGE_HEAD.format[1:]
+    return struct.Struct("<" + "".join(f"{head}{length}s" for length in lengths))
 
 
 @cache
@@ -177,7 +184,8 @@ class BagWriter:
             Times of reception (ns), not negative, in rising order.
         messages : mapping of str to sequence of bytes
             A message (CDR with its encapsulation header) for each of them, by topic of
-            :data:`RECORDED`, in the order in which those of one time are written.
+            :data:`RECORDED`, in the order in which those of one time are written. All of a topic
+            are of one length.
 
         Raises
         ------
@@ -185,24 +193,25 @@ class BagWriter:
             If they cannot be written: disk full, bag closed, unknown topic, bad time.
         """
         with self._one_line():
+            lengths = tuple(len(raws[0]) for raws in messages.values())
             channels = [self._channel(topic) for topic in messages]
-            # Loops of the interpreter's own: a head and a message, for each topic of each time.
-            columns: list[Iterable[bytes]] = []
-            for channel, raws in zip(channels, messages.values(), strict=True):
-                lengths = (BEYOND_LENGTH + len(raw) for raw in raws)
-                fixed = repeat(MESSAGE), lengths, repeat(channel), repeat(0)
-                columns += map(MESSAGE_HEAD.pack, *fixed, log_times, log_times), raws
-            records = list(chain.from_iterable(zip(*columns, strict=True)))
+            row = _row(lengths)
+            columns: list[Iterable[int | bytes]] = []
+            for channel, raws, length in zip(channels, messages.values(), lengths, strict=True):
+                fixed = (MESSAGE, BEYOND_LENGTH + length, channel, 0)
+                columns += *map(repeat, fixed), log_times, log_times, raws
+            block = b"".join(map(row.pack, *columns))
             # Nothing has changed so far, if a time is impossible.
-            offsets = list(accumulate(map(len, records), initial=len(self._chunk)))
-            for place, channel in enumerate(channels):
-                beginnings = offsets[2 * place :: len(columns)]
-                self._index[channel] += b"".join(map(_ENTRY.pack, log_times, beginnings))
+            begin = len(self._chunk)
+            for channel, length in zip(channels, lengths, strict=True):
+                begins = range(begin, begin + row.size * len(log_times), row.size)
+                self._index[channel] += b"".join(map(_ENTRY.pack, log_times, begins))
+                begin += MESSAGE_HEAD.size + length
             first_ns, last_ns = log_times[0], log_times[-1]
             if not self._chunk:
                 self._start_ns, self._end_ns = first_ns, last_ns
             self._start_ns, self._end_ns = min(self._start_ns, first_ns), max(self._end_ns, last_ns)
-            self._chunk += b"".join(records)
+            self._chunk += block
             count = len(log_times) * len(channels)
             self._pending += count
             # Another block like this must not lead beyond what may be lost.
