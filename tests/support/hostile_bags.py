@@ -22,6 +22,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Final, TypeAlias, TypeVar
 
+import lz4.frame
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Chunk, Header, McapRecord, Schema
@@ -170,7 +171,7 @@ MCAP: Final[dict[str, Callable[[], bytes]]] = {
         chunk("zstd", size, b"\x28\xb5\x2f\xfd\xe0" + struct.pack("<Q", 4 * _GIB) + b"\1\0\0")
         for size in (4 * _GIB, _GIB)
     ),
-    "chunk of another compression": lambda: chunk("lz4", 1000, bytes(1000)),
+    "lz4 chunk bomb": lambda: chunk("lz4", 1000, lz4.frame.compress(bytes(_GIB // 4))),
     "compressed messages": lambda: 1000 * message(1, 1, zstd(bytes(64 << 20))),
     # Counts and names
     "topic with a name of five million letters": lambda: (

@@ -116,9 +116,10 @@ class _McapReading:
         records, size, compression = chunk.data, chunk.uncompressed_size, chunk.compression
         if compression == "zstd":
             records = self._into.unzstd(records, size)
+        elif compression == "lz4":
+            records = self._into.unlz4(records, size)
         elif compression:
-            reason = f"chunks are compressed with {compression!r}; convert it with rosbags-convert"
-            raise self._into.refusal(one_line(reason))
+            raise ValueError(f"unknown compression {compression!r}")
         if len(records) != size:
             raise ValueError(f"chunk of {len(records)} bytes instead of {size}")
         found, expected = zlib.crc32(records), chunk.uncompressed_crc

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from io import BytesIO
 from typing import BinaryIO, Final, TypeAlias
 
+import lz4.frame
 import zstandard
 
 from armimp_common.errors import BagError
@@ -98,6 +99,21 @@ class RawMessages:
         # The library would make room for whatever the frame claims to hold.
         self._require(max(most, zstandard.frame_content_size(data)))
         content = self._zstd.decompress(data, max_output_size=most)
+        self.spend(len(content))
+        return content
+
+    def unlz4(self, data: bytes, most: int) -> bytes:
+        """Decompress one frame of lz4 up to so many bytes.
+
+        Raises
+        ------
+        BagError
+            If that is more than is left.
+        RuntimeError
+            If it is damaged.
+        """
+        self._require(most)
+        content: bytes = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=most)
         self.spend(len(content))
         return content
 
