@@ -270,14 +270,11 @@ def judge_estimate(
         for i, k in np.ndindex(fit.lack.shape)
         if decides and not fit.lack[i, k] <= fit.lack_limit
     ]
-    if estimate.uneven is not None:
-        problems += [
-            problem(
-                ProblemCode.RESPONSE_UNEVEN, estimator=name, name=names[k], percent=100.0 * share
-            )
-            for k, share in enumerate(estimate.uneven)
-            if share > UNEVEN
-        ]
+    problems += [
+        problem(ProblemCode.RESPONSE_UNEVEN, estimator=name, name=joint, percent=100.0 * share)
+        for joint, share in zip(names, estimate.uneven, strict=False)
+        if share > UNEVEN
+    ]
     if not estimate.unbiased:
         return problems
     corner, error = fit.high_pass

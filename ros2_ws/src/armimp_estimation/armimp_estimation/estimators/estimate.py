@@ -145,9 +145,9 @@ class ImpedanceEstimate:
     unbiased: bool = False
     """Whether nothing but its variance separates the estimate from the truth: only then does lack
     of fit mean another arm, and only such an estimate decides whether a result is valid."""
-    uneven: FloatArray | None = None
+    uneven: tuple[float, ...] = ()
     """Share of the power of the torque of each perturbed joint at the lines of a multisine that is
-    neither noise nor smooth over frequency, as any linear arm's response is; shape (n,)."""
+    neither noise nor smooth over frequency, as any linear arm's response is."""
     without_slow: tuple[BoolArray, ...] = ()
     """Torques, and angles, that show so little of what is slow that they may have passed a
     high-pass, two of shape (n,). Empty: nobody looked."""

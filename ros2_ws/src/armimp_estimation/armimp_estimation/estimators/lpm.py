@@ -427,8 +427,8 @@ def _uneven(
     scattered: Sequence[LocalResponse],
     T: ComplexArray,
     joints: Sequence[int],
-) -> FloatArray:
-    """Share of each trial's own torque by which lines scatter, if that is beyond noise, (m,).
+) -> tuple[float, ...]:
+    """Share of each trial's own torque by which lines scatter, if that is beyond noise.
 
     Parameters
     ----------
@@ -438,13 +438,14 @@ def _uneven(
     joints : sequence of int
         Those that are perturbed.
     """
-    shares = np.zeros(len(joints))
+    n, _, lines = T.shape
+    limit = _BY_CHANCE + _SCATTER / math.sqrt(lines)
+    shares = []
     for column, joint in enumerate(joints):
-        row = len(T) + joint
-        noise, scatter = (np.sum(one[column].variance[row]) for one in (plain, scattered))
-        if scatter > (_BY_CHANCE + _SCATTER / math.sqrt(T.shape[2])) * noise:
-            shares[column] = (scatter - noise) / np.sum(np.abs(T[joint, column]) ** 2)
-    return shares
+        noise, both = (np.sum(one[column].variance[n + joint]) for one in (plain, scattered))
+        share = (both - noise) / np.sum(np.abs(T[joint, column]) ** 2)
+        shares.append(float(share) if both > limit * noise else 0.0)
+    return tuple(shares)
 
 
 def _without_drift(record: TrialRecord) -> TrialRecord:
