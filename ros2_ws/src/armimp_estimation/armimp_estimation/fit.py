@@ -165,7 +165,7 @@ class MBKFit:
 
 
 FEWEST_FREQUENCIES = 3
-_SMOOTHING = 0.6
+_SMOOTHING = 0.3
 """Half width of the band over which variances are averaged before they serve as weights, Hz."""
 LACK_LIMIT = 2.0
 """Lack of fit beyond which an impedance isn't of the form of the fit; ideal runs stay below 1.5."""
