@@ -35,7 +35,7 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri, stdtr
+from scipy.special import ndtri, stdtr, stdtrit
 
 from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
@@ -86,6 +86,8 @@ _FEWEST_PARTS = 2
 """Parts on either side of a change at once, at least."""
 _SHORT = 0.75
 """And where a step is looked for."""
+_FLIPS, _ALIKE, _RARE = 400, 4, 0.05
+"""How often signs are flipped, of how many such parts together, and the chance that is compared."""
 _BEYOND_CHANCE = 4.0
 _NEGLIGIBLE = 0.003
 _UNFELT = 0.001
@@ -773,8 +775,10 @@ def _step(
 ) -> tuple[tuple[float, float, float], int]:
     """Largest change of a coefficient from one part to the next, relative to its standard error.
 
-    The error is that of a change there, from the scatter within both sides, which should be alike
-    (two-sample t test).
+    The error is that of a change there, from the scatter within both sides, as if it was the same
+    everywhere (two-sample t test). It isn't where a person's torque comes and goes: how large the
+    largest ratio may be by chance, what is left of all parts shows with its signs flipped, some
+    parts together (wild bootstrap: Wu, *Annals of Statistics* 14, 1986), and errors follow.
 
     Returns
     -------
@@ -784,24 +788,42 @@ def _step(
         Between how many parts it was looked for.
     """
     products, squares = _by_parts(instrument, term, left, _SHORT)
-    best, looks = (0.0, np.inf, 1.0), 1
+    none = 0.0, np.inf, 1.0
     total = float(np.sum(squares))
     if not (squares > 0.0).all():
-        return best, looks
+        return none, 1
     freedom = total**2 / float(np.sum(squares**2)) - 2.0
-    if freedom < 1.0:
-        return best, looks
-    ends = range(_FEWEST_PARTS, len(squares) - _FEWEST_PARTS + 1)
-    for end in ends:
-        sides = slice(None, end), slice(end, None)
-        sizes = np.array([np.sum(squares[side]) for side in sides])
-        slopes = np.array([np.sum(products[side]) for side in sides]) / sizes
-        fitted = np.repeat(slopes, (end, len(squares) - end)) * squares
-        scatter = float(np.sum((products - fitted) ** 2 / squares)) / (len(squares) - 2)
-        change, error = slopes[1] - slopes[0], np.sqrt(scatter * np.sum(1.0 / sizes))
-        if abs(change) * best[1] > abs(best[0]) * error:
-            best = float(change), float(error), freedom
-    return best, max(len(ends), looks)
+    ends = np.arange(_FEWEST_PARTS, len(squares) - _FEWEST_PARTS + 1)
+    if freedom < 1.0 or not ends.size:
+        return none, 1
+    change, error = _changes(products, squares, ends)
+    best = int(np.argmax(np.abs(change) / error))
+    rest = products - float(np.sum(products)) / total * squares
+    flips = np.random.default_rng(0).choice((-1.0, 1.0), (_FLIPS, -(-len(rest) // _ALIKE)))
+    flipped = np.repeat(flips, _ALIKE, axis=1)[:, : len(rest)] * rest
+    by_chance, its_error = _changes(flipped, squares, ends)
+    seen = np.quantile(np.max(np.abs(by_chance) / its_error, axis=1), 1.0 - _RARE)
+    scale = max(1.0, float(seen / stdtrit(freedom, 1.0 - 0.5 * _RARE / ends.size)))
+    return (float(change[best]), float(error[best] * scale), freedom), ends.size
+
+
+def _changes(
+    products: FloatArray, squares: FloatArray, ends: NDArray[np.intp]
+) -> tuple[FloatArray, FloatArray]:
+    """Change of the slope from the parts before each end to those after it, and its error.
+
+    Of products (..., parts) and squares, (parts,); each is (..., ends).
+    """
+    first, before = np.cumsum(products, axis=-1), np.cumsum(squares)
+    sums = np.stack((first[..., ends - 1], first[..., -1:] - first[..., ends - 1]))
+    sizes = np.stack((before[ends - 1], before[-1] - before[ends - 1]))
+    sizes = np.expand_dims(sizes, tuple(range(1, products.ndim)))
+    explained = np.sum(sums**2 / sizes, axis=0)
+    whole = np.sum(products**2 / squares, axis=-1, keepdims=True)
+    least = np.finfo(np.float64).eps * whole + np.finfo(np.float64).tiny
+    scatter = np.maximum(whole - explained, least) / (len(squares) - 2)
+    slopes = sums / sizes
+    return slopes[1] - slopes[0], np.sqrt(scatter * np.sum(1.0 / sizes, axis=0))
 
 
 def _ratio(products: FloatArray, squares: FloatArray) -> tuple[float, float, float]:
