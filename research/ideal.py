@@ -47,7 +47,7 @@ def investigate(options: InvestigationOptions) -> int:
             lacks.append((float(np.max(result.fit.lack)), str(condition)))
             line = f"{condition}: lack {np.max(result.fit.lack):.2f}"
             if found.balance is not None:
-                share, error = map(np.diag, imbalance(found.balance, result.fit))
+                share, error = map(np.diag, imbalance(found.balance, result.fit)[:2])
                 gains.append((float(np.max(np.abs(share))), str(condition)))
                 M = found.balance.M
                 line += f" imbalance {share.round(3)} ± {error.round(3)} M_r {M.round(3).tolist()}"

@@ -277,7 +277,7 @@ def identify(
     fit = trusted.fit
     balance = None
     if responses is not None:
-        balance = responses.balance(order, hold, reading, fit.delay)
+        balance = responses.balance(order, hold, reading, fit)
     unbalanced, gains = judge_balance(names, balance, fit, options.calibration)
     problems += [*unbalanced, *judge_answers(names, records, balance, fit)]
     results = {name: one.with_gains_in_doubt(gains) for name, one in results.items()}

@@ -35,7 +35,6 @@ from armimp_estimation.estimators.lpm import HiddenMotion, covariance_of, respon
 from armimp_estimation.estimators.welch import invert, multiply
 from armimp_estimation.fit import (
     Calibration,
-    CommonDelay,
     MBKFit,
     covariance_of_sums,
     fit_weights,
@@ -49,7 +48,7 @@ from armimp_estimation.plausibility import least_eigenvalue, uneven
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.signal_quality import speed_of
-from armimp_estimation.torque_timing import TorqueReading
+from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 
 BAND = (0.25, 12.0)
@@ -93,6 +92,9 @@ _RUBBING = 2.0
 _LOADED = 0.3
 """Assumption: standard error of a torque that seems to be of a spring of the robot, which may as
 well be of a cable that loads the transducer, relative to itself."""
+_PULLED = 0.3
+"""Assumption: stiffness by which gravity may pull a joint of the robot away, relative to the
+arm's."""
 _REFUTED = 3.0
 """Standard errors by which a gain has to differ from 1 to refute a declared calibration."""
 _AT_ONCE, _WHOLE = 0.1, 1.2
@@ -241,7 +243,7 @@ class RobotResponses:
         order: tuple[int, ...],
         jump: HoldCorrection | None = None,
         reading: TorqueReading | None = None,
-        delay: CommonDelay | None = None,
+        arm: MBKFit | None = None,
     ) -> RobotBalance:
         """Estimate what the commands move.
 
@@ -253,14 +255,15 @@ class RobotResponses:
             How torques jump with the commands, if that is known.
         reading : TorqueReading, optional
             How torques were read.
-        delay : CommonDelay, optional
-            What was found of their delay.
+        arm : MBKFit, optional
+            What was found of the arm, and of their delay.
         """
         n, f, rate = len(self.records), self.columns[0].f, self.records[0].rate
         turn = 2j * np.pi * f / rate
         step = 1.0 - np.exp(-turn)
+        reading, delay = reading or TorqueReading(), None if arm is None else arm.delay
         late = 0.0 if delay is None else delay.delay
-        torques = without_skew(f, rate, n, reading or TorqueReading(), jump, late)
+        torques = without_skew(f, rate, n, reading, jump, late)
         # What torque and commands, (n, 3n), move the robot.
         mixed = np.zeros((n, 3 * n, f.size), dtype=np.complex128)
         mixed[:, n : 2 * n] = -torques[:, :n]
@@ -276,6 +279,10 @@ class RobotResponses:
         if delay is not None:
             torque = multiply(mixed[:, n : 2 * n], self.stacked[n : 2 * n])
             systematics.append(delay.error * turn * rate * multiply(torque, self.inverse))
+        if arm is not None and reading.timing is TorqueTiming.UNKNOWN:
+            # Torques that don't jump with commands may be half a period late, or not at all.
+            steady = replace(arm.mbk, M=np.zeros((n, n))).impedance(f)
+            systematics.append(0.5 * turn * steady)
         disturbance = covariance_of(self.columns, coefficients)
         variance = variance_of(disturbance, self.inverse, systematics)
         values, covariance, friction = self._fit(
@@ -390,7 +397,7 @@ def _least_squares(
     return values / scale, covariance / np.outer(scale, scale)
 
 
-def imbalance(robot: RobotBalance, arm: MBKFit) -> tuple[FloatArray, FloatArray]:
+def imbalance(robot: RobotBalance, arm: MBKFit) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Shares of the arm's torque that are no robot's, and their standard errors, each (n, n).
 
     On the diagonal ``ρ = (1 - g)/g`` of the torque of the joint itself, which its transducer shows
@@ -398,7 +405,8 @@ def imbalance(robot: RobotBalance, arm: MBKFit) -> tuple[FloatArray, FloatArray]
     no other, by least squares from B and K of the robot off the diagonal: a spring or friction of
     the joint itself is on it. What K there has in common with the element on the other side may be
     of gravity, unless what then is left tells that share, too, rather than none. For a single joint
-    it is that of K.
+    it is that of K. Where what is left rather tells it, but may be chance, that share with K is the
+    third value, else 0.
     """
     K = robot.K
     potential = np.where(K * K.T > 0.0, np.minimum(np.abs(K), np.abs(K.T)), 0.0)
@@ -407,7 +415,9 @@ def imbalance(robot: RobotBalance, arm: MBKFit) -> tuple[FloatArray, FloatArray]
     left, left_error = _imbalance(robot, arm, np.diag(robot.rubbing) + potential)
     near = np.minimum(np.abs(left), _REFUTED * left_error)
     tells = (np.abs(left - whole) < near) & (left_error < np.abs(whole))
-    return np.where(tells, whole, left), np.where(tells, whole_error, left_error)
+    sure = tells & (np.abs(left) > _REFUTED * left_error)
+    possible = np.where(tells & ~sure & (np.abs(whole) > _REFUTED * whole_error), whole, 0.0)
+    return np.where(sure, whole, left), np.where(sure, whole_error, left_error), possible
 
 
 def _imbalance(
@@ -456,7 +466,8 @@ def _gains_above_one(
     Friction makes viscosity of a joint positive, so where it is negative, the transducer has to
     show too much. So it has where stiffness is, beyond what friction may seem to have, unless
     gravity pulls the robot away. Then the elements off the diagonal tell that, too: they know the
-    gain, and it is nearer to 1 than to the one that the stiffness seems to be.
+    gain, and it is nearer to 1 than to the one that the stiffness seems to be. Where they don't
+    know, up to `_PULLED` may be gravity, and is in doubt.
     Shares and standard errors, (n,), are 0 where there is none beyond chance. Friction may hide a
     part of each. Given are those of the joints themselves of :func:`imbalance`.
     """
@@ -470,6 +481,7 @@ def _gains_above_one(
     told = np.divide(own, arms, out=np.zeros_like(own), where=beyond)
     told_error = np.divide(own_error, arms, out=np.zeros_like(own), where=beyond)
     gravity = (shares > 0.5 * told[1]) & (errors < np.abs(told[1]))
+    gravity |= (told[1] > -_PULLED) & (shares > -_REFUTED * errors)
     by_stiffness = beyond[1] & ~gravity & (len(shares) > 1)
     share, error = (np.where(by_stiffness, one[1], one[0]) for one in (told, told_error))
     return np.maximum(share, -0.99), error
@@ -560,7 +572,7 @@ def judge_balance(
         order = ", ".join(names[row] for row in np.argsort(balance.order))
         problems.append(problem(ProblemCode.COMMANDS_PERMUTED, severity=Severity.NOTE, order=order))
     own = np.eye(len(names), dtype=np.bool_)
-    shares, errors = imbalance(balance, arm)
+    shares, errors, possible = imbalance(balance, arm)
     less, less_error = _gains_above_one(balance, arm, np.diag(shares), np.diag(errors))
     # Written so that NaN is beyond.
     beyond = ~(np.abs(shares) <= GAIN_TOLERANCE + _ERRORS * errors)
@@ -589,6 +601,7 @@ def judge_balance(
     if wrong:
         return problems, np.zeros(own.shape)
     doubts = _gains_in_doubt(shares, errors, _springs(balance, arm), calibration)
+    doubts = np.maximum(doubts, np.abs(possible))
     own_shares, own_errors, own_doubts = map(np.diag, (shares, errors, doubts))
     for name, share, error, doubt in zip(names, own_shares, own_errors, own_doubts, strict=True):
         problems += _doubted(name, share, error, doubt, calibration)
