@@ -106,7 +106,7 @@ def column_of(
         if block == blocks[0]:
             quiet = simulate(with_voluntary(config, 0.0, block))
             both = zip(experiments, quiet, strict=True)
-            bounds = [bound_of(one, same, _BAND, caused=case.voluntary > 0.0) for one, same in both]
+            bounds = [bound_of(one, same, _BAND) for one, same in both]
         found = []
         for experiment, bound in zip(experiments, bounds, strict=True):
             result = experiment.identify([_ESTIMATOR])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,13 +11,10 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import SimulatedExperiment, simulate
 from armimp_bringup.parameters import node_parameters
 from armimp_common.topics import RATE
-from armimp_estimation.estimators.lpm import responses
-from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import BAND
 from armimp_sim.voluntary import VoluntaryParameters, band_filter
 from research.cells import FloatArray, Levels, Plan, Run
 from research.cramer_rao import (
-    ComplexArray,
     SensorNoise,
     cramer_rao_bound,
     error_covariance,
@@ -65,28 +61,8 @@ def power_spectrum(config: VoluntaryParameters, f: FloatArray) -> FloatArray:
     return power
 
 
-def caused_motion(
-    records: Sequence[TrialRecord], band: tuple[float, float]
-) -> tuple[FloatArray, ComplexArray]:
-    """Fourier transforms of the angles as far as they answer the perturbation, all else left out.
-
-    As :func:`research.cramer_rao.motion_in_band`, at the frequencies that the perturbation has.
-    """
-    columns = responses(records, [record.position for record in records], band)
-    motion = []
-    for column, record in zip(columns, records, strict=True):
-        bins = np.rint(column.f * record.duration).astype(np.intp)
-        force = np.fft.rfft(record.perturbation[record.perturbed_joint])[bins]
-        motion.append(column.response * force)
-    return columns[0].f, np.stack(motion)
-
-
 def bound_of(
-    experiment: SimulatedExperiment,
-    quiet: SimulatedExperiment,
-    band: tuple[float, float],
-    *,
-    caused: bool,
+    experiment: SimulatedExperiment, quiet: SimulatedExperiment, band: tuple[float, float]
 ) -> FloatArray:
     """Cramér-Rao bound of one experiment.
 
@@ -96,7 +72,6 @@ def bound_of(
     quiet : the same with a relaxed arm, whose motion is used; see
         :mod:`research.cramer_rao`
     band : lowest and highest frequency, Hz
-    caused : whether that motion counts as far as the perturbation causes it, or all of it
 
     Returns
     -------
@@ -112,7 +87,7 @@ def bound_of(
     noise = SensorNoise.of_rounding(
         angle=simulator.sensors.position.resolution, torque=simulator.sensors.torque.resolution
     )
-    f, motion = (caused_motion if caused else motion_in_band)(quiet.records, band)
+    f, motion = motion_in_band(quiet.records, band)
     disturbance = power_spectrum(simulator.voluntary, f)
     samples = quiet.records[0].samples
     covariance = error_covariance(experiment.truth, f, samples, noise, disturbance)
@@ -130,22 +105,15 @@ def run_limits(plan: LimitsPlan, workers: int | None = None) -> list[Cell]:
             experiments = simulate(with_voluntary(base, torque, seeds)) if torque else relaxed
             for experiment, quiet in zip(experiments, relaxed, strict=True):
                 true = matrices(experiment.truth)
-                kinds = (bool(torque), False)
-                bounds = [bound_of(experiment, quiet, BAND, caused=one) for one in kinds]
+                bound = bound_of(experiment, quiet, BAND) / scales(true)
                 for name, run in estimate(experiment, plan.estimators, plan.segment).items():
-                    error = (matrices(run.fit.mbk) - true) / scales(true)
-                    found.append((torque, name, error, np.stack(bounds) / scales(true)))
+                    found.append(
+                        (torque, name, (matrices(run.fit.mbk) - true) / scales(true), bound)
+                    )
         return found
 
     return [
-        Cell(
-            levels=levels,
-            voluntary=voluntary,
-            estimator=estimator,
-            errors=errors,
-            bounds=bounds[:, 0],
-            bounds_of_all=bounds[:, 1],
-        )
+        Cell(levels=levels, voluntary=voluntary, estimator=estimator, errors=errors, bounds=bounds)
         for levels, voluntary, estimator, errors, bounds in plan.runs(work, workers)
     ]
 

@@ -16,9 +16,7 @@ class Cell(ErrorCell):
 
     bounds: FloatArray
     """(runs, 3, n, n) smallest standard deviations that noise allows in that run, relative like the
-    errors; beside a person, from the motion that the perturbation causes."""
-    bounds_of_all: FloatArray
-    """The same from all motion."""
+    errors."""
 
     @property
     def bound(self) -> FloatArray:
@@ -33,24 +31,19 @@ class Cell(ErrorCell):
     @property
     def ratio(self) -> FloatArray:
         """Root mean square error over the bound, (3, n, n); NaN where nothing limits accuracy."""
-        return _over(self.rms, self.bound)
+        return self._over_bound(self.rms)
 
     @property
     def uncertainty(self) -> FloatArray:
         """Monte Carlo standard error of the ratio, (3, n, n)."""
         squares = self.errors**2
         of_squares = squares.std(axis=0, ddof=1) / np.sqrt(self.runs)
-        return _over(0.5 * of_squares / self.rms, self.bound)
-
-    @property
-    def ratio_of_all(self) -> FloatArray:
-        """Root mean square error over the bound of all motion, (3, n, n)."""
-        return _over(self.rms, _root_mean_square(self.bounds_of_all))
+        return self._over_bound(0.5 * of_squares / self.rms)
 
     @property
     def spread_ratio(self) -> FloatArray:
         """Standard deviation over the bound, (3, n, n): the ratio without any bias."""
-        return _over(self.spread, self.bound)
+        return self._over_bound(self.spread)
 
     @property
     def worst(self) -> tuple[str, float]:
@@ -69,7 +62,6 @@ class Cell(ErrorCell):
             "spread": (100.0 * self.spread).tolist(),
             "rms_over_bound": self.ratio.tolist(),
             "rms_over_bound_uncertainty": self.uncertainty.tolist(),
-            "rms_over_bound_of_all_motion": self.ratio_of_all.tolist(),
             "spread_over_bound": self.spread_ratio.tolist(),
             "worst_element": element,
             "worst_rms_over_bound": ratio,
@@ -87,15 +79,14 @@ class Cell(ErrorCell):
                 "spread_percent": 100.0 * float(self.spread[place]),
                 "rms_over_bound": float(self.ratio[place]),
                 "rms_over_bound_uncertainty": float(self.uncertainty[place]),
-                "rms_over_bound_of_all_motion": float(self.ratio_of_all[place]),
                 "spread_over_bound": float(self.spread_ratio[place]),
             }
             for name, place in zip(self.elements, np.ndindex(self.bound.shape), strict=True)
         ]
 
-
-def _over(values: FloatArray, bound: FloatArray) -> FloatArray:
-    return np.divide(values, bound, out=np.full_like(bound, np.nan), where=bound > 0.0)
+    def _over_bound(self, values: FloatArray) -> FloatArray:
+        bound = self.bound
+        return np.divide(values, bound, out=np.full_like(bound, np.nan), where=bound > 0.0)
 
 
 def _root_mean_square(values: FloatArray) -> FloatArray:
