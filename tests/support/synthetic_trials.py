@@ -9,16 +9,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_estimation.estimators.estimate import ImpedanceEstimate, confidence_radius
 from armimp_estimation.fit import MBKFit
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.trial import TrialData
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 TWO_JOINT_ARM = MBK(
     M=np.array([[0.187, 0.084], [0.079, 0.060]]),

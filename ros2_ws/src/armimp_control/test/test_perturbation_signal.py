@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import signal
 
+from armimp_common.arrays import FloatArray as Array
 from armimp_common.errors import ConfigurationError
 from armimp_control import presets
 from armimp_control.perturbation import (
@@ -25,7 +26,6 @@ from armimp_control.perturbation import (
     perturbation,
 )
 
-Array = NDArray[np.float64]
 CONFIG = PerturbationParameters(peak=(9.0, 5.4))
 
 

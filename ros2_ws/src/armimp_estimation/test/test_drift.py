@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray
 from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
 from armimp_estimation.estimators.welch import WelchFull
 from armimp_estimation.fit import fit_mbk
@@ -16,8 +16,6 @@ from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData, drift_of
 from support.synthetic_trials import LOOP, SEGMENT, SyntheticConfig, synthetic_trial
 from support.synthetic_trials import TWO_JOINT_ARM as ARM
-
-FloatArray = NDArray[np.float64]
 
 LPM = LpmFull(config=LpmConfig(reading=TorqueReading(timing=TorqueTiming.SIMULTANEOUS)))
 SLOPE = np.array([0.02, -0.01])  # N·m/s

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.direct import Direct
 from armimp_estimation.estimators.estimate import Estimator
@@ -31,8 +31,6 @@ from support.synthetic_trials import (
     with_readings,
     worst_errors,
 )
-
-FloatArray = NDArray[np.float64]
 
 SIMULTANEOUS = TorqueReading(timing=TorqueTiming.SIMULTANEOUS)
 SISO, FULL, DIRECT = WelchSiso(), WelchFull(), Direct()

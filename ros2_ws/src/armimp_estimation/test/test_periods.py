@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import butter, lfilter, sosfilt
 
+from armimp_common.arrays import FloatArray as Array
 from armimp_estimation.distortion import Distortion
 from armimp_estimation.mbk import MBK
 from armimp_estimation.nonlinearity import deviations
@@ -18,7 +19,6 @@ from armimp_estimation.record import TrialRecord
 from armimp_estimation.trial import drift_of, segment_for
 from support.synthetic_trials import LOOP, TWO_JOINT_ARM, made_record, part_of, synthetic_trial
 
-Array = NDArray[np.float64]
 PERIOD = 4096
 LINES = np.array([1, 3, 5, 9, 11, 15, 17, 19, 21, 25, 31])
 

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 import scipy.signal
-from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray
 from armimp_estimation.spectra import (
     BAND,
     SEGMENT,
@@ -11,8 +11,6 @@ from armimp_estimation.spectra import (
     segment_averages,
     step_of,
 )
-
-FloatArray = NDArray[np.float64]
 
 RATE = 30.0
 """So that the band ends at half of it, Hz."""

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy import signal
 from scipy.integrate import trapezoid
 
+from armimp_common.arrays import FloatArray as Array
 from armimp_sim import presets
 from armimp_sim.model.arm import CuffParameters, HumanArm, MuscleParameters, ReflexParameters
 from armimp_sim.model.friction import LuGre
@@ -21,7 +21,6 @@ from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import Plant
 from support.plants import changed, load, rig, state_of, stepwise, study_plant
 
-Array = NDArray[np.float64]
 SUBSTEPS = 20
 COMMANDS = np.random.default_rng(4).uniform(-5.0, 5.0, (60, 2))
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray as Array
 from armimp_sim.simd import exp_minus, sine_cosine
 
-Array = NDArray[np.float64]
 TURNS = np.linspace(-40.0, 40.0, 20_001)
 QUARTERS = np.arange(-1000, 1001) * (np.pi / 2.0)
 
