@@ -203,8 +203,7 @@ def assert_recorded(done: Kill, figures: Figures) -> None:
     before = [stamp_ns for moment, stamp_ns in done.seen["stamps"] if moment < done.time]
     samples = sum(stamp_ns >= start_ns for stamp_ns in before)
     bag = sorted((done.directory / "bags").iterdir())[-1]
-    if done.victim != SUPERVISOR_NODE:  # who finishes the bag of a recorder that died
-        assert_other_readers_open(bag)
+    assert_other_readers_open(bag)
     if samples > LOST:
         (trial,) = read_bag(bag).trials
         assert trial.record is not None
