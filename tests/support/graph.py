@@ -64,6 +64,12 @@ def domain_id(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
         yield claim.domain_id
 
 
+def free_domain() -> int:
+    """A domain that is free, for somebody else to claim."""
+    with DomainClaim() as claim:
+        return claim.domain_id
+
+
 def joined(domain_id: int, *arguments: str) -> Context:
     """A new context in a domain, with arguments for ROS, to be shut down by the caller."""
     context = Context()
