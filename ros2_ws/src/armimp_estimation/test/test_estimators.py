@@ -21,6 +21,7 @@ from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from support.synthetic_trials import (
     LOOP,
+    LPM,
     SEGMENT,
     THREE_JOINT_ARM,
     TWO_JOINT_ARM,
@@ -32,9 +33,7 @@ from support.synthetic_trials import (
     worst_errors,
 )
 
-SIMULTANEOUS = TorqueReading(timing=TorqueTiming.SIMULTANEOUS)
 SISO, FULL, DIRECT = WelchSiso(), WelchFull(), Direct()
-LPM = LpmFull(config=LpmConfig(reading=SIMULTANEOUS))
 UNBIASED: list[Estimator] = [SISO, FULL, LPM]
 slow = functools.partial(pytest.param, marks=pytest.mark.slow)
 every = pytest.mark.parametrize("estimator", [*UNBIASED, DIRECT], ids=lambda one: one.name)
