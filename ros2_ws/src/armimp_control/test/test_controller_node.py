@@ -29,7 +29,6 @@ from support.controller import (
     NAMES,
     POSTURE,
     SUCCESS,
-    active_controller,
     ask,
     controller_parameters,
     wobble,
@@ -66,7 +65,12 @@ class World:
         self.driver = ScriptedDriver(node, NAMES, start_ns=START)
 
     def bring_up(self, changes: Mapping[str, Value] | None = None) -> ImbicControllerNode:
-        return active_controller(self.launch, self.driver, PARAMETERS, changes)
+        """A controller that is active, and that the driver reaches."""
+        controller: ImbicControllerNode = self.launch(ImbicControllerNode, PARAMETERS, changes)
+        assert controller.trigger_configure() is SUCCESS, controller.transition_error
+        assert controller.trigger_activate() is SUCCESS, controller.transition_error
+        self.driver.wait_for_controller()
+        return controller
 
     def start(self, changes: Mapping[str, Value] | None = None) -> ImbicControllerNode:
         """Bring a controller up, and have it command torque in 60 answers."""
