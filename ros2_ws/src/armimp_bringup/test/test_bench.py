@@ -21,16 +21,7 @@ from armimp_common.status import TimingFigures
 from armimp_estimation.metadata import Timing
 from support.command import call
 
-Benchmark = Callable[[object], list[Measured]]
-
-
-def _instead(monkeypatch: pytest.MonkeyPatch, **found: list[Measured] | Benchmark) -> None:
-    """Benchmarks that have these figures without measuring anything."""
-
-    def made(figures: list[Measured] | Benchmark) -> Benchmark:
-        return figures if callable(figures) else lambda _: figures
-
-    monkeypatch.setattr(bench, "BENCHMARKS", {name: made(one) for name, one in found.items()})
+Benchmarks = dict[str, Callable[[object], list[Measured]]]
 
 
 def _figure(value: float, limit: float | None = None) -> Measured:
@@ -40,7 +31,11 @@ def _figure(value: float, limit: float | None = None) -> Measured:
 def test_figures_are_shown_with_units_targets_and_the_machine(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    _instead(monkeypatch, first=[_figure(1.5, 2.0)], second=[_figure(7.25)])
+    measured: Benchmarks = {
+        "first": lambda _: [_figure(1.5, 2.0)],
+        "second": lambda _: [_figure(7.25)],
+    }
+    monkeypatch.setattr(bench, "BENCHMARKS", measured)
     told = call("bench")
     assert told.status == 0
     for words in ("first", "≤ 2 s ✓", "7.25", f"{available_cores()} cores"):
@@ -54,7 +49,9 @@ def test_what_misses_its_target_or_fails_is_named_beside_the_figures_of_the_othe
     def fails(_: object) -> list[Measured]:
         raise GraphError("no graph today")
 
-    _instead(monkeypatch, first=fails, last=[_figure(value, 2.0), _figure(1.0, 2.0)], other=[])
+    figures = [_figure(value, 2.0), _figure(1.0, 2.0)]
+    measured: Benchmarks = {"first": fails, "last": lambda _: figures, "other": lambda _: []}
+    monkeypatch.setattr(bench, "BENCHMARKS", measured)
     assert call("bench", "last").status == call("bench", "first").status == 1
     told = call("bench", "first", "last", "last", "--json")
     assert told.status == 1

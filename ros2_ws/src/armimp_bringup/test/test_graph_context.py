@@ -216,19 +216,11 @@ def test_timing_counts_up_to_an_abort_and_faults_are_heard_after_it(told_before:
     assert supervisor.timing.ticks == (1000 if told_before else 1600)
 
 
-PROGRESS = {
-    "trial": "1",
-    "trials": "2",
-    "joint": "1",
-    "phase": "perturb",
-    "samples": "100",
-    "planned": "10000",
-    "rate": "1000.0",
-}
-
-
 def test_a_malformed_progress_message_does_not_end_the_orchestrator() -> None:
     told: list[Progress] = []
+    progress = Progress(
+        trial=1, trials=2, joint=1, phase=Phase.PERTURB, samples=100, planned=10_000, rate=1000.0
+    )
     with GraphContext() as graph:
         supervisor = Supervisor(graph, told.append)
         other = Node("other", context=graph.context, use_global_arguments=False)
@@ -237,7 +229,7 @@ def test_a_malformed_progress_message_does_not_end_the_orchestrator() -> None:
             eventually(spinner, lambda: channel.get_subscription_count() == 1, "a listener")
             channel.publish(b"\0\1\0\0rubbish")
             channel.publish(make_status("a stranger", Level.OK, "", {"trial": "x"}))
-            channel.publish(make_status("a friend", Level.OK, "", PROGRESS))
+            channel.publish(status_message(progress))
             eventually(spinner, lambda: bool(told), "what can be read")
         for node in (other, supervisor):
             node.destroy_node()
