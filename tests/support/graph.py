@@ -44,6 +44,15 @@ PATIENCE = 30.0
 MOMENT = 0.2
 """How long to wait for what must not happen (s)."""
 
+CHOICES = (
+    "ROS_AUTOMATIC_DISCOVERY_RANGE",
+    "FASTRTPS_DEFAULT_PROFILES_FILE",
+    "ROS_DOMAIN_ID",
+    "ROS_LOCALHOST_ONLY",
+    "ROS_STATIC_PEERS",
+)
+"""Variables by which a user chooses who can hear an experiment."""
+
 CLOCK_STEPS = (-600.0, 3600.0)
 """By how much somebody sets the clock (s)."""
 

@@ -25,16 +25,9 @@ from armimp_common.status import (
     make_status,
     status_message,
 )
-from support.graph import eventually
+from support.graph import CHOICES, eventually
 from support.processes import run_python
 from support.streams import trial_status
-
-VARIABLES = (
-    "ROS_AUTOMATIC_DISCOVERY_RANGE",
-    "FASTRTPS_DEFAULT_PROFILES_FILE",
-    "ROS_DOMAIN_ID",
-    "ROS_LOCALHOST_ONLY",
-)
 
 
 @pytest.mark.parametrize(
@@ -53,15 +46,15 @@ def test_when_the_user_chose_a_reach_or_a_profile_expect_it_kept(
     profiles: Path | None,
     expected: tuple[str, Path],
 ) -> None:
-    given = {VARIABLES[0]: reach, VARIABLES[1]: None if profiles is None else str(profiles)}
+    given = {CHOICES[0]: reach, CHOICES[1]: None if profiles is None else str(profiles)}
     for name, value in given.items():
         monkeypatch.delenv(name, raising=False)
         if value is not None:
             monkeypatch.setenv(name, value)
 
     with GraphContext():
-        assert os.environ[VARIABLES[0]] == expected[0]
-        assert os.environ[VARIABLES[1]] == str(expected[1])
+        assert os.environ[CHOICES[0]] == expected[0]
+        assert os.environ[CHOICES[1]] == str(expected[1])
 
     assert {name: os.environ.get(name) for name in given} == given
 
@@ -86,7 +79,7 @@ with GraphContext() as graph:
 def test_when_the_process_was_in_a_graph_before_expect_it_to_find_the_local_host_only(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for name in VARIABLES:
+    for name in CHOICES:
         monkeypatch.delenv(name, raising=False)
 
     with DomainClaim() as claim:
@@ -116,7 +109,7 @@ with GraphContext() as graph:
 def test_nothing_is_shared_in_memory_which_a_killed_process_could_leave_locked(
     monkeypatch: pytest.MonkeyPatch, reach: str
 ) -> None:
-    for name in VARIABLES:
+    for name in CHOICES:
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", reach)
 

@@ -14,11 +14,7 @@ from armimp_common import pubsub, qos
 from armimp_common.errors import GraphError
 from armimp_common.executor import Spinner
 from armimp_common.heartbeat import HeartbeatMonitor
-from armimp_common.pubsub import (
-    CommandPublisher,
-    subscribe_commands,
-    wait_for_partners,
-)
+from armimp_common.pubsub import CommandPublisher, subscribe_commands, wait_for_partners
 from support.graph import eventually, raised
 
 

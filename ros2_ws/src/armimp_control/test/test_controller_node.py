@@ -24,15 +24,7 @@ from armimp_common.status import (
 from armimp_common.topics import ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
 from armimp_control.node import ImbicControllerNode
 from armimp_control.safety_limiter import SafetyParameters
-from support.controller import (
-    FAILURE,
-    NAMES,
-    POSTURE,
-    SUCCESS,
-    ask,
-    controller_parameters,
-    wobble,
-)
+from support.controller import FAILURE, NAMES, POSTURE, SUCCESS, ask, controller_parameters, wobble
 from support.graph import (
     CLOCK_STEPS,
     HandedClock,
