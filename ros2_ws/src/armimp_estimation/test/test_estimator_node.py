@@ -1,7 +1,7 @@
 """The estimator node over real DDS, fed by a script: results, faults, parameters, life cycle."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -101,10 +101,13 @@ class Desk:
         """Publish messages no faster than they are received."""
         sent = list(messages)
         for start in range(0, len(sent), CHUNK):
-            wanted = self.echoes + len(sent[start : start + CHUNK])
-            for topic, _, raw in sent[start : start + CHUNK]:
-                self.publishers[topic].publish(raw)
-            self.eventually(lambda wanted=wanted: self.echoes >= wanted, "echoes")
+            self.send(sent[start : start + CHUNK])
+
+    def send(self, messages: Sequence[Message]) -> None:
+        wanted = self.echoes + len(messages)
+        for topic, _, raw in messages:
+            self.publishers[topic].publish(raw)
+        self.eventually(lambda: self.echoes >= wanted, "echoes")
 
     def eventually(self, condition: Callable[[], bool], what: str) -> None:
         eventually(self.spinner, condition, what)
