@@ -1,7 +1,5 @@
 """The experiment on the driver template, with the sensors of a real rig: calibration decides."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

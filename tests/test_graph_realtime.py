@@ -4,8 +4,6 @@ How quick the machine is must decide nothing here: what is reported has to agree
 recorded, and watchdogs are so patient that only a process which is stopped wakes them.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import time

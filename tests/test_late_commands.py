@@ -3,8 +3,6 @@
 Rig and controller without ROS, on a clock that is moved by hand, so the machine does not matter.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The law on the plant: targets shown, joints held, also from afar, and stops that do not push."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Literal

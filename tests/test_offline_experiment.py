@@ -1,7 +1,5 @@
 """The experiment without ROS: reproducible to the bit, alone or side by side."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pages: their links lead somewhere, hazards name their tests, and pictures are up to date."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections import Counter

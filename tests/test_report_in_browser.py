@@ -1,7 +1,5 @@
 """Reports in a real browser: drawn without a word of complaint, and without the network."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What somebody else in the same domain can do to an experiment: end it, never spoil its result."""
 
-from __future__ import annotations
-
 import random
 from collections import Counter
 from collections.abc import Sequence

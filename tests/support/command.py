@@ -1,7 +1,5 @@
 """Calling the command line as a user does, and what is promised about its complaints, for tests."""
 
-from __future__ import annotations
-
 import contextlib
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """A controller's parameters for short trials, and stand-ins for whom it talks with."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from typing import Any

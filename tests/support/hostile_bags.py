@@ -4,8 +4,6 @@ Every function takes an empty directory and returns what stands after ``armimp``
 it was is in ``witness`` beside the directory. All but the links are below 10 MB.
 """
 
-from __future__ import annotations
-
 import os
 import resource
 import signal

@@ -1,7 +1,5 @@
 """Laws that a controller has by a preset, and limiters of nothing but the torque."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Plants for tests, and the equations of motion in plain numpy."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Processes of this machine: run, found by their command line, waited for, their precedence."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time

@@ -1,7 +1,5 @@
 """Results and studies on disk, for tests of whatever shows them."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor

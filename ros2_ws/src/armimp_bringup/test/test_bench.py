@@ -1,7 +1,5 @@
 """`armimp bench`: figures, targets, and what cannot be measured."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """The context of a graph: domain, environment, and what the orchestrator hears in it."""
 
-from __future__ import annotations
-
 import os
 import socket
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`armimp reproduce`: exit status, what it prints, and one clear line for wrong usage."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

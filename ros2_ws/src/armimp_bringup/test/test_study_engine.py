@@ -1,7 +1,5 @@
 """Conditions of a study and their batches: the same results wherever they run."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import sys

@@ -1,7 +1,5 @@
 """What a study leaves: its files, its report, and its figures of the numbers they are given."""
 
-from __future__ import annotations
-
 import html
 import re
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Real time: deadlines, statistics of timing, precedence of a process."""
 
-from __future__ import annotations
-
 import gc
 import math
 import os

@@ -1,7 +1,5 @@
 """The laws against plain transcriptions of their equations, and their behaviour at the edges."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol

@@ -1,7 +1,5 @@
 """What the safety limiter promises for every output, whatever comes in: random sequences."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

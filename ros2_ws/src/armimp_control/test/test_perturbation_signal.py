@@ -1,7 +1,5 @@
 """Perturbations: noise, multisines and optimal ones, and the low-pass of the first."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

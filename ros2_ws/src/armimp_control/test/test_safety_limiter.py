@@ -1,7 +1,5 @@
 """The safety limiter: each limit with each action, the ramp, what is not finite."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The check of sampled stability, against the loop itself on a rig of pure inertia."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The controller without ROS: phases, perturbation, faults, tare, early ends, samples in pairs."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Drift of a trial's signals: found beside what the perturbation does, and taken out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

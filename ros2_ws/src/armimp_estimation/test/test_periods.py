@@ -1,7 +1,5 @@
 """Perturbations that repeat themselves: found as recorded, and estimated from whole periods."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Torques that are read late, filtered or before the update: what that does, and its cure."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The plant: its integration, equations of motion, friction, lanes, and what is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

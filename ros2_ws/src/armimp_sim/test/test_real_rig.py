@@ -1,7 +1,5 @@
 """Transducers and drives of a real rig: each imperfection against its closed form."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any

@@ -1,7 +1,5 @@
 """Presets: the paper's tables, what the design assumes, and one to seven joints."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -4,8 +4,6 @@ That packed values give the bits of single floats, whole experiments show: those
 ``test_offline_experiment.py``, side by side and alone.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
