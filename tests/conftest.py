@@ -18,10 +18,11 @@ from armimp_bringup.config import CheckOptions, ExperimentConfig
 from armimp_bringup.driver_check import Finding
 from armimp_bringup.driver_check.checker import probe
 from armimp_bringup.driver_check.rules import judge
-from armimp_bringup.graph import DomainClaim
+from armimp_bringup.nodes import MODULES
 from armimp_bringup.orchestrator import run_experiment
 from armimp_estimation.summary import SUMMARY_FILE, read_summary
-from support.graph import PATIENCE, hosted
+from support.graph import PATIENCE, free_domain, hosted
+from support.places import SOURCES
 from support.runs import FinishedRun, Run
 
 
@@ -62,9 +63,9 @@ def composed(run: Run) -> FinishedRun:
 def driver_domain(environment: None, monkeypatch: pytest.MonkeyPatch) -> int:
     """A domain that is free: who checks a driver will claim it, not the test."""
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    with DomainClaim() as claim:
-        monkeypatch.setenv("ROS_DOMAIN_ID", str(claim.domain_id))
-        return claim.domain_id
+    domain_id = free_domain()
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain_id))
+    return domain_id
 
 
 @pytest.fixture
@@ -90,6 +91,20 @@ def start(driver_domain: int) -> Iterator[Callable[..., "subprocess.Popen[bytes]
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
+
+
+@pytest.fixture
+def start_node(
+    start: Callable[..., "subprocess.Popen[bytes]"],
+) -> Callable[[str], "subprocess.Popen[bytes]"]:
+    """Starts a node with its own default parameters."""
+
+    def run(name: str) -> "subprocess.Popen[bytes]":
+        (module,) = MODULES[name]
+        parameters = SOURCES[module.partition(".")[0]] / "config" / f"{name}.yaml"
+        return start(["-m", module], "--params-file", str(parameters))
+
+    return run
 
 
 @pytest.fixture

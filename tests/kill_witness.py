@@ -19,6 +19,7 @@ from lifecycle_msgs.msg import TransitionEvent
 from rclpy.context import Context
 from rclpy.node import Node
 
+from armimp_bringup.nodes import NODES
 from armimp_common import qos, topics
 from armimp_common.errors import GraphError
 from armimp_common.executor import run_node, steady_timer
@@ -30,10 +31,9 @@ from armimp_common.pubsub import (
     wait_for_partners,
 )
 from armimp_common.status import values_of
-from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
+from armimp_common.topics import SIM_NODE
 from support.graph import raised
 
-NODES = (SIM_NODE, CONTROLLER_NODE, ESTIMATOR_NODE)
 JOINTS = ("shoulder", "elbow")
 _MOVING = 300
 """Samples of a perturbation: three times as many as a bag may lack."""

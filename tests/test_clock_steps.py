@@ -1,7 +1,5 @@
 """Somebody sets the wall clock while an experiment runs: nothing waits longer, no bit differs."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -13,13 +13,11 @@ from armimp_common.executor import Spinner
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.topics import SIM_NODE
 from support.graph import PATIENCE
+from support.places import PACKAGES, SOURCES
 from support.processes import run_python
 
 pytestmark = pytest.mark.slow
 
-ROOT = Path(__file__).resolve().parents[1]
-FOLDERS = (ROOT / "ros2_ws" / "src", ROOT / "examples")
-SOURCES = {path.parent.name: path.parent for one in FOLDERS for path in one.glob("*/package.xml")}
 SHARED = ("config", "layouts", "urdf")
 
 
@@ -30,7 +28,7 @@ def install(tmp_path_factory: pytest.TempPathFactory) -> Path:
     places = ["--build-base", str(root / "build"), "--install-base", str(root / "install")]
     # By the module, so that the interpreter of this test becomes that of the executables.
     command = ["-m", "colcon", "--log-base", str(root / "log"), "build", *places]
-    run_python(*command, "--base-paths", *map(str, FOLDERS), cwd=root)
+    run_python(*command, "--base-paths", *map(str, SOURCES.values()), cwd=root)
     return root / "install"
 
 
@@ -43,7 +41,7 @@ def content(folder: Path) -> dict[Path, bytes]:
     }
 
 
-@pytest.mark.parametrize("package", sorted(SOURCES))
+@pytest.mark.parametrize("package", PACKAGES)
 def test_every_package_is_installed_where_ros_looks(install: Path, package: str) -> None:
     prefix, source = install / package, SOURCES[package]
     share = prefix / "share" / package

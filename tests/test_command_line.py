@@ -18,7 +18,6 @@ import numpy as np
 import pyte
 import pytest
 
-from armimp_bringup.cli import main
 from armimp_bringup.config import ExperimentConfig
 from armimp_common.topics import TRIAL
 from armimp_estimation.bags import read_bag
@@ -94,20 +93,11 @@ def bags(directory: Path) -> list[str]:
     return sorted(str(path) for path in (directory / "bags").iterdir())
 
 
-def printed(capfd: pytest.CaptureFixture[str]) -> dict[str, Any]:
-    loaded: dict[str, Any] = json.loads(capfd.readouterr().out)
-    return loaded
-
-
-def estimated_and_replayed(
-    capfd: pytest.CaptureFixture[str], *bags: str
-) -> tuple[dict[str, Any], dict[str, Any]]:
+def estimated_and_replayed(*bags: str) -> tuple[dict[str, Any], dict[str, Any]]:
     """What both commands print of bags, which must be of one verdict."""
-    capfd.readouterr()
-    status = main(["estimate", *bags, "--json"])
-    estimated = printed(capfd)
-    assert main(["replay", *bags, "--json"]) == status
-    return estimated, printed(capfd)
+    estimated, replayed = (call(command, *bags, "--json") for command in ("estimate", "replay"))
+    assert estimated.status == replayed.status
+    return json.loads(estimated.out), json.loads(replayed.out)
 
 
 def test_a_run_leaves_bags_summary_curves_figure_and_parameters(seen: Seen) -> None:
@@ -137,11 +127,11 @@ def test_a_run_leaves_bags_summary_curves_figure_and_parameters(seen: Seen) -> N
 
 
 def test_estimate_and_replay_give_the_numbers_of_the_live_run_to_the_last_digit(
-    seen: Seen, capfd: pytest.CaptureFixture[str]
+    seen: Seen,
 ) -> None:
     live = json.loads((seen.directory / "summary.json").read_text())
 
-    estimated, replayed = estimated_and_replayed(capfd, *bags(seen.directory))
+    estimated, replayed = estimated_and_replayed(*bags(seen.directory))
 
     assert estimated["estimators"] == live["estimators"]
     assert replayed["estimators"] == live["estimators"]
@@ -150,15 +140,13 @@ def test_estimate_and_replay_give_the_numbers_of_the_live_run_to_the_last_digit(
     assert estimated["valid"] is True
 
 
-def test_a_recording_without_trial_statuses_is_replayed_too(
-    seen: Seen, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_recording_without_trial_statuses_is_replayed_too(seen: Seen, tmp_path: Path) -> None:
     copies = []
     for bag in bags(seen.directory):
         untold = (one for one in iterate_messages(Path(bag)) if one[0] != TRIAL)
         copies.append(str(write_bag(tmp_path / Path(bag).name, untold, {})))
 
-    estimated, replayed = estimated_and_replayed(capfd, *copies)
+    estimated, replayed = estimated_and_replayed(*copies)
 
     assert estimated["valid"] is True
     assert replayed["estimators"] == estimated["estimators"]
@@ -167,7 +155,7 @@ def test_a_recording_without_trial_statuses_is_replayed_too(
 
 
 def test_recordings_that_were_cut_are_estimated_and_replayed_to_one_verdict(
-    seen: Seen, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    seen: Seen, tmp_path: Path
 ) -> None:
     copies = []
     for bag in bags(seen.directory):
@@ -175,7 +163,7 @@ def test_recordings_that_were_cut_are_estimated_and_replayed_to_one_verdict(
         left = messages[: -len(messages) // 8]
         copies.append(str(write_bag(tmp_path / Path(bag).name, left, {})))
 
-    estimated, replayed = estimated_and_replayed(capfd, *copies)
+    estimated, replayed = estimated_and_replayed(*copies)
 
     assert replayed["estimators"] == estimated["estimators"] != {}
     assert replayed["problems"] == estimated["problems"]
@@ -184,11 +172,12 @@ def test_recordings_that_were_cut_are_estimated_and_replayed_to_one_verdict(
 
 
 def test_help_of_run_states_the_defaults_of_the_configuration(
-    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")
-    assert main(["run", "-h"]) == 0
-    text = " ".join(capfd.readouterr().out.split())
+    told = call("run", "-h")
+    assert told.status == 0
+    text = " ".join(told.out.split())
     for name in ("friction", "resolution", "perturbation", "duration", "seed", "mode", "joints"):
         default = ExperimentConfig.model_fields[name].default
         shown = f"{default:g}" if isinstance(default, float) else str(default)

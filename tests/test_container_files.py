@@ -2,15 +2,14 @@
 
 import os
 import re
-from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
+from support.places import ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
 DOCKER = ROOT / "docker"
 DOCKERFILES = ("Dockerfile", "ros.Dockerfile")
 INSIDE = "/opt/armimp/src/"

@@ -1,7 +1,5 @@
 """The experiment on the driver template, with the sensors of a real rig: calibration decides."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,7 +19,6 @@ from armimp_estimation.scores import vaf
 from armimp_sim.presets import human_arm
 from support.synthetic_trials import made_estimate, worst_errors
 
-SOURCES = Path(__file__).resolve().parents[1] / "ros2_ws" / "src"
 pytestmark = [pytest.mark.usefixtures("environment"), pytest.mark.slow]
 
 MOCK = {
@@ -63,14 +60,13 @@ def figures(told: Result) -> dict[str, float]:
 
 @pytest.mark.timeout(900)
 def test_offset_drift_delay_filter_and_lag_are_calibrated_out_or_found(
-    start: Callable[..., object], tmp_path: Path
+    start: Callable[..., object], start_node: Callable[[str], object], tmp_path: Path
 ) -> None:
     """The row of `lpm_full` but for the coherence, which leakage lowers in trials this short."""
     options = [part for name, value in MOCK.items() for part in ("-p", f"{name}:={value}")]
     start(["-m", "armimp_driver_template.node"], *options)
-    for node, package in ((CONTROLLER_NODE, "control"), (ESTIMATOR_NODE, "estimation")):
-        path = SOURCES / f"armimp_{package}/config/{node}.yaml"
-        start(["-m", f"armimp_{package}.node"], "--params-file", str(path))
+    for node in (CONTROLLER_NODE, ESTIMATOR_NODE):
+        start_node(node)
     config = {"duration": 15.0, "processes": "external", **CALIBRATION}
     summary = run_experiment(ExperimentConfig.model_validate(config), tmp_path / "out").summary
 

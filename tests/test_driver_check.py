@@ -17,7 +17,6 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_system_default
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from armimp_bringup.cli import main
 from armimp_bringup.config import CheckOptions
 from armimp_bringup.driver_check import Finding, Outcome, with_outcome
 from armimp_bringup.driver_check.command import ask
@@ -32,7 +31,7 @@ from armimp_ros2_control.node import EFFORTS, STATES
 from armimp_sim.node import ArmSimNode
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.simulator import SimulatedRig
-from support.command import interrupted, program
+from support.command import interrupted, program, refused
 from support.graph import PATIENCE
 from support.processes import wait_until
 
@@ -116,18 +115,13 @@ class InUse(ArmSimNode):
     [(InUse, "the driver is in use: /arm_sim commands it"), (None, "no driver: neither")],
 )
 def test_when_there_is_nothing_to_check_expect_one_line_and_status_one(
-    host: Start,
-    driver_domain: int,
-    defect: type[ArmSimNode] | None,
-    words: str,
-    capfd: pytest.CaptureFixture[str],
+    host: Start, driver_domain: int, defect: type[ArmSimNode] | None, words: str
 ) -> None:
     if defect is not None:
         host(defect)
-    assert main(["check-driver", "--domain-id", str(driver_domain)]) == 1
-    said = capfd.readouterr().err
-    assert words in said
-    assert said.count("\n") == 1
+    told = refused("check-driver", "--domain-id", str(driver_domain))
+    assert told.status == 1
+    assert words in told.err
 
 
 @pytest.mark.parametrize(("answer", "allowed"), [("yes\n", True), ("y\n", False), ("", False)])

@@ -1,7 +1,5 @@
 """docs/drivers.md says what the driver template, the driver check and the bridge do."""
 
-from pathlib import Path
-
 from armimp_bringup.config import CheckOptions
 from armimp_bringup.driver_check import Ending, Moves, Record
 from armimp_bringup.driver_check.command import report
@@ -10,8 +8,8 @@ from armimp_common.schema import leaves
 from armimp_driver_template.parameters import DriverParameters
 from armimp_ros2_control.parameters import BridgeParameters
 from support.pages import markdown_tables
+from support.places import ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / "docs" / "drivers.md").read_text(encoding="utf-8")
 
 

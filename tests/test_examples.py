@@ -13,13 +13,13 @@ from pathlib import Path
 
 import pytest
 
-from armimp_bringup.graph import DomainClaim
 from armimp_bringup.replay import BagPlayer, replay_bags
 from armimp_estimation.bags import BagContent
+from support.graph import free_domain
+from support.places import ROOT
 
 pytestmark = pytest.mark.slow
 
-ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 BY_NUMBER = {path.name[:2]: path for path in EXAMPLES}
 
@@ -71,9 +71,7 @@ def test_the_reader_of_a_bag_needs_nothing_of_this_project() -> None:
 
 
 def test_a_node_hears_the_results(ran: tuple[Path, str], monkeypatch: pytest.MonkeyPatch) -> None:
-    with DomainClaim() as claim:
-        domain = claim.domain_id
-    heard: list[str] = []
+    domain, heard = free_domain(), list[str]()
     play = BagPlayer.play
 
     def play_and_wait(player: BagPlayer, bag: BagContent, should_stop: Callable[[], bool]) -> None:

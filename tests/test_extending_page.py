@@ -3,16 +3,15 @@
 import os
 import re
 import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
 
-from support.processes import run_python
+from support.places import ROOT
+from support.processes import run_program, run_python
 
 pytestmark = pytest.mark.slow
 
-ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 NEW_FILES = re.findall(r"New file `([^`]+)`:\n\n```python\n(.*?)^```$", PAGE, re.M | re.S)
 PATCHES = re.findall(r"^```diff\n(.*?)^```$", PAGE, re.M | re.S)
@@ -46,10 +45,7 @@ def extended(tmp_path_factory: pytest.TempPathFactory) -> Path:
         assert not (copy / name).exists(), name
         (copy / name).write_text(text, encoding="utf-8")
     for patch in PATCHES:
-        done = subprocess.run(
-            ["git", "apply"], cwd=copy, input=patch, text=True, capture_output=True, check=False
-        )
-        assert done.returncode == 0, f"correct the page: {done.stderr}"
+        run_program("git", "apply", cwd=copy, input=patch)
     python(copy, "scripts/write_generated.py")
     return copy
 

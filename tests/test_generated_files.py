@@ -7,9 +7,7 @@ from write_generated import generated
 
 from armimp_bringup.config import ExperimentConfig, load_config
 from armimp_bringup.parameters import node_parameters
-
-ROOT = Path(__file__).resolve().parents[1]
-
+from support.places import ROOT
 
 GENERATED = generated()
 

@@ -10,32 +10,20 @@ import pytest
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.graph import external_domain
+from armimp_bringup.nodes import NODES
 from armimp_bringup.orchestrator import run_experiment
 from armimp_common.errors import ConfigurationError
 from armimp_common.status import Progress
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 from support.runs import FinishedRun
 
-SOURCES = Path(__file__).resolve().parents[1] / "ros2_ws" / "src"
-PACKAGES = {
-    SIM_NODE: "armimp_sim",
-    CONTROLLER_NODE: "armimp_control",
-    ESTIMATOR_NODE: "armimp_estimation",
-}
 pytestmark = pytest.mark.usefixtures("environment")
 Processes = dict[str, subprocess.Popen[bytes]]
 
 
 @pytest.fixture
-def started(start: Callable[..., subprocess.Popen[bytes]]) -> Processes:
-    """The three nodes, each as somebody else would start it: with its own default parameters."""
-    return {
-        name: start(
-            ["-m", f"{package}.node"],
-            *("--params-file", str(SOURCES / package / "config" / f"{name}.yaml")),
-        )
-        for name, package in PACKAGES.items()
-    }
+def started(start_node: Callable[[str], subprocess.Popen[bytes]]) -> Processes:
+    return {name: start_node(name) for name in NODES}
 
 
 def config(**options: Any) -> ExperimentConfig:

@@ -16,13 +16,15 @@ from typing import Any
 
 import pytest
 
-from armimp_bringup.graph import LOOPBACK, DomainClaim
+from armimp_bringup.graph import LOOPBACK
+from armimp_bringup.nodes import MODULES, NODES
 from armimp_common.status import Phase, TrialStatus
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
 from armimp_estimation.bags import read_bag
 from support.bag_files import assert_other_readers_open
 from support.command import program
 from support.fault_figures import Figures
+from support.graph import free_domain
 from support.processes import processes_of, wait_until
 
 LIMIT = 0.2
@@ -30,7 +32,6 @@ LIMIT = 0.2
 LOST = 100
 """Samples before a death that the bag may lack (safety requirement: 100 ms)."""
 PATIENCE = 200.0
-NODES = (SIM_NODE, CONTROLLER_NODE, ESTIMATOR_NODE)
 MOMENTS = int(os.environ.get("ARMIMP_KILL_MOMENTS", "1"))
 """Random moments in each phase for the long version."""
 REACH = {
@@ -39,11 +40,6 @@ REACH = {
 }
 """Of the witness: that of the graph."""
 SHARED = Path(__file__).parent
-MODULES = {
-    SIM_NODE: "armimp_sim.node",
-    CONTROLLER_NODE: "armimp_control.node",
-    ESTIMATOR_NODE: "armimp_estimation.node",
-}
 TRANSITIONS = ("configuring", "activating")
 """Of the victim, but where it is the orchestrator."""
 
@@ -103,8 +99,7 @@ def kill(
     For the time `blind` (s) the orchestrator is stopped: nodes must manage without. Trials are to
     last so long (s) that the phase is not over by then.
     """
-    with DomainClaim() as claim:
-        domain = str(claim.domain_id)
+    domain = str(free_domain())
     # The graph itself does as it does by default.
     environment = {name: value for name, value in os.environ.items() if name not in REACH}
     out, errors = directory / "out", directory / "errors"
@@ -120,7 +115,7 @@ def kill(
 
             def there() -> bool:
                 assert experiment.poll() is None, errors.read_text()
-                processes.update((name, processes_of(one, out)) for name, one in MODULES.items())
+                processes.update((name, processes_of(*one, out)) for name, one in MODULES.items())
                 return all(processes.values())
 
             wait_until(there, "the processes of all nodes")
@@ -203,8 +198,7 @@ def assert_recorded(done: Kill, figures: Figures) -> None:
     before = [stamp_ns for moment, stamp_ns in done.seen["stamps"] if moment < done.time]
     samples = sum(stamp_ns >= start_ns for stamp_ns in before)
     bag = sorted((done.directory / "bags").iterdir())[-1]
-    if done.victim != SUPERVISOR_NODE:  # who finishes the bag of a recorder that died
-        assert_other_readers_open(bag)
+    assert_other_readers_open(bag)
     if samples > LOST:
         (trial,) = read_bag(bag).trials
         assert trial.record is not None

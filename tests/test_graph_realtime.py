@@ -4,8 +4,6 @@ How quick the machine is must decide nothing here: what is reported has to agree
 recorded, and watchdogs are so patient that only a process which is stopped wakes them.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import time
@@ -14,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.nodes import MODULES
 from armimp_bringup.orchestrator import run_experiment
 from armimp_common.heartbeat import Presence
 from armimp_common.status import Progress
@@ -27,7 +26,6 @@ PATIENCE = 100
 """Periods after which watchdogs take the torque away: as many as can be chosen."""
 HELD = 0.4
 """For how long a process is stopped (s): four times as long."""
-MODULES = {SIM_NODE: "armimp_sim.node", CONTROLLER_NODE: "armimp_control.node"}
 pytestmark = pytest.mark.usefixtures("environment")
 
 
@@ -78,7 +76,7 @@ def test_when_one_side_is_held_up_for_long_expect_the_other_to_end_the_run(
 
     def on_progress(progress: Progress) -> None:
         if not held:
-            held.extend(processes_of(MODULES[node], directory))
+            held.extend(processes_of(*MODULES[node], directory))
             os.kill(held[0], signal.SIGSTOP)
             time.sleep(HELD)
             os.kill(held[0], signal.SIGCONT)

@@ -9,7 +9,6 @@ from rclpy.context import Context
 from rclpy.node import Node
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.graph import DomainClaim
 from armimp_bringup.orchestrator import run_experiment
 from armimp_common import qos
 from armimp_common.status import Level, Progress, values_of
@@ -18,7 +17,7 @@ from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.node import ImpedanceEstimatorNode
 from armimp_estimation.problems import Problem
 from armimp_estimation.spectra import segment_for_samples, step_of
-from support.graph import hosted
+from support.graph import free_domain, hosted
 from support.processes import wait_until
 from support.runs import FinishedRun
 from support.telling import tell_by_samples
@@ -60,8 +59,7 @@ class Account:
 @pytest.fixture(scope="module")
 def account(environment: None, tmp_path_factory: pytest.TempPathFactory) -> Account:
     directory = tmp_path_factory.mktemp("run") / "out"
-    with DomainClaim() as claim:
-        domain_id = claim.domain_id
+    domain_id = free_domain()
     progress: list[Progress] = []
     estimated: list[str] = []
     on_trial = ImpedanceEstimatorNode._on_trial

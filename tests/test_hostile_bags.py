@@ -1,7 +1,5 @@
 """Files made to harm: one line or a result, in bounded memory and time; nothing else touched."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

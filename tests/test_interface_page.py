@@ -1,7 +1,5 @@
 """The tables of docs/interfaces.md which are written by hand say what the code does."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterable

@@ -15,19 +15,12 @@ from armimp_bringup.nodes import NODES
 from armimp_common.process import endpoints
 from armimp_estimation.summary import read_summary
 from support.command import program
+from support.graph import CHOICES
 from support.processes import wait_until
 from support.runs import FinishedRun, Run
 
 pytestmark = pytest.mark.slow
 
-CHOICES = (
-    "ROS_DOMAIN_ID",
-    "ROS_AUTOMATIC_DISCOVERY_RANGE",
-    "ROS_LOCALHOST_ONLY",
-    "ROS_STATIC_PEERS",
-    "FASTRTPS_DEFAULT_PROFILES_FILE",
-)
-"""Variables by which a user chooses who can hear an experiment."""
 PATIENCE = 120.0
 
 

@@ -3,18 +3,16 @@
 Rig and controller without ROS, on a clock that is moved by hand, so the machine does not matter.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from pydantic import JsonValue
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import simulate
 from armimp_bringup.parameters import NodeParameters, node_parameters
+from armimp_common.arrays import FloatArray
 from armimp_common.realtime import Pacer, TimingLimits
 from armimp_common.status import Phase, TrialStatus
 from armimp_common.topics import PERIOD, PERIOD_NS
@@ -69,7 +67,7 @@ class ClosedLoop:
         self._statuses: list[TrialStatus] = []
         self.controller = TrialSequencer(parameters.controller, self._statuses.append)
         self.rig = SimulatedRig(parameters.simulator)
-        self._ticks: list[list[NDArray[np.float64]]] = []
+        self._ticks: list[list[FloatArray]] = []
 
     def answer(self) -> tuple[float, ...] | None:
         """Answer the present sample by a command (n,), N·m; None once the experiment is over."""

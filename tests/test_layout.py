@@ -9,12 +9,9 @@ from xml.etree import ElementTree
 
 import pytest
 
+from support.places import PACKAGES, ROOT, SOURCES
 from support.processes import run_python
 
-ROOT = Path(__file__).resolve().parents[1]
-FOLDERS = (ROOT / "ros2_ws" / "src", ROOT / "examples")
-SOURCES = {path.parent.name: path.parent for one in FOLDERS for path in one.glob("*/package.xml")}
-PACKAGES = sorted(SOURCES)
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 ROWS = dict(re.findall(r"^\| `(armimp\w*)` \| [^|]+ \| ([^|]+) \|$", PAGE, flags=re.MULTILINE))
 ALLOWED = {package: set(re.findall(r"`(\w+)`", cell)) for package, cell in ROWS.items()}

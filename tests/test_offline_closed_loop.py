@@ -1,18 +1,16 @@
 """The law on the plant: targets shown, joints held, also from afar, and stops that do not push."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import run_offline, simulate
 from armimp_bringup.parameters import node_parameters
+from armimp_common.arrays import FloatArray as Array
 from armimp_control import presets as control_presets
 from armimp_control.laws import Law
 from armimp_control.laws.law import Controller
@@ -24,7 +22,6 @@ from armimp_sim.plant import Plant
 from support.laws import preset_law, torque_only
 from support.plants import study_plant
 
-Array = NDArray[np.float64]
 PERIOD = 1e-3
 TORQUE_ONLY = torque_only(80.0)
 

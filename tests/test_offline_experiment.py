@@ -1,15 +1,13 @@
 """The experiment without ROS: reproducible to the bit, alone or side by side."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from armimp_bringup.offline import run_offline
 from armimp_bringup.parameters import NodeParameters
+from armimp_common.arrays import FloatArray as Array
 from armimp_common.errors import DataError
 from armimp_control.safety_limiter import Action
 from armimp_estimation.record import TrialRecord
@@ -17,8 +15,6 @@ from armimp_sim.dynamics import WIDTH
 from armimp_sim.presets import human_arm
 from support.compiled import brief_rig
 from support.laws import torque_only
-
-Array = NDArray[np.float64]
 
 
 def _arrays(trial: TrialRecord) -> Array:

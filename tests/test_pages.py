@@ -1,7 +1,5 @@
 """Pages: their links lead somewhere, hazards name their tests, and pictures are up to date."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections import Counter
@@ -11,27 +9,11 @@ from pathlib import Path
 import make_pictures
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+from support.places import ROOT
+from support.processes import run_program
+
 # Folders of tools, environments and results hold pages of others.
-FOLDERS = (
-    ".",
-    "benchmarks",
-    "docs",
-    "docker",
-    "examples",
-    "research",
-    "ros2_ws/src",
-    "scripts",
-    "tests",
-)
-PAGES = sorted(
-    {
-        path.relative_to(ROOT)
-        for folder in FOLDERS
-        for path in (ROOT / folder).glob("*.md" if folder == "." else "**/*.md")
-        if not any(part.startswith(".") for part in path.relative_to(ROOT).parts)
-    }
-)
+PAGES = sorted(map(Path, run_program("git", "ls-files", "*.md", cwd=ROOT).splitlines()))
 
 
 def text_of(page: Path) -> str:

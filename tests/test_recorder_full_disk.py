@@ -19,7 +19,7 @@ from armimp_estimation.bags import BagWriter
 from armimp_estimation.bags.reader import BAGS
 from armimp_estimation.bags.writer import finish_bag
 from armimp_estimation.recorder import TrialRecorder
-from support.bag_files import assert_other_readers_open, iterate_messages
+from support.bag_files import assert_other_readers_open, iterate_messages, write_all
 from support.streams import record
 from support.synthetic_bags import synthetic_recording
 from support.telling import tell_by_samples
@@ -96,8 +96,7 @@ def test_wherever_writing_stops_the_file_holds_whole_records_only(
     tmp_path: Path, room: int, room_at_the_end: int
 ) -> None:
     writer = BagWriter(tmp_path / "bag", metadata={})
-    for topic, time, raw in MESSAGES[:10]:
-        writer.write(topic, raw, time)
+    write_all(writer, MESSAGES[:10])
     limited = LimitedFile(writer._file, room)
     writer._file = limited  # type: ignore[assignment]
     written = 10

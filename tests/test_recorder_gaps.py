@@ -4,13 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from armimp_bringup.cli import main
 from armimp_common.cdr import decode_trial_status, encode_trial_status
 from armimp_common.status import Phase
 from armimp_common.topics import PERIOD_NS, TORQUE_SENSORS, TRIAL
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.summary import FRF_FILE, SUMMARY_FILE, read_summary
 from support.bag_files import write_bag
+from support.command import call
 from support.streams import changed
 from support.synthetic_bags import recorded_arm
 
@@ -46,25 +46,27 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> Bags:
 @pytest.mark.parametrize("command", ["estimate", "replay"])
 @pytest.mark.parametrize(("kind", "reason"), [("gaps", MISSING), ("aborted", f"aborted: {REASON}")])
 def test_without_the_option_the_reason_is_one_line(
-    bags: Bags, kind: str, reason: str, command: str, capfd: pytest.CaptureFixture[str]
+    bags: Bags, kind: str, reason: str, command: str
 ) -> None:
-    assert main([command, bags[kind]]) == 1
-    told = [line for line in capfd.readouterr().err.splitlines() if line.startswith("armimp: ")]
-    assert told == [f"armimp: {bags[kind]}: trial 2: {reason}; --allow-gaps uses the intact parts"]
+    told = call(command, bags[kind])
+    assert told.status == 1
+    lines = [line for line in told.err.splitlines() if line.startswith("armimp: ")]
+    assert lines == [f"armimp: {bags[kind]}: trial 2: {reason}; --allow-gaps uses the intact parts"]
 
 
 @pytest.mark.slow
 def test_with_the_option_an_aborted_trial_is_estimated_up_to_there_but_not_valid(
-    bags: Bags, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    bags: Bags, tmp_path: Path
 ) -> None:
     results = [tmp_path / command for command in ("estimate", "replay")]
     for out in results:
-        assert main([out.name, bags["aborted"], "--allow-gaps", "--out", str(out)]) == 1
+        told = call(out.name, bags["aborted"], "--allow-gaps", "--out", str(out))
+        assert told.status == 1
+        assert told.err.count(f"not valid: trial 2: aborted: {REASON}") == 1
     offline, replayed = ((out / FRF_FILE).read_bytes() for out in results)
     assert offline == replayed
     one, other = (read_summary(out / SUMMARY_FILE) for out in results)
     assert one.estimators == other.estimators
-    assert capfd.readouterr().err.count(f"not valid: trial 2: aborted: {REASON}") == 2
     assert one.problems[0].code is ProblemCode.TRIAL_ABORTED
     assert (one.problems[0].trial, one.problems[0].values) == (2, {"reason": REASON})
     assert BEFORE - 2 <= one.trials[1].ticks <= BEFORE

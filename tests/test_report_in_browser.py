@@ -1,7 +1,5 @@
 """Reports in a real browser: drawn without a word of complaint, and without the network."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,10 +7,10 @@ from typing import Any, Literal
 
 import pytest
 
-from armimp_bringup.cli import main
 from armimp_estimation.report import write_report
 from armimp_estimation.result import load_result
 from support.browser import EXECUTABLE, Browser, started
+from support.command import call
 from support.results import METADATA, make_result
 from support.synthetic_bags import synthetic_recording
 
@@ -183,7 +181,7 @@ CONDITIONS = "friction=0+3,resolution=0+3,perturbation=1+3"
 def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("study") / "out"
     options = ["--duration", "10", "--no-figures", "--only", CONDITIONS, "--seeds", "0:2"]
-    main(["reproduce", "--out", str(directory), *options])
+    call("reproduce", "--out", str(directory), *options)
     return directory
 
 

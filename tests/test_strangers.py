@@ -1,7 +1,5 @@
 """What somebody else in the same domain can do to an experiment: end it, never spoil its result."""
 
-from __future__ import annotations
-
 import random
 from collections import Counter
 from collections.abc import Sequence
@@ -25,7 +23,6 @@ from std_msgs.msg import Float64MultiArray, String, UInt64
 
 from armimp_bringup import orchestrator
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.graph import DomainClaim
 from armimp_bringup.orchestrator import PARAMETERS_FILE, run_experiment
 from armimp_common import qos, topics
 from armimp_common.cdr import CommandEncoder, JointStateEncoder, command_number
@@ -43,7 +40,7 @@ from armimp_common.status import (
 from armimp_estimation.node import RESULT_NAME
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.summary import Summary
-from support.graph import PATIENCE, joined
+from support.graph import PATIENCE, free_domain, joined
 from support.processes import wait_until
 from support.streams import trial_status
 
@@ -185,8 +182,7 @@ ACTS: dict[str, Act] = {
 
 def disturbed(kind: str, directory: Path, moment: str = "during", **options: Any) -> Summary:
     """Run an experiment in which a stranger does this; a composed graph stands still meanwhile."""
-    with DomainClaim() as claim:
-        domain_id = claim.domain_id
+    domain_id = free_domain()
     node, phases, kept = Stranger(domain_id), Counter[Phase](), list[object]()
 
     def on_phase(phase: Phase) -> None:

@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 import zipfile
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 import armimp
+from support.processes import run_program
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = ROOT / "ros2_ws" / "src"
@@ -46,14 +48,7 @@ def test_the_wheel_identifies_an_arm_in_an_empty_environment(tmp_path: Path) -> 
     environment = dict(os.environ)
     for name in ("PYTHONPATH", "LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE"):
         environment.pop(name, None)
-
-    def run(*command: str) -> str:
-        done = subprocess.run(
-            command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
-        )
-        assert done.returncode == 0, done.stdout + done.stderr
-        return done.stdout
-
+    run = partial(run_program, cwd=tmp_path, env=environment)
     checkout = tmp_path / "checkout"
     run("git", "clone", "--quiet", str(ROOT), str(checkout))
     pip = [sys.executable, "-m", "pip", "-qq", "wheel", "--no-deps", "--no-build-isolation"]

@@ -1,7 +1,5 @@
 """`make bench` of runs, of estimates and of the study: structure and sanity of the figures."""
 
-from __future__ import annotations
-
 import json
 from types import ModuleType
 from typing import Any

@@ -1,7 +1,5 @@
 """The studies: what they find with few seeds, and what they leave behind."""
 
-from __future__ import annotations
-
 import csv
 import json
 from collections.abc import Callable

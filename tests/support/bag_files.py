@@ -24,9 +24,13 @@ STORE = get_typestore(Stores.ROS2_JAZZY)
 def write_bag(path: Path, messages: Iterable[Message], metadata: Mapping[str, str]) -> Path:
     """Write a bag as our recorder does."""
     with BagWriter(path, metadata=metadata) as writer:
-        for topic, log_time_ns, raw in messages:
-            writer.write(topic, raw, log_time_ns)
+        write_all(writer, messages)
     return path
+
+
+def write_all(writer: BagWriter, messages: Iterable[Message]) -> None:
+    for topic, log_time_ns, raw in messages:
+        writer.write(topic, raw, log_time_ns)
 
 
 def typed(messages: Iterable[Message], prefix: str = "") -> Iterator[tuple[str, str, int, bytes]]:

@@ -1,14 +1,13 @@
 """Calling the command line as a user does, and what is promised about its complaints, for tests."""
 
-from __future__ import annotations
-
 import contextlib
-import io
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
+from tempfile import TemporaryFile
 from typing import Any
 
 from armimp_bringup.cli import main
@@ -23,12 +22,18 @@ class Told:
     err: str
 
 
+_file = partial(TemporaryFile, "w+", encoding="utf-8", errors="backslashreplace", newline="")
+
+
 def call(*arguments: str) -> Told:
     """Run a command in this process."""
-    out, err = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        status = main(arguments)
-    return Told(status=status, out=out.getvalue(), err=err.getvalue())
+    # In files of the system: the executor of rclpy asks them for their numbers.
+    with _file() as out, _file() as err:
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            status = main(arguments)
+        for file in (out, err):
+            file.seek(0)
+        return Told(status=status, out=out.read(), err=err.read())
 
 
 def refused(*arguments: str) -> Told:

@@ -1,7 +1,5 @@
 """Compiles the simulated rig and the controller, as processes side by side would each do it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any

@@ -1,8 +1,6 @@
 """A controller's parameters for short trials, and stand-ins for whom it talks with."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -16,13 +14,11 @@ from std_srvs.srv import Trigger
 from armimp_common import qos, topics
 from armimp_common.executor import Spinner
 from armimp_common.pubsub import CommandPublisher, subscribe_joint_states, wait_for_partners
-from armimp_common.schema import Value
 from armimp_common.status import Level, values_of
 from armimp_common.topics import JOINT_STATES, TORQUE_SENSORS, VALUE_FIELD
-from armimp_control.node import ImbicControllerNode
 from armimp_control.parameters import ControllerParameters
 from armimp_control.sequence import SequenceParameters
-from support.graph import PATIENCE, Launch, ScriptedDriver, eventually, raised
+from support.graph import PATIENCE, eventually, raised
 
 NAMES = ("shoulder", "elbow")
 POSTURE = tuple(np.radians([62.708, 77.260]).tolist())
@@ -46,20 +42,6 @@ def controller_parameters(
         settle, perturb, rest = (count / 1000 for count in ticks)
         groups["sequence"] = SequenceParameters(duration=perturb, settle=settle, rest=rest)
     return preset.model_copy(update=groups)
-
-
-def active_controller(
-    launch: Launch,
-    driver: ScriptedDriver,
-    parameters: ControllerParameters,
-    changes: Mapping[str, Value] | None = None,
-) -> ImbicControllerNode:
-    """A controller that is active, and that the driver reaches."""
-    controller: ImbicControllerNode = launch(ImbicControllerNode, parameters, changes)
-    assert controller.trigger_configure() is SUCCESS, controller.transition_error
-    assert controller.trigger_activate() is SUCCESS, controller.transition_error
-    driver.wait_for_controller()
-    return controller
 
 
 def wobble(ticks: int) -> list[tuple[tuple[float, ...], tuple[float, ...]]]:
@@ -124,8 +106,11 @@ class ScriptedController:
         found = [one for one in self.diagnostics if one.level == error]
         return [(one.message, values_of(one).get("applied", "")) for one in found]
 
+    def until(self, condition: Callable[[], bool], what: str) -> None:
+        eventually(self.spinner, condition, what)
+
     def await_samples(self, number: int) -> None:
-        eventually(self.spinner, lambda: self.count >= number, f"{number} samples")
+        self.until(lambda: self.count >= number, f"{number} samples")
 
     def command(self, *torque: float) -> None:
         """Command a torque, and wait for the sample that follows."""
@@ -139,7 +124,7 @@ class ScriptedController:
         def found() -> list[tuple[str, str]]:
             return [fault for fault in self.faults if words in fault[0]]
 
-        eventually(self.spinner, lambda: bool(found()), f"the fault {words}")
+        self.until(lambda: bool(found()), f"the fault {words}")
         return found()[0]
 
     def call(self, service: str) -> tuple[bool, str]:

@@ -1,7 +1,5 @@
 """What the tests of faults measured: one line for each hazard at the end of a test run."""
 
-from __future__ import annotations
-
 from collections import Counter, defaultdict
 
 import pytest

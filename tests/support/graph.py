@@ -44,6 +44,15 @@ PATIENCE = 30.0
 MOMENT = 0.2
 """How long to wait for what must not happen (s)."""
 
+CHOICES = (
+    "ROS_AUTOMATIC_DISCOVERY_RANGE",
+    "FASTRTPS_DEFAULT_PROFILES_FILE",
+    "ROS_DOMAIN_ID",
+    "ROS_LOCALHOST_ONLY",
+    "ROS_STATIC_PEERS",
+)
+"""Variables by which a user chooses who can hear an experiment."""
+
 CLOCK_STEPS = (-600.0, 3600.0)
 """By how much somebody sets the clock (s)."""
 
@@ -62,6 +71,12 @@ def domain_id(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     with DomainClaim() as claim:
         monkeypatch.setenv("ROS_DOMAIN_ID", str(claim.domain_id))
         yield claim.domain_id
+
+
+def free_domain() -> int:
+    """A domain that is free, for somebody else to claim."""
+    with DomainClaim() as claim:
+        return claim.domain_id
 
 
 def joined(domain_id: int, *arguments: str) -> Context:

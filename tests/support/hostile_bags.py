@@ -4,8 +4,6 @@ Every function takes an empty directory and returns what stands after ``armimp``
 it was is in ``witness`` beside the directory. All but the links are below 10 MB.
 """
 
-from __future__ import annotations
-
 import os
 import resource
 import signal
@@ -16,6 +14,7 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing, suppress
 from dataclasses import dataclass
+from functools import partial
 from io import BytesIO
 from itertools import count, islice, pairwise
 from multiprocessing import get_context
@@ -187,11 +186,11 @@ MCAP: Final[dict[str, Callable[[], bytes]]] = {
 """What follows the head of the file, whose channels may be told anew."""
 
 
-def _with_content(make: Callable[[], bytes]) -> Attack:
-    return lambda directory: mcap(directory, HEAD, make())
+def with_content(make: Callable[[], bytes], directory: Path) -> Arguments:
+    return mcap(directory, HEAD, make())
 
 
-ATTACKS |= {name: _with_content(make) for name, make in MCAP.items()}
+ATTACKS |= {name: partial(with_content, make) for name, make in MCAP.items()}
 
 
 @attack
@@ -318,18 +317,18 @@ PLACES: Final[dict[str, tuple[str, Attack]]] = {
 """Files by what they are, and what reads them."""
 
 
-def _in_place_of(name: str, make: Callable[[Path], object], arguments: Attack) -> Attack:
-    def attack_with(directory: Path) -> Arguments:
-        found = arguments(directory)
-        make(directory / name)
-        return found
-
-    return attack_with
+def in_place(make: Callable[[Path], object], place: str, directory: Path) -> Arguments:
+    name, attack_on = PLACES[place]
+    arguments = attack_on(directory)
+    make(directory / name)
+    return arguments
 
 
-for _place, (_name, _arguments) in PLACES.items():
-    for _kind, _make in KINDS.items():
-        ATTACKS[f"{_kind} as {_place}"] = _in_place_of(_name, _make, _arguments)
+ATTACKS |= {
+    f"{kind} as {place}": partial(in_place, make, place)
+    for place in PLACES
+    for kind, make in KINDS.items()
+}
 
 
 # --- directories ------------------------------------------------------------------------------

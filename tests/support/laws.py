@@ -1,12 +1,10 @@
 """Laws that a controller has by a preset, and limiters of nothing but the torque."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray
 from armimp_control.laws import Law
 from armimp_control.parameters import ControllerParameters
 from armimp_control.presets import LawName
@@ -19,8 +17,8 @@ POSTURE = np.array([1.0945, 1.3484])
 
 
 def preset_law(
-    robot_inertia: NDArray[np.float64],
-    posture: NDArray[np.float64],
+    robot_inertia: FloatArray,
+    posture: FloatArray,
     law: LawName = "observer",
     encoder_resolution: float = 0.0,
 ) -> Law:
@@ -59,7 +57,7 @@ def torque_only(limit: float) -> SafetyParameters:
     )
 
 
-def within_torque(command: NDArray[np.float64], limit: float) -> NDArray[np.float64]:
+def within_torque(command: FloatArray, limit: float) -> FloatArray:
     """What is left of a command (n,), N·m, that asks some joint for more than the limit."""
     share = max(1.0, float(np.max(np.abs(command))) / limit)
     return np.asarray(command / share)

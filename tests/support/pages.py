@@ -33,9 +33,6 @@ class Page(HTMLParser):
         elif self._open != "style":
             self.words += data + " "
 
-    def ids(self) -> list[str]:
-        return [attributes["id"] or "" for _, attributes in self.elements if "id" in attributes]
-
 
 def markdown_tables(page: str) -> dict[str, list[list[dict[str, str]]]]:
     """The tables under each heading, by its text without number and backticks; rows by column."""

@@ -1,13 +1,11 @@
 """Plants for tests, and the equations of motion in plain numpy."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray as Array
 from armimp_common.topics import PERIOD
 from armimp_sim import dynamics, presets
 from armimp_sim.model.arm import HumanArm
@@ -17,8 +15,6 @@ from armimp_sim.model.sensors import SensorParameters
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import Plant, read
 from armimp_sim.simulator import SimulatedRig
-
-Array = NDArray[np.float64]
 
 
 def rig(arm: HumanArm, robot: PlanarChain, **parts: Any) -> SimulatorParameters:

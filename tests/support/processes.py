@@ -1,11 +1,10 @@
 """Processes of this machine: run, found by their command line, waited for, their precedence."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +16,15 @@ from armimp_common.realtime import require_precedence
 PRIORITY = 30
 
 
-def run_python(*arguments: str, **options: Any) -> str:
-    """Run Python in a process of its own, which must succeed, and return what it printed."""
-    command = [sys.executable, *arguments]
+def run_program(*command: str, **options: Any) -> str:
+    """Run a program, which must succeed, and return what it printed."""
     done = subprocess.run(command, capture_output=True, text=True, check=False, **options)
     assert done.returncode == 0, done.stdout + done.stderr
     return str(done.stdout)
+
+
+run_python = partial(run_program, sys.executable)
+"""Run Python in a process of its own."""
 
 
 def wait_until(condition: Callable[[], bool], what: str, patience: float = 120.0) -> None:

@@ -1,9 +1,8 @@
-"""Results on disk, for tests of whatever shows them."""
-
-from __future__ import annotations
+"""Results and studies on disk, for tests of whatever shows them."""
 
 import json
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from math import nan
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from armimp_bringup.study import StudyEntry
+from armimp_bringup.study.engine import Backend
 from armimp_estimation.arm_models import ModelFit, ParameterFit
 from armimp_estimation.bags import read_bag
 from armimp_estimation.result import conclude
@@ -45,6 +45,11 @@ METADATA: Mapping[str, str] = {
     "angle_uncertainty": "0",
     "truth": json.dumps({name: getattr(TWO_JOINT_ARM, name).tolist() for name in ("M", "B", "K")}),
 }
+
+
+def threads(workers: int) -> Backend:
+    """So many threads for the batches of a study."""
+    return Backend(ThreadPoolExecutor(workers), workers)
 
 
 def read_study(path: Path) -> list[StudyEntry]:

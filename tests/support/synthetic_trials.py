@@ -9,16 +9,15 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_estimation.estimators.estimate import ImpedanceEstimate, confidence_radius
+from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
 from armimp_estimation.fit import MBKFit
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
+from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 TWO_JOINT_ARM = MBK(
     M=np.array([[0.187, 0.084], [0.079, 0.060]]),
@@ -137,6 +136,8 @@ def _noise(rng: np.random.Generator, samples: int, shape: FloatArray, rms: float
 
 # As 50 s at 1 kHz in resolution, band and number of segments, with an eighth of the samples.
 SEGMENT = 1024
+LPM = LpmFull(config=LpmConfig(reading=TorqueReading(timing=TorqueTiming.SIMULTANEOUS)))
+"""Local polynomials for these records, whose angles and torques are of one instant."""
 LOOP = SyntheticConfig(rate=125.0, samples=6144, viscosity=4.0, stiffness=30.0)
 THREE_JOINT_ARM = MBK(
     M=np.array([[0.3, 0.1, 0.02], [0.09, 0.1, 0.015], [0.021, 0.014, 0.01]]),

@@ -1,7 +1,7 @@
 """The node of the template with a device that fails."""
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import pytest
 from rclpy.node import Node
@@ -12,7 +12,7 @@ from armimp_driver_template.device import Frame
 from armimp_driver_template.node import ExoDriver
 from armimp_driver_template.parameters import DriverParameters
 from support.controller import ScriptedController
-from support.graph import Launch, eventually
+from support.graph import Launch
 
 PUSH, ZERO = (5.0, 0.0), (0.0, 0.0)
 
@@ -67,9 +67,6 @@ class World(ScriptedController):
     def push(self) -> None:
         self.answer = PUSH
         self.until(lambda: bool(self.device.sent) and self.device.sent[-1][1] == PUSH, "torque")
-
-    def until(self, condition: Callable[[], bool], what: str) -> None:
-        eventually(self.spinner, condition, what)
 
 
 @pytest.fixture

@@ -1,7 +1,5 @@
 """`armimp bench`: figures, targets, and what cannot be measured."""
 
-from __future__ import annotations
-
 import json
 import math
 import os
@@ -14,23 +12,14 @@ import pytest
 
 from armimp_bringup import bench, orchestrator
 from armimp_bringup.bench import Measured, available_cores
-from armimp_bringup.cli import main
 from armimp_bringup.config import ExperimentConfig
 from armimp_common.errors import ConfigurationError, GraphError
 from armimp_common.realtime import TimingLimits
 from armimp_common.status import TimingFigures
 from armimp_estimation.metadata import Timing
+from support.command import call
 
-Benchmark = Callable[[object], list[Measured]]
-
-
-def _instead(monkeypatch: pytest.MonkeyPatch, **found: list[Measured] | Benchmark) -> None:
-    """Benchmarks that have these figures without measuring anything."""
-
-    def made(figures: list[Measured] | Benchmark) -> Benchmark:
-        return figures if callable(figures) else lambda _: figures
-
-    monkeypatch.setattr(bench, "BENCHMARKS", {name: made(one) for name, one in found.items()})
+Benchmarks = dict[str, Callable[[object], list[Measured]]]
 
 
 def _figure(value: float, limit: float | None = None) -> Measured:
@@ -38,27 +27,32 @@ def _figure(value: float, limit: float | None = None) -> Measured:
 
 
 def test_figures_are_shown_with_units_targets_and_the_machine(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    _instead(monkeypatch, first=[_figure(1.5, 2.0)], second=[_figure(7.25)])
-    assert main(["bench"]) == 0
-    told = capsys.readouterr().out
+    measured: Benchmarks = {
+        "first": lambda _: [_figure(1.5, 2.0)],
+        "second": lambda _: [_figure(7.25)],
+    }
+    monkeypatch.setattr(bench, "BENCHMARKS", measured)
+    told = call("bench")
+    assert told.status == 0
     for words in ("first", "≤ 2 s ✓", "7.25", f"{available_cores()} cores"):
-        assert words in told
+        assert words in told.out
 
 
 @pytest.mark.parametrize("value", [2.1, math.nan])
 def test_what_misses_its_target_or_fails_is_named_beside_the_figures_of_the_others(
-    value: float, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    value: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fails(_: object) -> list[Measured]:
         raise GraphError("no graph today")
 
-    _instead(monkeypatch, first=fails, last=[_figure(value, 2.0), _figure(1.0, 2.0)], other=[])
-    assert main(["bench", "last"]) == main(["bench", "first"]) == 1
-    capsys.readouterr()
-    assert main(["bench", "first", "last", "last", "--json"]) == 1
-    told = capsys.readouterr()
+    figures = [_figure(value, 2.0), _figure(1.0, 2.0)]
+    measured: Benchmarks = {"first": fails, "last": lambda _: figures, "other": lambda _: []}
+    monkeypatch.setattr(bench, "BENCHMARKS", measured)
+    assert call("bench", "last").status == call("bench", "first").status == 1
+    told = call("bench", "first", "last", "last", "--json")
+    assert told.status == 1
     missed = f"armimp: a figure is {value:.3g} s, target 2\n"
     assert told.err == f"{missed}armimp: first: no graph today\n"
     record = json.loads(told.out)
@@ -102,14 +96,12 @@ def test_a_run_in_real_time_that_was_aborted_is_a_figure_that_misses_its_target(
     ]
 
 
-def test_when_interrupted_expect_no_figures(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_when_interrupted_expect_no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     def run_experiment(*_: object, **__: object) -> SimpleNamespace:
         os.kill(os.getpid(), signal.SIGINT)
         return SimpleNamespace(summary=None)
 
     monkeypatch.setattr(orchestrator, "run_experiment", run_experiment)
-    assert main(["bench"]) == 130
-    told = capsys.readouterr()
-    assert (told.out, told.err.splitlines()[-1]) == ("", "armimp: interrupted")
+    told = call("bench")
+    last = told.err.splitlines()[-1]
+    assert (told.status, told.out, last) == (130, "", "armimp: interrupted")

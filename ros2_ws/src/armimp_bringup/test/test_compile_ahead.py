@@ -1,7 +1,5 @@
 """The first run on a machine: plant and law are compiled beforehand, side by side."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

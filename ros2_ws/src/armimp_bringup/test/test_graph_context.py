@@ -1,7 +1,5 @@
 """The context of a graph: domain, environment, and what the orchestrator hears in it."""
 
-from __future__ import annotations
-
 import os
 import socket
 from pathlib import Path
@@ -25,16 +23,9 @@ from armimp_common.status import (
     make_status,
     status_message,
 )
-from support.graph import eventually
+from support.graph import CHOICES, eventually
 from support.processes import run_python
 from support.streams import trial_status
-
-VARIABLES = (
-    "ROS_AUTOMATIC_DISCOVERY_RANGE",
-    "FASTRTPS_DEFAULT_PROFILES_FILE",
-    "ROS_DOMAIN_ID",
-    "ROS_LOCALHOST_ONLY",
-)
 
 
 @pytest.mark.parametrize(
@@ -53,15 +44,15 @@ def test_when_the_user_chose_a_reach_or_a_profile_expect_it_kept(
     profiles: Path | None,
     expected: tuple[str, Path],
 ) -> None:
-    given = {VARIABLES[0]: reach, VARIABLES[1]: None if profiles is None else str(profiles)}
+    given = {CHOICES[0]: reach, CHOICES[1]: None if profiles is None else str(profiles)}
     for name, value in given.items():
         monkeypatch.delenv(name, raising=False)
         if value is not None:
             monkeypatch.setenv(name, value)
 
     with GraphContext():
-        assert os.environ[VARIABLES[0]] == expected[0]
-        assert os.environ[VARIABLES[1]] == str(expected[1])
+        assert os.environ[CHOICES[0]] == expected[0]
+        assert os.environ[CHOICES[1]] == str(expected[1])
 
     assert {name: os.environ.get(name) for name in given} == given
 
@@ -86,7 +77,7 @@ with GraphContext() as graph:
 def test_when_the_process_was_in_a_graph_before_expect_it_to_find_the_local_host_only(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for name in VARIABLES:
+    for name in CHOICES:
         monkeypatch.delenv(name, raising=False)
 
     with DomainClaim() as claim:
@@ -116,7 +107,7 @@ with GraphContext() as graph:
 def test_nothing_is_shared_in_memory_which_a_killed_process_could_leave_locked(
     monkeypatch: pytest.MonkeyPatch, reach: str
 ) -> None:
-    for name in VARIABLES:
+    for name in CHOICES:
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", reach)
 
@@ -216,19 +207,11 @@ def test_timing_counts_up_to_an_abort_and_faults_are_heard_after_it(told_before:
     assert supervisor.timing.ticks == (1000 if told_before else 1600)
 
 
-PROGRESS = {
-    "trial": "1",
-    "trials": "2",
-    "joint": "1",
-    "phase": "perturb",
-    "samples": "100",
-    "planned": "10000",
-    "rate": "1000.0",
-}
-
-
 def test_a_malformed_progress_message_does_not_end_the_orchestrator() -> None:
     told: list[Progress] = []
+    progress = Progress(
+        trial=1, trials=2, joint=1, phase=Phase.PERTURB, samples=100, planned=10_000, rate=1000.0
+    )
     with GraphContext() as graph:
         supervisor = Supervisor(graph, told.append)
         other = Node("other", context=graph.context, use_global_arguments=False)
@@ -237,7 +220,7 @@ def test_a_malformed_progress_message_does_not_end_the_orchestrator() -> None:
             eventually(spinner, lambda: channel.get_subscription_count() == 1, "a listener")
             channel.publish(b"\0\1\0\0rubbish")
             channel.publish(make_status("a stranger", Level.OK, "", {"trial": "x"}))
-            channel.publish(make_status("a friend", Level.OK, "", PROGRESS))
+            channel.publish(status_message(progress))
             eventually(spinner, lambda: bool(told), "what can be read")
         for node in (other, supervisor):
             node.destroy_node()

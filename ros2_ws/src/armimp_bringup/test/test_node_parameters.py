@@ -1,7 +1,5 @@
 """What a user says about rig and time, and what parameters the nodes get of it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

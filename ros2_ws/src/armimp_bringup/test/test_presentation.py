@@ -1,7 +1,5 @@
 """What the command line shows of a trial that runs, and of a result."""
 
-from __future__ import annotations
-
 import io
 import json
 import math

@@ -1,33 +1,30 @@
 """`armimp reproduce`: exit status, what it prints, and one clear line for wrong usage."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
 import pytest
 
-from armimp_bringup.cli import main
 from armimp_bringup.study.scores import StudyVerdict
 from armimp_bringup.terminal import describe
 from armimp_common.versions import software
-from support.command import interrupted, program
+from support.command import Told, call, interrupted, program
 from support.results import read_study
 
 SHORT = ("--duration", "4", "--no-figures", "--only", "friction=0,resolution=0,perturbation=3")
 
 
-def _reproduce(directory: Path, *options: str) -> int:
-    return main(["reproduce", "--out", str(directory), *options])
+def _reproduce(directory: Path, *options: str) -> Told:
+    return call("reproduce", "--out", str(directory), *options)
 
 
 def test_study_that_misses_targets_exits_with_1_and_names_the_first_of_them(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("armimp_bringup.study.study._MOST_FAILURES", 2)
     # Four seconds are too short for targets that are meant for fifty.
-    assert _reproduce(tmp_path / "out", *SHORT) == 1
-    told = capsys.readouterr()
+    told = _reproduce(tmp_path / "out", *SHORT)
+    assert told.status == 1
     assert "targets missed" in told.out
     assert f"study in {tmp_path / 'out'}" in told.out
     complaints = [line for line in told.err.splitlines() if line.startswith("armimp: ")]
@@ -51,7 +48,7 @@ def test_interrupted_study_ends_at_once(tmp_path: Path) -> None:
 
 
 def test_a_file_decides_what_options_leave_open_and_an_estimator_without_targets_meets_them(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
 ) -> None:
     file = tmp_path / "study.yaml"
     file.write_text(
@@ -59,8 +56,8 @@ def test_a_file_decides_what_options_leave_open_and_an_estimator_without_targets
         "arm_sim: {voluntary: {rms: 0.2}}\n"
     )
     options = ("--config", str(file), "--json", "--seeds", "3:5", "--workers", "1")
-    assert _reproduce(tmp_path / "out", *SHORT, *options) == 0
-    told = capsys.readouterr()
+    told = _reproduce(tmp_path / "out", *SHORT, *options)
+    assert told.status == 0
     printed = json.loads(told.out)
     assert printed == json.loads((tmp_path / "out" / "verdict.json").read_text())
     assert printed["conditions"] == 2

@@ -1,7 +1,5 @@
 """Conditions of a study and their batches: the same results wherever they run."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import sys
@@ -29,7 +27,7 @@ from armimp_common.errors import ConfigurationError, DataError
 from armimp_common.versions import software
 from armimp_sim.dynamics import WIDTH
 from support.graph import PATIENCE
-from support.studies import threads
+from support.results import threads
 
 BASE = ExperimentConfig(duration=4.0, estimators=("welch_siso", "lpm_full"))
 ONE = (Condition(friction=3, resolution=3, perturbation=1, seed=5),)

@@ -1,7 +1,5 @@
 """What a study leaves: its files, its report, and its figures of the numbers they are given."""
 
-from __future__ import annotations
-
 import html
 import re
 from collections.abc import Sequence
@@ -18,16 +16,12 @@ from armimp_bringup.study.scores import (
     COHERENCE_SCORES,
     FIT_SCORES,
     StudyVerdict,
-    Table,
     judge,
     results_table,
 )
 from armimp_bringup.study.study import run_study
 from armimp_common.errors import ConfigurationError
-from armimp_estimation.mbk import MBK
-from armimp_estimation.summary import ImpedanceCurve
-from support.results import read_study
-from support.studies import threads
+from support.results import read_study, threads
 
 BASE = ExperimentConfig(duration=4.0, estimators=("welch_siso", "lpm_full"))
 CONDITIONS = select_conditions(["friction=0+3,resolution=3,perturbation=1"], "1:3")
@@ -37,36 +31,15 @@ TABLES = ("study.json", "results.csv", "verdict.json", "report.html")
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, StudyVerdict]:
+def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("study") / "new" / "folder"
-    return directory, run_study(BASE, CONDITIONS, directory, threads(1), figures=False)
-
-
-@pytest.fixture(scope="module")
-def study(made: tuple[Path, StudyVerdict]) -> Path:
-    return made[0]
+    run_study(BASE, CONDITIONS, directory, threads(1), figures=False)
+    return directory
 
 
 @pytest.fixture(scope="module")
 def entries(study: Path) -> list[StudyEntry]:
     return read_study(study / "study.json")
-
-
-@pytest.fixture(scope="module")
-def table(entries: Sequence[StudyEntry]) -> Table:
-    return results_table(entries)
-
-
-@pytest.fixture(scope="module")
-def truth(entries: Sequence[StudyEntry]) -> MBK:
-    found = entries[0].truth
-    assert found is not None
-    return found
-
-
-@pytest.fixture(scope="module")
-def curves(study: Path) -> list[dict[str, ImpedanceCurve]]:
-    return [saved_curves(study / "conditions", one) for one in CONDITIONS]
 
 
 def _bytes(directory: Path) -> dict[str, bytes]:
@@ -81,14 +54,11 @@ def test_study_leaves_all_its_files_and_no_others(study: Path) -> None:
     }
 
 
-def test_number_of_workers_makes_no_difference(
-    made: tuple[Path, StudyVerdict], tmp_path: Path
-) -> None:
-    directory, verdict = made
-    assert run_study(BASE, CONDITIONS, tmp_path / "out", threads(3), figures=False) == verdict
-    stored = StudyVerdict.model_validate_json((directory / "verdict.json").read_bytes())
+def test_number_of_workers_makes_no_difference(study: Path, tmp_path: Path) -> None:
+    verdict = run_study(BASE, CONDITIONS, tmp_path / "out", threads(3), figures=False)
+    stored = StudyVerdict.model_validate_json((study / "verdict.json").read_bytes())
     assert stored == verdict
-    assert _bytes(tmp_path / "out") == _bytes(directory)
+    assert _bytes(tmp_path / "out") == _bytes(study)
 
 
 def test_a_directory_that_holds_something_is_refused_and_left_alone(study: Path) -> None:
@@ -102,7 +72,7 @@ def test_a_directory_that_holds_something_is_refused_and_left_alone(study: Path)
 
 
 def test_report_is_written_without_figures_and_says_how_far_each_missed_target_is(
-    study: Path, entries: Sequence[StudyEntry], table: Table
+    study: Path, entries: Sequence[StudyEntry]
 ) -> None:
     page = (study / "report.html").read_text(encoding="utf-8")
     assert len(page) < 8_000_000
@@ -112,7 +82,7 @@ def test_report_is_written_without_figures_and_says_how_far_each_missed_target_i
     words = re.sub(r"\s+", " ", html.unescape(re.sub("<[^>]*>", " ", text)))
     for part in ("Worst value in each condition", "1, 2"):
         assert part in words
-    missed = [one for one in judge(entries, table).worst if one.met is False]
+    missed = [one for one in judge(entries, results_table(entries)).worst if one.met is False]
     assert missed  # four seconds are too short
     assert f"{len(missed)} of 10 targets missed" in words
     for one in missed:
@@ -123,8 +93,11 @@ def test_report_is_written_without_figures_and_says_how_far_each_missed_target_i
 
 
 def test_figure_2_shows_each_element_beside_the_truth_with_a_phase_that_does_not_jump(
-    truth: MBK, curves: Sequence[dict[str, ImpedanceCurve]]
+    study: Path, entries: Sequence[StudyEntry]
 ) -> None:
+    curves = [saved_curves(study / "conditions", one) for one in CONDITIONS]
+    truth = entries[0].truth
+    assert truth is not None
     shown = {
         condition: found["welch_siso"]
         for condition, found in zip(CONDITIONS[:2], curves[:2], strict=True)
@@ -140,7 +113,10 @@ def test_figure_2_shows_each_element_beside_the_truth_with_a_phase_that_does_not
             assert -90.0 < np.min(line.get_ydata()) <= np.max(line.get_ydata()) < 270.0
 
 
-def test_figures_3_and_4_group_by_every_factor_and_reach_from_worst_to_best(table: Table) -> None:
+def test_figures_3_and_4_group_by_every_factor_and_reach_from_worst_to_best(
+    entries: Sequence[StudyEntry],
+) -> None:
+    table = results_table(entries)
     for scores in (FIT_SCORES, COHERENCE_SCORES):
         figure = levels_figure(table[:, 0], scores)
         assert len(figure.axes) == len(scores)

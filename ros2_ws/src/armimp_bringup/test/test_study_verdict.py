@@ -1,7 +1,5 @@
 """The worst values of a study, found and compared with the targets."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

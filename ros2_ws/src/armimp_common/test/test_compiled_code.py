@@ -1,7 +1,5 @@
 """Compiled functions: cached, but never older than the sources that they are made from."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any, cast

@@ -1,24 +1,22 @@
 """Lifecycle manager: nodes of this process and of others, refusals, failures, silence."""
 
-from collections.abc import Iterator
+from functools import partial
 
 import pytest
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from rclpy.context import Context
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 
 from armimp_common.errors import ConfigurationError, GraphError
 from armimp_common.executor import Spinner
 from armimp_common.lifecycle import LifecycleManager, ManagedNode, reported
-from support.graph import PATIENCE
+from armimp_common.schema import Schema
+from support.graph import PATIENCE, Launch
 
 
 class Managed(ManagedNode):
-    def __init__(self, name: str, *, context: Context) -> None:
-        super().__init__(name, context=context)
-        self.fault: Exception | None = None
+    fault: Exception | None = None
 
     @reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -28,20 +26,13 @@ class Managed(ManagedNode):
 
 
 @pytest.fixture
-def managed(context: Context) -> Iterator[Managed]:
-    node = Managed("managed", context=context)
-    yield node
-    node.destroy_node()
+def managed(launch: Launch) -> Managed:
+    made: Managed = launch(partial(Managed, "managed"), Schema())
+    return made
 
 
 @pytest.fixture
-def spinner(node: Node, managed: Managed) -> Iterator[Spinner]:
-    with Spinner([node, managed]) as spinner:
-        yield spinner
-
-
-@pytest.fixture
-def manager(node: Node, spinner: Spinner) -> LifecycleManager:
+def manager(node: Node, spinner: Spinner, managed: Managed) -> LifecycleManager:
     return LifecycleManager(node, ["managed"], spin_until=spinner.spin_until, timeout=PATIENCE)
 
 

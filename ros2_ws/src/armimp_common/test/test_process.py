@@ -1,10 +1,9 @@
-"""Processes: whether one lives, where it can be reached, and how children follow their parent."""
+"""Processes: whether one lives, and which is which."""
 
 import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 
 import pytest
 
@@ -42,50 +41,3 @@ def test_another_process_with_the_same_number_is_not_taken_for_it() -> None:
 @pytest.mark.parametrize("process", ["", "rubbish", "boot pid:[1] 1 1", "] x y", "boot pid:[1]"])
 def test_of_a_process_elsewhere_nothing_is_known(process: str) -> None:
     assert state_of(process) is None
-
-
-CHILD = """
-import sys, time
-from armimp_common.process import follow_parent
-from armimp_common.process import stop_on_signals
-
-with stop_on_signals() as stopped:
-    follow_parent()
-    print("ready", flush=True)
-    while not stopped():
-        time.sleep(0.01)
-print("ended in order", flush=True)
-"""
-PARENT = f"""
-import subprocess, sys, time
-from armimp_common.process import ParentWatchdog
-
-watchdog = ParentWatchdog()
-subprocess.Popen(
-    [sys.executable, "-c", {CHILD!r}],
-    pass_fds=[watchdog.child_end],
-    env=watchdog.environment(),
-    start_new_session=True,
-)
-time.sleep(1000)
-"""
-
-
-@pytest.fixture
-def parent() -> "Iterator[subprocess.Popen[str]]":
-    process = subprocess.Popen([sys.executable, "-c", PARENT], stdout=subprocess.PIPE, text=True)
-    yield process
-    process.kill()
-    process.communicate()
-
-
-def test_when_the_parent_is_killed_expect_the_child_to_end_in_order(
-    parent: "subprocess.Popen[str]",
-) -> None:
-    assert parent.stdout is not None
-    assert parent.stdout.readline() == "ready\n"
-
-    parent.kill()
-
-    # The child inherited the output, which ends only with it.
-    assert parent.stdout.read() == "ended in order\n"

@@ -4,30 +4,18 @@ import signal
 import subprocess
 import threading
 import time
-from collections.abc import Iterator
 from functools import partial
 
 import pytest
-from rclpy.context import Context
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
-from std_msgs.msg import String, UInt64
+from std_msgs.msg import String
 
 from armimp_common import pubsub, qos
-from armimp_common.cdr import decode_count
 from armimp_common.errors import GraphError
 from armimp_common.executor import Spinner
 from armimp_common.heartbeat import HeartbeatMonitor
-from armimp_common.pubsub import (
-    CommandPublisher,
-    PollingNode,
-    subscribe_commands,
-    take_all,
-    wait_for_partners,
-)
+from armimp_common.pubsub import CommandPublisher, subscribe_commands, wait_for_partners
 from support.graph import eventually, raised
-
-PROFILE = QoSProfile(depth=10)
 
 
 def test_when_peers_are_missing_expect_their_topics_named(
@@ -48,42 +36,6 @@ def test_when_peers_are_missing_expect_their_topics_named(
     subscribe_commands(node, "spoken", 1, lambda *_: None, raised)
     wait_for_partners(node, publishers=[publisher])
     missed("/heard")
-
-
-@pytest.fixture
-def poller(context: Context) -> Iterator[PollingNode]:
-    made = PollingNode("poller", context=context)
-    yield made
-    made.destroy_node()
-
-
-def numbers(messages: list[bytes]) -> list[int]:
-    return [decode_count(message) for message in messages]
-
-
-def test_messages_wait_in_their_order_while_the_node_is_spun(poller: PollingNode) -> None:
-    heard: list[int] = []
-    polled = poller.subscribe_unattended("number", UInt64, profile=PROFILE)
-
-    def on_message(message: UInt64) -> None:
-        heard.append(message.data)
-
-    poller.create_subscription(UInt64, "number", on_message, PROFILE)
-    publisher = poller.create_publisher(UInt64, "number", PROFILE)
-    wait_for_partners(poller, publishers=[publisher], subscriptions=[polled])
-
-    with Spinner([poller]) as spinner:
-        for number in range(3):
-            publisher.publish(UInt64(data=number))
-        eventually(spinner, lambda: heard == [0, 1, 2], "messages of the other subscription")
-        first = take_all(polled)
-        publisher.publish(UInt64(data=3))
-        eventually(spinner, lambda: heard == [0, 1, 2, 3], "one more")
-        second = take_all(polled)
-
-    assert numbers(first) == [0, 1, 2]
-    assert numbers(second) == [3]
-    assert take_all(polled) == []
 
 
 # --- Mutual discovery: what is published after the wait arrives ---------------------------------

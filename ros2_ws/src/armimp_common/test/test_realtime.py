@@ -1,7 +1,5 @@
 """Real time: deadlines, statistics of timing, precedence of a process."""
 
-from __future__ import annotations
-
 import gc
 import math
 import os
@@ -28,25 +26,23 @@ from armimp_common.realtime import (
 MS = 1_000_000
 
 
-def quantiles(durations: Iterable[int]) -> tuple[float, float, float]:
+def measured(durations: Iterable[int]) -> Durations:
     made = Durations()
     for duration in durations:
         made.add(duration)
-    return made.quantiles()
+    return made
 
 
 @given(st.lists(st.integers(0, 10**11), min_size=1, max_size=200))
 def test_quantiles_are_durations_and_the_longest_is_exact(durations: list[int]) -> None:
     ranked = sorted(durations)
     expected = [ranked[math.ceil(share * len(ranked)) - 1] / 1e9 for share in (0.5, 0.99, 1.0)]
-    assert quantiles(durations) == pytest.approx(expected, rel=1e-12)
+    assert measured(durations).quantiles() == pytest.approx(expected, rel=1e-12)
 
 
 def test_of_very_many_durations_a_fixed_number_is_kept_and_quantiles_stay_right() -> None:
     durations = np.random.default_rng(1).gamma(3.0, 3e5, 200_000).astype(int)
-    made = Durations()
-    for duration in durations.tolist():
-        made.add(duration)
+    made = measured(durations.tolist())
     assert len(made._kept) <= realtime._KEPT
     exact = np.quantile(durations, (0.45, 0.55, 0.98, 0.995)) / 1e9
     p50, p99, longest = made.quantiles()

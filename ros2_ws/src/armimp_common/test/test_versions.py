@@ -1,22 +1,16 @@
 """What a result was made with."""
 
-import subprocess
 from pathlib import Path
 
 import pytest
 
 from armimp_common import versions
+from support.processes import run_program
 
 
 def git(directory: Path, *arguments: str) -> str:
     identity = ["-c", "user.name=tester", "-c", "user.email=tester@example.org"]
-    done = subprocess.run(
-        ["git", "-C", str(directory), *identity, *arguments],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    return done.stdout.strip()
+    return run_program("git", "-C", str(directory), *identity, *arguments).strip()
 
 
 def test_git_revision_tells_commit_and_changes(

@@ -24,16 +24,7 @@ from armimp_common.status import (
 from armimp_common.topics import ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
 from armimp_control.node import ImbicControllerNode
 from armimp_control.safety_limiter import SafetyParameters
-from support.controller import (
-    FAILURE,
-    NAMES,
-    POSTURE,
-    SUCCESS,
-    active_controller,
-    ask,
-    controller_parameters,
-    wobble,
-)
+from support.controller import FAILURE, NAMES, POSTURE, SUCCESS, ask, controller_parameters, wobble
 from support.graph import (
     CLOCK_STEPS,
     HandedClock,
@@ -66,7 +57,12 @@ class World:
         self.driver = ScriptedDriver(node, NAMES, start_ns=START)
 
     def bring_up(self, changes: Mapping[str, Value] | None = None) -> ImbicControllerNode:
-        return active_controller(self.launch, self.driver, PARAMETERS, changes)
+        """A controller that is active, and that the driver reaches."""
+        controller: ImbicControllerNode = self.launch(ImbicControllerNode, PARAMETERS, changes)
+        assert controller.trigger_configure() is SUCCESS, controller.transition_error
+        assert controller.trigger_activate() is SUCCESS, controller.transition_error
+        self.driver.wait_for_controller()
+        return controller
 
     def start(self, changes: Mapping[str, Value] | None = None) -> ImbicControllerNode:
         """Bring a controller up, and have it command torque in 60 answers."""

@@ -1,15 +1,13 @@
 """The laws against plain transcriptions of their equations, and their behaviour at the edges."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray as Array
 from armimp_common.errors import ConfigurationError
 from armimp_control.laws import (
     ANGLE_GAIN,
@@ -36,7 +34,6 @@ from support.laws import (
     within_torque,
 )
 
-Array = NDArray[np.float64]
 PERIOD, GAMMA = 1e-3, 70.0
 COUNT = 2.0 * np.pi / 51200
 

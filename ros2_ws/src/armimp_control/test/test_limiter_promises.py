@@ -1,11 +1,9 @@
 """What the safety limiter promises for every output, whatever comes in: random sequences."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray, IntArray
 from armimp_common.compiled import compiled, compiled_entry
 from armimp_control.safety_limiter import (
     CENTRE,
@@ -55,17 +53,17 @@ _STRANGE = (np.nan, np.inf, -np.inf, 5e-324, -5e-324, 1e-310, 1.7e308, -1.7e308,
 
 @compiled
 def _judge(  # noqa: PLR0917 (compiled code takes no objects)
-    command: NDArray[np.float64],
-    before: NDArray[np.float64],
-    asked: NDArray[np.float64],
-    speed: NDArray[np.float64],
-    excursion: NDArray[np.float64],
-    rules: NDArray[np.float64],
+    command: FloatArray,
+    before: FloatArray,
+    asked: FloatArray,
+    speed: FloatArray,
+    excursion: FloatArray,
+    rules: FloatArray,
     poisoned: bool,
     cut: bool,
     fallen: int,
     clipped: int,
-    broken: NDArray[np.int64],
+    broken: IntArray,
 ) -> None:
     """Count the promises (11,) that one tick breaks, ``fallen`` ticks since the limiter stopped."""
     changed, within = 0, True
@@ -99,12 +97,12 @@ def _judge(  # noqa: PLR0917 (compiled code takes no objects)
 
 @compiled_entry
 def _run_sequence(
-    inputs: NDArray[np.float64],
-    rules: NDArray[np.float64],
+    inputs: FloatArray,
+    rules: FloatArray,
     event: int,
     event_tick: int,
-    broken: NDArray[np.int64],
-    counts: NDArray[np.int64],
+    broken: IntArray,
+    counts: IntArray,
 ) -> None:
     """Run one sequence and judge every tick of it.
 
@@ -153,7 +151,7 @@ def _run_sequence(
     counts[0] += journal[FAULT] != NO_CAUSE
 
 
-def _rules(rng: np.random.Generator, m: int, n: int) -> NDArray[np.float64]:
+def _rules(rng: np.random.Generator, m: int, n: int) -> FloatArray:
     """Random limits (m, RULE_ROWS, n) which `SafetyParameters` allows."""
     rows = np.zeros((m, RULE_ROWS, n))
     ramp = rng.integers(1, 51, (m, 1))

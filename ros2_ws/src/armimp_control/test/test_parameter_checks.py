@@ -1,7 +1,5 @@
 """Values that make no sense are refused, and presets are those of paper and design."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Perturbations: noise, multisines and optimal ones, and the low-pass of the first."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,6 +7,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import signal
 
+from armimp_common.arrays import FloatArray as Array
 from armimp_common.errors import ConfigurationError
 from armimp_control import presets
 from armimp_control.perturbation import (
@@ -25,7 +24,6 @@ from armimp_control.perturbation import (
     perturbation,
 )
 
-Array = NDArray[np.float64]
 CONFIG = PerturbationParameters(peak=(9.0, 5.4))
 
 

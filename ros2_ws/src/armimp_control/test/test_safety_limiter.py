@@ -1,7 +1,5 @@
 """The safety limiter: each limit with each action, the ramp, what is not finite."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 
@@ -9,8 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray
 from armimp_control.safety_limiter import (
     CLIPPED,
     FAULT,
@@ -52,7 +50,7 @@ class SafetyLimiter:
         theta: Vector | None = None,
         tau_h: Vector | None = None,
         tau_delta: Vector | None = None,
-    ) -> NDArray[np.float64]:
+    ) -> FloatArray:
         still = (0.0,) * self.command.size
         sample, torque, perturbation = (
             np.array(still if values is None else values) for values in (theta, tau_h, tau_delta)

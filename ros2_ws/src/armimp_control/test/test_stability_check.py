@@ -1,14 +1,12 @@
 """The check of sampled stability, against the loop itself on a rig of pure inertia."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray as Array
 from armimp_common.errors import ConfigurationError
 from armimp_common.topics import PERIOD
 from armimp_control.laws import NO_JOINT, Law
@@ -16,9 +14,6 @@ from armimp_control.laws.law import Controller
 from armimp_control.rig import RigDynamics
 from armimp_control.stability import check_stability, spectral_radius
 from support.laws import ARM, POSTURE, ROBOT, preset_law, torque_only, with_law
-
-Array = NDArray[np.float64]
-
 
 TDE = preset_law(ROBOT, POSTURE, "tde")
 STEPS = 20

@@ -1,7 +1,5 @@
 """The controller without ROS: phases, perturbation, faults, tare, early ends, samples in pairs."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from typing import Any
@@ -10,8 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray
 from armimp_common.status import NOTICE_TICKS, Phase, StoppingDecision, TrialStatus
 from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_control.parameters import ControllerParameters
@@ -26,7 +24,7 @@ SETTLE, PERTURB, REST = 50, 200, 59
 TRIAL = SETTLE + PERTURB + REST
 START = 7_000_000_000
 STILL = (0.0, 0.0)
-Reading = Sequence[float] | NDArray[np.float64]
+Reading = Sequence[float] | FloatArray
 PARAMETERS = controller_parameters(SETTLE, PERTURB, REST)
 
 
@@ -36,8 +34,8 @@ class Bench:
     def __init__(self, parameters: ControllerParameters = PARAMETERS) -> None:
         self.parameters, self.stamp_ns = parameters, START
         self.statuses: list[TrialStatus] = []
-        self.commands: list[NDArray[np.float64]] = []
-        self.perturbations: list[NDArray[np.float64]] = []
+        self.commands: list[FloatArray] = []
+        self.perturbations: list[FloatArray] = []
         self.experiment = TrialSequencer(parameters, self.statuses.append)
 
     def answer(self, theta: Reading, tau_h: Reading = STILL) -> None:
@@ -46,7 +44,7 @@ class Bench:
         self.perturbations.append(self.experiment.tau_delta.copy())
         self.stamp_ns += PERIOD_NS
 
-    def run(self, ticks: int, tau_h: Reading = STILL) -> list[NDArray[np.float64]]:
+    def run(self, ticks: int, tau_h: Reading = STILL) -> list[FloatArray]:
         """Feed the posture and a torque on the arm; return the commands."""
         for _ in range(ticks):
             self.answer(POSTURE, tau_h)

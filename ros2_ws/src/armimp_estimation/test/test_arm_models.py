@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_estimation.arm_models import (
     AUTO,
     MODELS,
@@ -19,9 +19,6 @@ from armimp_estimation.fit import Calibration, fit_impedance
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.verdict import judge_models
 from support.synthetic_trials import TWO_JOINT_ARM, made_estimate
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 F = np.linspace(0.15, 15.0, 150)
 S: ComplexArray = np.asarray(2j * np.pi * F, dtype=np.complex128)

@@ -26,7 +26,7 @@ from armimp_estimation.bags import (
 from armimp_estimation.bags.metadata_yaml import FILE_NAME, qos_profiles
 from armimp_estimation.bags.raw import absolute
 from armimp_estimation.bags.writer import FLUSH_INTERVAL_NS, RECORDED, finish_bag, finish_bags
-from support.bag_files import iterate_messages, write_bag
+from support.bag_files import iterate_messages, write_all, write_bag
 from support.fault_figures import Figures
 from support.synthetic_bags import Message, synthetic_recording
 
@@ -195,18 +195,16 @@ LOST = 7
 def unfinished(path: Path, messages: Sequence[Message] = MESSAGES) -> Path:
     """A bag as a killed writer leaves it, without its last messages."""
     writer = BagWriter(path, metadata=METADATA)
-    for topic, log_time_ns, raw in messages[: len(messages) - LOST]:
-        writer.write(topic, raw, log_time_ns)
+    write_all(writer, messages[:-LOST])
     writer.flush()
-    for topic, log_time_ns, raw in messages[len(messages) - LOST :]:
-        writer.write(topic, raw, log_time_ns)
+    write_all(writer, messages[-LOST:])
     writer._file.close()
     return path
 
 
 def finished(path: Path) -> Path:
     """The bag of a writer that got the same messages and lived."""
-    return write_bag(path, MESSAGES[: len(MESSAGES) - LOST], METADATA)
+    return write_bag(path, MESSAGES[:-LOST], METADATA)
 
 
 def content_of(path: Path) -> dict[str, bytes]:
@@ -225,8 +223,7 @@ def test_finished_bag_is_that_of_a_recorder_that_lived(tmp_path: Path) -> None:
 
 def test_bag_that_is_being_recorded_is_left_alone(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag", metadata=METADATA) as writer:
-        for topic, log_time_ns, raw in MESSAGES:
-            writer.write(topic, raw, log_time_ns)
+        write_all(writer, MESSAGES)
         before = content_of(tmp_path / "bag")
         assert finish_bag(tmp_path / "bag") == ""
         assert content_of(tmp_path / "bag") == before
@@ -316,8 +313,7 @@ def test_file_cut_anywhere_is_finished_up_to_the_cut(
 
 def test_what_is_known_only_after_recording_is_added_to_the_metadata(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag", metadata=METADATA) as writer:
-        for topic, log_time_ns, raw in MESSAGES:
-            writer.write(topic, raw, log_time_ns)
+        write_all(writer, MESSAGES)
         writer.add_metadata({"ledger": json.dumps({"lost": 0})})
     expected = METADATA | {"ledger": '{"lost": 0}'}
     assert read_bag(tmp_path / "bag").metadata == expected

@@ -1,25 +1,19 @@
 """Drift of a trial's signals: found beside what the perturbation does, and taken out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
+from armimp_common.arrays import FloatArray
+from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.estimators.welch import WelchFull
 from armimp_estimation.fit import fit_mbk
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData, drift_of
-from support.synthetic_trials import LOOP, SEGMENT, SyntheticConfig, synthetic_trial
+from support.synthetic_trials import LOOP, LPM, SEGMENT, SyntheticConfig, synthetic_trial
 from support.synthetic_trials import TWO_JOINT_ARM as ARM
 
-FloatArray = NDArray[np.float64]
-
-LPM = LpmFull(config=LpmConfig(reading=TorqueReading(timing=TorqueTiming.SIMULTANEOUS)))
 SLOPE = np.array([0.02, -0.01])  # N·m/s
 
 
@@ -65,7 +59,7 @@ def test_drift_goes_and_offset_stays_and_nothing_else_changes() -> None:
     ids=lambda one: one.name,
 )
 def test_drift_costs_the_estimates_nothing_and_would_cost_them_the_stiffness(
-    estimator: LpmFull | WelchFull, monkeypatch: pytest.MonkeyPatch
+    estimator: Estimator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def worst(slope: float) -> tuple[float, float]:
         """Largest error of K, and of the curve at the lowest bins, relative to |Z|."""

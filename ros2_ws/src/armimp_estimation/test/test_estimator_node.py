@@ -1,14 +1,12 @@
 """The estimator node over real DDS, fed by a script: results, faults, parameters, life cycle."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import partial
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.context import Context
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
 from rosbags.highlevel import AnyReader
@@ -29,6 +27,7 @@ from armimp_estimation.problems import ProblemCode
 from armimp_estimation.summary import Summary, read_summary
 from support.graph import (
     PATIENCE,
+    Launch,
     a_moment,
     assert_locked_while_active,
     eventually,
@@ -54,9 +53,8 @@ CHUNK = 800
 class Desk:
     """An estimator, whoever plays messages to it and hears what comes back, and its results."""
 
-    def __init__(self, context: Context, node: Node, spinner: Spinner, directory: Path) -> None:
-        self.context, self.node, self.spinner, self.directory = context, node, spinner, directory
-        self.made: list[ImpedanceEstimatorNode] = []
+    def __init__(self, node: Node, spinner: Spinner, launch: Launch, directory: Path) -> None:
+        self.node, self.spinner, self.launch, self.directory = node, spinner, launch, directory
         self.echoes = 0
         self.results: list[DiagnosticStatus] = []
         kinds: dict[str, type[Any]] = {
@@ -81,11 +79,9 @@ class Desk:
 
     def make(self, changes: Mapping[str, Value] | None = None) -> None:
         settings = EstimatorParameters(directory=str(self.directory / "out"), progress_period=0.05)
-        self.estimator = ImpedanceEstimatorNode(
-            context=self.context, parameter_overrides=overrides(settings, changes)
+        self.estimator: ImpedanceEstimatorNode = self.launch(
+            ImpedanceEstimatorNode, settings, changes
         )
-        self.made.append(self.estimator)
-        self.spinner.add_node(self.estimator)
 
     def bring_up(self) -> None:
         self.make()
@@ -105,13 +101,13 @@ class Desk:
         """Publish messages no faster than they are received."""
         sent = list(messages)
         for start in range(0, len(sent), CHUNK):
-            wanted = self.echoes + len(sent[start : start + CHUNK])
-            for topic, _, raw in sent[start : start + CHUNK]:
-                self.publishers[topic].publish(raw)
-            self.eventually(partial(self.has_heard, wanted), "echoes")
+            self.send(sent[start : start + CHUNK])
 
-    def has_heard(self, wanted: int) -> bool:
-        return self.echoes >= wanted
+    def send(self, messages: Sequence[Message]) -> None:
+        wanted = self.echoes + len(messages)
+        for topic, _, raw in messages:
+            self.publishers[topic].publish(raw)
+        self.eventually(lambda: self.echoes >= wanted, "echoes")
 
     def eventually(self, condition: Callable[[], bool], what: str) -> None:
         eventually(self.spinner, condition, what)
@@ -139,13 +135,8 @@ class Desk:
 
 
 @pytest.fixture
-def desk(context: Context, node: Node, tmp_path: Path) -> Iterator[Desk]:
-    with Spinner([node]) as spinner:
-        desk = Desk(context, node, spinner, tmp_path)
-        yield desk
-        for estimator in desk.made:
-            spinner.remove_node(estimator)
-            estimator.destroy_node()
+def desk(node: Node, spinner: Spinner, launch: Launch, tmp_path: Path) -> Desk:
+    return Desk(node, spinner, launch, tmp_path)
 
 
 class TestFaults:

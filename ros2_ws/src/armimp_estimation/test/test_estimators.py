@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.direct import Direct
 from armimp_estimation.estimators.estimate import Estimator
@@ -21,6 +21,7 @@ from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from support.synthetic_trials import (
     LOOP,
+    LPM,
     SEGMENT,
     THREE_JOINT_ARM,
     TWO_JOINT_ARM,
@@ -32,11 +33,7 @@ from support.synthetic_trials import (
     worst_errors,
 )
 
-FloatArray = NDArray[np.float64]
-
-SIMULTANEOUS = TorqueReading(timing=TorqueTiming.SIMULTANEOUS)
 SISO, FULL, DIRECT = WelchSiso(), WelchFull(), Direct()
-LPM = LpmFull(config=LpmConfig(reading=SIMULTANEOUS))
 UNBIASED: list[Estimator] = [SISO, FULL, LPM]
 slow = functools.partial(pytest.param, marks=pytest.mark.slow)
 every = pytest.mark.parametrize("estimator", [*UNBIASED, DIRECT], ids=lambda one: one.name)

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.local_polynomial import (
     LocalResponse,
@@ -11,9 +11,6 @@ from armimp_estimation.estimators.local_polynomial import (
     local_response,
 )
 from armimp_estimation.periods import Periods
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 RATE = 125.0
 SAMPLES = 6144

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy import stats
 from scipy.signal import butter, freqs
 
+from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import (
@@ -20,9 +20,6 @@ from armimp_estimation.fit import (
 )
 from armimp_estimation.mbk import MBK
 from support.synthetic_trials import TWO_JOINT_ARM, errors_of, made_estimate, off, stacked
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 F: FloatArray = np.linspace(0.122, 14.884, 122)
 TRUTH = stacked(TWO_JOINT_ARM)

@@ -1,7 +1,5 @@
 """Perturbations that repeat themselves: found as recorded, and estimated from whole periods."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 
@@ -10,15 +8,15 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import butter, lfilter, sosfilt
 
+from armimp_common.arrays import FloatArray as Array
 from armimp_estimation.distortion import Distortion
 from armimp_estimation.mbk import MBK
-from armimp_estimation.nonlinearity import deviations
+from armimp_estimation.nonlinearity import Deviation, deviations
 from armimp_estimation.periods import Periods, common_lines
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.trial import drift_of, segment_for
 from support.synthetic_trials import LOOP, TWO_JOINT_ARM, made_record, part_of, synthetic_trial
 
-Array = NDArray[np.float64]
 PERIOD = 4096
 LINES = np.array([1, 3, 5, 9, 11, 15, 17, 19, 21, 25, 31])
 
@@ -35,9 +33,28 @@ def lagging_behind(signal: Array, pole: float) -> Array:
     return np.asarray(lfilter([1.0 - pole], [1.0, -pole], signal))
 
 
+def angle_of(source: Array) -> Array:
+    """Motion under a torque, behind a low-pass of 50 ms, with a deviation of 0.045 rad."""
+    angle = lagging_behind(source, np.exp(-1e-3 / 0.05))
+    return np.asarray(angle * (0.045 / np.std(angle)))
+
+
+ARM = MBK(M=np.array([[0.02]]), B=np.array([[0.2]]), K=np.array([[8.0]]))
+
+
+def torque_of(angle: Array) -> Array:
+    """What `ARM` makes of a motion."""
+    f = np.asarray(np.fft.rfftfreq(angle.size, 1e-3), dtype=np.float64)
+    return np.asarray(np.fft.irfft(ARM.impedance(f)[0, 0] * np.fft.rfft(angle), angle.size))
+
+
 def elbow(perturbation: Array, position: Array, torque: Array) -> TrialRecord:
     """A trial of one joint, sampled at 1 kHz."""
     return made_record(position[None], torque[None], perturbation[None])
+
+
+def significant(record: TrialRecord) -> dict[str, Deviation]:
+    return {name: one for name, one in deviations(record, ARM).items() if one.significant}
 
 
 def test_periods_and_lines_are_found_in_the_signal_itself() -> None:
@@ -164,16 +181,10 @@ def test_a_gain_or_a_stiffness_that_changes_at_once_is_found(
     source = multisine(10.0, np.arange(1, 60))
     if not periodic:
         source = lagging_behind(random.standard_normal(source.size), 0.9)
-    angle = lagging_behind(source, np.exp(-1e-3 / 0.05))
-    angle *= 0.045 / np.std(angle)
+    angle = angle_of(source)
     later = np.arange(angle.size) > 0.7 * angle.size
-    arm = MBK(M=np.array([[0.02]]), B=np.array([[0.2]]), K=np.array([[8.0]]))
-    f = np.asarray(np.fft.rfftfreq(angle.size, 1e-3), dtype=np.float64)
-    impedance = arm.impedance(f)[0, 0]
-    torque = np.fft.irfft(impedance * np.fft.rfft(angle), angle.size)
-    torque = torque * (1.0 + gain * later) + stiffness * 8.0 * later * angle
-    record = elbow(source, angle, torque + 0.01 * random.standard_normal(angle.size))
-    found = {name: one for name, one in deviations(record, arm).items() if one.significant}
+    torque = torque_of(angle) * (1.0 + gain * later) + stiffness * 8.0 * later * angle
+    found = significant(elbow(source, angle, torque + 0.01 * random.standard_normal(angle.size)))
     assert gain or stiffness or not found
     if gain:
         assert found["drift"].share == pytest.approx(gain, rel=0.3)
@@ -209,8 +220,7 @@ def test_torque_that_an_arm_does_not_explain_is_sorted_by_its_origin(
 ) -> None:
     lines = np.delete(np.arange(1, 60, 2), [3, 6, 9, 14, 17, 21, 26])
     source = multisine(8.4, lines)
-    angle = lagging_behind(source, np.exp(-1e-3 / 0.05))
-    angle *= 0.045 / np.std(angle)
+    angle = angle_of(source)
     random = np.random.default_rng(7)
     noise = 0.01 * lagging_behind(random.standard_normal(angle.size), 0.99)
     record = elbow(source, angle, 8.0 * angle + 0.02 * bend(angle / 0.045) + noise)
@@ -239,14 +249,10 @@ def test_a_transmission_that_takes_a_share_of_the_torque_while_it_drives_the_arm
     random = np.random.default_rng(3)
     low_pass = butter(4, 10.0, fs=1000.0, output="sos")
     source = sosfilt(low_pass, random.standard_normal(20_000))
-    angle = lagging_behind(source, np.exp(-1e-3 / 0.05))
-    angle *= 0.045 / np.std(angle)
-    arm = MBK(M=np.array([[0.02]]), B=np.array([[0.2]]), K=np.array([[8.0]]))
-    f = np.asarray(np.fft.rfftfreq(angle.size, 1e-3), dtype=np.float64)
-    torque = np.fft.irfft(arm.impedance(f)[0, 0] * np.fft.rfft(angle), angle.size)
+    angle = angle_of(source)
+    torque = torque_of(angle)
     torque *= 1.0 - loss * (torque * np.gradient(angle) > 0.0)
-    record = elbow(source, angle, torque + 0.01 * random.standard_normal(angle.size))
-    found = {name: one for name, one in deviations(record, arm).items() if one.significant}
+    found = significant(elbow(source, angle, torque + 0.01 * random.standard_normal(angle.size)))
     assert loss or not found
     if loss:
         assert found["efficiency"].gain == pytest.approx(-0.5 * loss, rel=0.3)

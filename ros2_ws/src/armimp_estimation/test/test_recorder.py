@@ -31,11 +31,10 @@ from armimp_common.topics import (
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.alignment.streams import Streams
 from armimp_estimation.bags import read_bag
-from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
+from armimp_estimation.estimators.lpm import LpmFull
 from armimp_estimation.problems import Problem, ProblemCode
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.recorder import TrialRecorder, largest_error, record_so_far
-from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from support.bag_files import iterate_messages
 from support.streams import changed, fed_synchronizer, record
 from support.synthetic_bags import (
@@ -45,8 +44,8 @@ from support.synthetic_bags import (
     recording_of,
     synthetic_recording,
 )
+from support.synthetic_trials import LPM, SyntheticConfig, part_of, synthetic_trial
 from support.synthetic_trials import TWO_JOINT_ARM as ARM
-from support.synthetic_trials import SyntheticConfig, part_of, synthetic_trial
 
 SETTLE, TICKS, REST = 10, 100, 10
 MADE_UP = synthetic_recording(perturbed=(0, 1), ticks=TICKS, settle=SETTLE, rest=REST)
@@ -337,10 +336,9 @@ def test_the_last_trial_accounts_for_motion_of_locked_joints_and_the_first_says_
     # A soft lock, so that without the trials before the column is far off.
     config = SyntheticConfig(samples=SAMPLES, lock_stiffness=2e3, torque_noise=0.01)
     records = [synthetic_trial(ARM, joint, config, seed=joint) for joint in range(2)]
-    lpm = LpmFull(config=LpmConfig(reading=TorqueReading(timing=TorqueTiming.SIMULTANEOUS)))
     true = np.stack([matrix[:, 1] for matrix in (ARM.M, ARM.B, ARM.K)])
 
-    alone, last = lpm.column(records[1]), lpm.column(records[1], records[:1])
+    alone, last = LPM.column(records[1]), LPM.column(records[1], records[:1])
     assert alone.preliminary
     assert not last.preliminary
     assert (np.abs(alone.values - true) / np.abs(true)).max() > 0.3

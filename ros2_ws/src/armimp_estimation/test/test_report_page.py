@@ -14,7 +14,7 @@ from armimp_estimation.problems import ProblemCode, problem
 from armimp_estimation.report import REPORT_FILE, report_page, write_report
 from armimp_estimation.report.formats import difference, number, percent, plain, uncertain
 from armimp_estimation.result import Result, load_result
-from armimp_estimation.summary import Summary, read_summary, write_summary
+from armimp_estimation.summary import Summary
 from support.pages import Page
 from support.results import METADATA, make_result, with_cuff
 from support.streams import changed
@@ -38,17 +38,10 @@ def page(result: Result) -> Page:
     return Page(report_page(result))
 
 
-def nbsp(words: str) -> str:
-    return words.replace("\N{NO-BREAK SPACE}", " ")
-
-
-def altered(directory: Path, target: Path, **changes: object) -> Path:
-    """A copy of a result without bags, with another summary."""
-    target.mkdir()
-    summary = read_summary(directory / "summary.json")
-    write_summary(target / "summary.json", summary.model_copy(update=changes))
-    (target / "frf.npz").write_bytes((directory / "frf.npz").read_bytes())
-    return target
+def words_of(result: Result, **changes: object) -> str:
+    """What the page of a result says that has another summary."""
+    summary = result.summary.model_copy(update=changes)
+    return Page(report_page(replace(result, summary=summary))).words
 
 
 def test_a_valid_result_is_called_so_first(page: Page) -> None:
@@ -79,12 +72,10 @@ def test_estimates_stand_beside_their_errors_and_the_truth(page: Page, result: R
 
 
 def test_without_truth_there_is_no_word_of_simulation_and_the_relative_error_is_shown(
-    directory: Path, tmp_path: Path
+    result: Result,
 ) -> None:
-    summary = read_summary(directory / "summary.json")
-    estimators = {name: changed(one, vaf=None) for name, one in summary.estimators.items()}
-    target = altered(directory, tmp_path / "rig", truth=None, config={}, estimators=estimators)
-    words = Page(report_page(load_result(target))).words
+    estimators = {name: changed(one, vaf=None) for name, one in result.summary.estimators.items()}
+    words = words_of(result, truth=None, config={}, estimators=estimators)
     assert "relative s.e." in words
     assert "imulat" not in words
     assert "VAF" not in words
@@ -137,39 +128,33 @@ def test_the_file_is_written_whole_and_replaces_an_older_one(
     assert path.stat().st_size < 6.5e6
 
 
-def test_an_invalid_result_says_why_and_what_to_do(directory: Path, tmp_path: Path) -> None:
+def test_an_invalid_result_says_why_and_what_to_do(result: Result) -> None:
     found = problem(
         ProblemCode.LOCK_RATIO, name="elbow", perturbed="shoulder", percent=9.0, limit=2.0
     )
-    target = altered(directory, tmp_path / "bad", problems=[found])
-    words = Page(report_page(load_result(target))).words
+    words = words_of(result, problems=[found])
     assert "Not valid: 1 problem " in words
     assert "Joints that should have been held still moved" in words
     sentence = found.sentence.replace("(limit 2 %)", "").strip()
-    assert sentence in nbsp(words)
+    assert sentence in words.replace("\N{NO-BREAK SPACE}", " ")
     assert "What to do:" in words
     assert "do not use them as a result" in words
 
 
-def test_what_only_another_estimator_needs_is_marked_so_and_not_claimed(
-    directory: Path, tmp_path: Path
-) -> None:
-    summary = read_summary(directory / "summary.json")
+def test_what_only_another_estimator_needs_is_marked_so_and_not_claimed(result: Result) -> None:
+    summary = result.summary
     trials = [changed(one, lock_ratio=[0.1, 0.1], bias_bound=[0.6, 0.6]) for one in summary.trials]
     siso = changed(summary.estimators["welch_siso"], decides=False)
     estimators = {**summary.estimators, "welch_siso": siso}
-    target = altered(directory, tmp_path / "loose", trials=trials, estimators=estimators)
-    words = Page(report_page(load_result(target))).words
+    words = words_of(result, trials=trials, estimators=estimators)
     assert "Valid Both trials are complete, each joint answers its perturbation, and" in words
     assert words.count("not needed by welch_full") == 2 + 6
     assert "beyond" not in words
 
 
-def test_parameters_of_the_model_stand_beside_m_b_and_k(directory: Path, tmp_path: Path) -> None:
-    summary = read_summary(directory / "summary.json")
-    estimators = {name: with_cuff(one) for name, one in summary.estimators.items()}
-    target = altered(directory, tmp_path / "cuff", estimators=estimators)
-    words = Page(report_page(load_result(target))).words
+def test_parameters_of_the_model_stand_beside_m_b_and_k(result: Result) -> None:
+    estimators = {name: with_cuff(one) for name, one in result.summary.estimators.items()}
+    words = words_of(result, estimators=estimators)
     assert "Model cuff of the arm, by welch_siso: Z = A + B parameter" in words
     assert "M 12 " in words.partition("Model cuff of the arm")[2]
     assert "cuff_stiffness 1 200000.00 ± 0.50 u cuff_stiffness 2 10000 ± – u delay 0.01 ±" in words
@@ -195,8 +180,10 @@ def test_a_result_without_an_estimate_still_has_a_report(tmp_path: Path) -> None
 
 
 def test_a_bag_that_is_not_there_is_told(directory: Path, tmp_path: Path) -> None:
-    result = load_result(altered(directory, tmp_path / "alone"))
-    words = Page(report_page(result)).words
+    for name in ("summary.json", "frf.npz"):
+        (tmp_path / name).write_bytes((directory / name).read_bytes())
+    result = load_result(tmp_path)
+    words = words_of(result)
     assert result.trials == ()
     assert "no time traces: " in words
     assert f"{result.summary.joint_names[0]} perturbed joint angles" in words

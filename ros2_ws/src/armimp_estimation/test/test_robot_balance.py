@@ -2,10 +2,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy import signal
 
 import armimp
+from armimp_common.arrays import FloatArray
 from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.estimators.welch import multiply
 from armimp_estimation.fit import Calibration
@@ -23,8 +23,6 @@ from support.synthetic_trials import (
     off,
     synthetic_trial,
 )
-
-FloatArray = NDArray[np.float64]
 
 LOOP = SyntheticConfig(rate=500.0, samples=10_000, lock_stiffness=1500.0)
 ROBOT = MBK(

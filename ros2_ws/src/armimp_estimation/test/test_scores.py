@@ -2,8 +2,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from armimp_common.arrays import ComplexArray
 from armimp_common.errors import DataError
 from armimp_estimation import scores
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
@@ -19,8 +19,6 @@ from support.synthetic_trials import (
     made_record,
     synthetic_trial,
 )
-
-ComplexArray = NDArray[np.complex128]
 
 F = bins_of(SEGMENT, 125.0) * 125.0 / SEGMENT
 TARGET = MBK(M=np.diag([0.2, 0.2]), B=np.diag([2.0, 2.0]), K=np.diag([10.0, 10.0]))

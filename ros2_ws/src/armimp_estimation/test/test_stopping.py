@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from armimp_common.status import NOTICE_TICKS, StoppingDecision
-from armimp_estimation.estimators.lpm import FittedColumn, LpmConfig, LpmFull
+from armimp_estimation.estimators.lpm import FittedColumn
 from armimp_estimation.fit import fit_mbk
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.recorder import StoppingRule, largest_error
-from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from support.synthetic_trials import (
+    LPM,
     SEGMENT,
     TWO_JOINT_ARM,
     SyntheticConfig,
@@ -97,9 +97,6 @@ def test_samples_that_come_late_do_not_change_what_is_considered() -> None:
 def test_a_trial_no_longer_than_the_least_is_announced_and_left_alone(planned: int) -> None:
     (only,) = decisions(rule(planned), planned, 0.0)
     assert (only.samples, only.due) == (0, None)
-
-
-LPM = LpmFull(config=LpmConfig(reading=TorqueReading(timing=TorqueTiming.SIMULTANEOUS)))
 
 
 def ended(record: TrialRecord, others: Sequence[TrialRecord]) -> TrialRecord:

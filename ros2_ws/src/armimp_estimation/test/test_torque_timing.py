@@ -1,17 +1,15 @@
 """Torques that are read late, filtered or before the update: what that does, and its cure."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy import signal
 
 import armimp
+from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
 from armimp_estimation.fit import fit_mbk
 from armimp_estimation.hold_correction import update_jump
@@ -21,8 +19,6 @@ from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from armimp_sim.presets import human_arm, robot
 from support.synthetic_trials import off, worst_errors
-
-FloatArray = NDArray[np.float64]
 
 RATE = 1e3
 F = np.array([0.122, 1.0, 5.0, 15.0])
@@ -71,7 +67,7 @@ latest = pytest.mark.parametrize(
 )
 
 
-def images(reading: TorqueReading, power: int) -> NDArray[np.complex128]:
+def images(reading: TorqueReading, power: int) -> ComplexArray:
     """What sampling folds back, as the sum over the images of the spectrum, symmetric about 0."""
     m = np.concatenate([np.arange(-100_000, 0), np.arange(1, 100_001)])[:, None]
     omega = 2.0 * np.pi * (F + m * RATE)
@@ -128,7 +124,7 @@ def test_spectra_are_corrected_for_delay_and_filter_and_coherences_stay() -> Non
     np.testing.assert_allclose(corrected, np.conj(np.swapaxes(corrected, 0, 1)), rtol=1e-12)
     np.testing.assert_array_equal(corrected[:3, :3], raw[:3, :3])
 
-    def coherence(matrix: NDArray[np.complex128]) -> FloatArray:
+    def coherence(matrix: ComplexArray) -> FloatArray:
         power = np.abs(matrix[0, 3]) ** 2
         return np.asarray(power / (matrix[0, 0].real * matrix[3, 3].real))
 

@@ -72,9 +72,7 @@ class World(ScriptedController):
         self.until_told(*PUSH)
 
     def until_told(self, *torque: float) -> None:
-        eventually(
-            self.spinner, lambda: bool(self.told) and self.told[-1] == torque, f"efforts {torque}"
-        )
+        self.until(lambda: bool(self.told) and self.told[-1] == torque, f"efforts {torque}")
 
 
 class PatientBridge(Ros2ControlBridge):

@@ -1,12 +1,10 @@
 """The plant: its integration, equations of motion, friction, lanes, and what is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from armimp_common.arrays import FloatArray as Array
 from armimp_common.errors import ArmimpError, ConfigurationError
 from armimp_common.topics import PERIOD
 from armimp_sim import dynamics, presets
@@ -25,7 +23,6 @@ from support.plants import (
     study_plant,
 )
 
-Array = NDArray[np.float64]
 START = np.array([[1.3, 0.9], [4.0, -7.0], [0.0, 0.0]])
 TORQUE = np.array([1.5, -2.0])
 

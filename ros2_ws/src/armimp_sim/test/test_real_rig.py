@@ -1,17 +1,15 @@
 """Transducers and drives of a real rig: each imperfection against its closed form."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy import signal
 from scipy.integrate import trapezoid
 
+from armimp_common.arrays import FloatArray as Array
 from armimp_sim import presets
 from armimp_sim.model.arm import CuffParameters, HumanArm, MuscleParameters, ReflexParameters
 from armimp_sim.model.friction import LuGre
@@ -21,7 +19,6 @@ from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import Plant
 from support.plants import changed, load, rig, state_of, stepwise, study_plant
 
-Array = NDArray[np.float64]
 SUBSTEPS = 20
 COMMANDS = np.random.default_rng(4).uniform(-5.0, 5.0, (60, 2))
 
@@ -37,9 +34,9 @@ def config(
     return study_plant(1, sensors=sensors, substeps=SUBSTEPS, **parts)
 
 
-def run(config: SimulatorParameters, commands: Array = COMMANDS) -> tuple[Array, Array]:
+def run(rig: SimulatorParameters | Plant, commands: Array = COMMANDS) -> tuple[Array, Array]:
     """States and torque readings of each tick: (ticks, ...)."""
-    plant = Plant([config])
+    plant = rig if isinstance(rig, Plant) else Plant([rig])
     states, torques = [], []
     for command in commands:
         plant.tick(command[None], np.zeros((1, command.size)))
@@ -51,15 +48,12 @@ def run(config: SimulatorParameters, commands: Array = COMMANDS) -> tuple[Array,
 def within() -> tuple[Array, Array]:
     """Torque on the arm at the start and the end of every step of the integration, (steps, 2)."""
     plain = config()
-    fine = stepwise(plain)
-    starts, ends = [], []
-    for command in COMMANDS:
-        for _ in range(SUBSTEPS):
-            # The reading without any time passing: under the new command, before the step.
-            starts.append(load(plain, state_of(fine)[0], command))
-            fine.tick(command[None], np.zeros((1, 2)))
-            ends.append(fine.torque[0].copy())
-    return np.array(starts), np.array(ends)
+    fine, commands = stepwise(plain), np.repeat(COMMANDS, SUBSTEPS, axis=0)
+    before = state_of(fine)
+    states, ends = run(fine, commands)
+    # The reading without any time passing: under the new command, before the step.
+    states = np.concatenate([before, states[:-1]])
+    return np.array([load(plain, *one) for one in zip(states, commands, strict=True)]), ends
 
 
 def test_offset_drift_and_gain_change_the_reading_and_nothing_else() -> None:
@@ -235,14 +229,9 @@ def test_torque_of_a_drive_has_ripple_and_cogging_by_the_angle() -> None:
 def test_commands_act_late_by_whole_and_parts_of_periods_and_up_to_the_limit_of_the_drive() -> None:
     drive = ActuatorParameters(delay=0.00135, limit=3.0)
     states, _ = run(config(parts={"actuators": drive}))
-    plain = config()
-    fine = stepwise(plain)
     late = np.repeat(np.clip(COMMANDS, -3.0, 3.0), SUBSTEPS, axis=0)
     late = np.concatenate([np.zeros((27, 2)), late])[: len(late)]
-    expected = []
-    for command in late:
-        fine.tick(command[None], np.zeros((1, 2)))
-        expected.append(state_of(fine)[0])
+    expected, _ = run(stepwise(config()), late)
     assert np.array_equal(states, expected[SUBSTEPS - 1 :: SUBSTEPS])
 
 
@@ -299,18 +288,15 @@ def test_plant_reads_whole_counts_of_its_exact_state(level: int) -> None:
 def test_interval_mean_torque_is_the_mean_over_the_substeps() -> None:
     sensors = SensorParameters(sampling=Sampling.INTERVAL_MEAN)
     coarse = study_plant(sensors=sensors)
-    plant, watcher = Plant([coarse]), stepwise(coarse)
+    watcher, last = stepwise(coarse), np.zeros(2)
     commands = np.random.default_rng(6).uniform(-5.0, 5.0, (10, 2))
-    last = np.zeros(2)
-    for command in commands:
-        states = [state_of(watcher)[0]]
-        for _ in range(coarse.substeps):
-            watcher.tick(command[None], np.zeros((1, 2)))
-            states.append(state_of(watcher)[0])
-        plant.tick(command[None], np.zeros((1, 2)))
+    for command, read in zip(commands, run(coarse, commands)[1], strict=True):
+        before = state_of(watcher)
+        within, _ = run(watcher, np.tile(command, (coarse.substeps, 1)))
+        states = np.concatenate([before, within])
         torques = np.array([load(coarse, state, command) for state in states])
         mean = trapezoid(torques, dx=1.0 / coarse.substeps, axis=0)
-        assert plant.torque[0] == pytest.approx(mean, abs=1e-8)
+        assert read == pytest.approx(mean, abs=1e-8)
         # Neither end of the interval would do, nor the command before.
         assert np.max(np.abs(torques[-1] - mean)) > 1e-5
         assert np.max(np.abs(load(coarse, states[0], last) - mean)) > 1e-3

@@ -1,7 +1,5 @@
 """The rig under a clock: it goes on without commands, and counts what it missed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The simulator node over real DDS: lockstep, faults, parameters, its surroundings, real time."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

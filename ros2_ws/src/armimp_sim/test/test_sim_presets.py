@@ -1,13 +1,11 @@
 """Presets: the paper's tables, what the design assumes, and one to seven joints."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray as Array
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import build, flatten
 from armimp_common.sizes import JOINT_SIZES
@@ -61,7 +59,6 @@ def test_friction_is_that_of_the_design(level: int, values: tuple[float, ...]) -
 # --- Presets of one to seven joints: the rules that they follow, and that they make sound plants
 
 
-Array = NDArray[np.float64]
 ALL = range(1, 8)
 
 

@@ -4,15 +4,13 @@ That packed values give the bits of single floats, whole experiments show: those
 ``test_offline_experiment.py``, side by side and alone.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray as Array
 from armimp_sim.simd import exp_minus, sine_cosine
 
-Array = NDArray[np.float64]
 TURNS = np.linspace(-40.0, 40.0, 20_001)
 QUARTERS = np.arange(-1000, 1001) * (np.pi / 2.0)
 

@@ -1,7 +1,5 @@
 """Voluntary torque: strength, spectrum, and independence of the way it is drawn."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import signal
