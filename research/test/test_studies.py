@@ -11,10 +11,16 @@ import numpy as np
 import pytest
 
 from armimp_bringup.config import ExperimentConfig
+from armimp_estimation.estimators.lpm import LpmFull
+from armimp_estimation.fit import fit_mbk
+from armimp_estimation.trial import TrialData
 from research import controller, coverage, decomposition, growth, limits
 from research.coverage_statistics import QUANTILE, Share
+from research.cramer_rao import SensorNoise, cramer_rao_bound, error_covariance, motion_in_band
 from research.decomposition_statistics import Mean
+from research.decomposition_trials import matrices
 from research.options import InvestigationOptions
+from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 pytestmark = pytest.mark.slow
 
@@ -104,3 +110,16 @@ def test_chance_alone_is_significant_as_often_as_stated() -> None:
     many = [Mean.of(random.standard_normal((12, 8))).significant for _ in range(2000)]
     # 5 % by Bonferroni; four standard errors are 2 %.
     assert 0.03 < np.mean(many) < 0.07
+
+
+def test_errors_by_white_noise_of_torques_are_close_to_the_bound() -> None:
+    noise, config = SensorNoise(angle=0.0, torque=0.2), SyntheticConfig(torque_noise=0.2)
+    over = []
+    for seed in range(24):
+        records = [synthetic_trial(TWO_JOINT_ARM, k, config, 2 * seed + k) for k in range(2)]
+        f, motion = motion_in_band(records)
+        covariance = error_covariance(TWO_JOINT_ARM, f, config.samples, noise)
+        fit = fit_mbk(LpmFull().estimate([TrialData.of(one) for one in records]))
+        error = matrices(fit.mbk) - matrices(TWO_JOINT_ARM)
+        over.append(error / cramer_rao_bound(f, motion, covariance))
+    assert 0.95 < np.sqrt(np.mean(np.square(over))) < 1.2

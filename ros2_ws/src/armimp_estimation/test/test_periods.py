@@ -193,20 +193,16 @@ def test_a_gain_or_a_stiffness_that_changes_at_once_is_found(
 
 
 def test_a_slow_torque_that_comes_and_goes_is_no_change_of_arm_or_transducer() -> None:
-    arm = MBK(M=np.array([[0.02]]), B=np.array([[0.2]]), K=np.array([[8.0]]))
     slow = butter(1, [0.05, 1.0], "bandpass", fs=1000.0, output="sos")
     changing = []
     for seed in range(20):
         random = np.random.default_rng(seed)
         source = lagging_behind(random.standard_normal(40_000), 0.9)
-        angle = lagging_behind(source, np.exp(-1e-3 / 0.05))
-        angle *= 0.045 / np.std(angle)
-        f = np.asarray(np.fft.rfftfreq(angle.size, 1e-3), dtype=np.float64)
-        torque = np.fft.irfft(arm.impedance(f)[0, 0] * np.fft.rfft(angle), angle.size)
+        angle = angle_of(source)
         push = sosfilt(slow, random.standard_normal(angle.size))
         push *= np.repeat(random.exponential(1.0, 10) ** 2, 4000) / np.std(push)
-        found = deviations(elbow(source, angle, torque + 0.5 * push), arm)
-        changing += [name for name in ("time", "drift") if found[name].significant]
+        found = significant(elbow(source, angle, torque_of(angle) + 0.5 * push))
+        changing += found.keys() & {"time", "drift"}
     assert len(changing) <= 1
 
 
