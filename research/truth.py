@@ -553,6 +553,8 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         add(NOISE, "weak", (f"{level:g}", {"level": level}))
     for friction in (0.5, 1.0, 2.0):
         add(NOISE, "friction", (f"{friction:g} N·m", {"friction": friction}))
+        pushed: dict[str, Any] = {"waveform": "binary", "cutoff": 15.0, "friction": 1.5 * friction}
+        add(MUST, "friction, binary", (f"{1.5 * friction:g} N·m", pushed | {"stick": 0.01}))
     for friction, step in ((0.5, 5e-4), (1.0, 6e-5), (1.0, 5e-4), (2.0, 6e-5)):
         # Joints that rest: a law that knows nothing of friction, a coarse encoder.
         sticky = {"friction": friction, "stick": 0.005 * friction, "angle_step": step}
@@ -560,8 +562,8 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         add(kind, "sticking", (f"{friction:g} N·m, {step:g} rad", sticky))
     for friction in (0.7, 1.0):
         # What friction bends of the motion isn't independent of a person who moves beside.
-        pushed = {"friction": friction, "stick": 0.005, "voluntary": 0.3}
-        add(NOISE, "sticking, voluntary", (f"{friction:g} N·m", pushed))
+        moved = {"friction": friction, "stick": 0.005, "voluntary": 0.3}
+        add(NOISE, "sticking, voluntary", (f"{friction:g} N·m", moved))
     three = {"joints": 3}
     add(NOISE, "three joints", ("", three), ("800", three | {"rate": 800.0}))
     add(

@@ -286,9 +286,10 @@ def fit_impedance(
             may_creep=calibration.linearity is None,
         )
     problem, delay = _with_delay(problem)
-    if delay is not None and delay.delay and estimate.friction_skew is not None:
-        # What is late against the angles jumps otherwise, too, as behind drives that lag.
-        share = min(abs(delay.delay) / estimate.delay_unknown, 1.0)
+    if delay is not None and estimate.friction_skew is not None:
+        # What is late against the angles, or may be, jumps otherwise, too, as behind drives that lag.
+        late = abs(delay.delay) or delay.error
+        share = min(late / estimate.delay_unknown, 1.0)
         doubt = _flat(share * estimate.friction_skew)
         problem = replace(problem, systematics=(*problem.systematics, doubt))
     problem = problem.with_bounds_told()

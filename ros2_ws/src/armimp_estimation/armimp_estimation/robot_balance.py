@@ -405,7 +405,9 @@ def imbalance(robot: RobotBalance, arm: MBKFit) -> tuple[FloatArray, FloatArray,
     no other, by least squares from B and K of the robot off the diagonal: a spring or friction of
     the joint itself is on it. What K there has in common with the element on the other side may be
     of gravity, unless what then is left tells that share, too, rather than none. For a single joint
-    it is that of K. Where what is left rather tells it, but may be chance, that share with K is the
+    it is that of K. Of the joint itself it has to be on the diagonal, too, but for what gravity and
+    friction of the joint may be there; else it is friction of the locked joint, and its own error.
+    Where what is left rather tells it, but may be chance, that share with K is the
     third value, else 0.
     """
     K = robot.K
@@ -417,7 +419,11 @@ def imbalance(robot: RobotBalance, arm: MBKFit) -> tuple[FloatArray, FloatArray,
     tells = (np.abs(left - whole) < near) & (left_error < np.abs(whole))
     sure = tells & (np.abs(left) > _REFUTED * left_error)
     possible = np.where(tells & ~sure & (np.abs(whole) > _REFUTED * whole_error), whole, 0.0)
-    return np.where(sure, whole, left), np.where(sure, whole_error, left_error), possible
+    shares, errors = np.where(sure, whole, left), np.where(sure, whole_error, left_error)
+    own, K_own = np.diag(K), np.diag(arm.mbk.K)
+    spring = _PULLED * np.abs(K_own) + robot.rubbing + _REFUTED * np.diag(robot.K_se)
+    refuted = np.diag(np.abs(np.diag(shares) * K_own - own) > spring)
+    return shares, np.where(refuted, np.hypot(errors, shares), errors), possible
 
 
 def _imbalance(
