@@ -562,8 +562,8 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         add(kind, "sticking", (f"{friction:g} N·m, {step:g} rad", sticky))
     for friction in (0.7, 1.0):
         # What friction bends of the motion isn't independent of a person who moves beside.
-        moved = {"friction": friction, "stick": 0.005, "voluntary": 0.3}
-        add(NOISE, "sticking, voluntary", (f"{friction:g} N·m", moved))
+        beside = {"friction": friction, "stick": 0.005, "voluntary": 0.3}
+        add(NOISE, "sticking, voluntary", (f"{friction:g} N·m", beside))
     three = {"joints": 3}
     add(NOISE, "three joints", ("", three), ("800", three | {"rate": 800.0}))
     add(
