@@ -287,7 +287,7 @@ def fit_impedance(
         )
     problem, delay = _with_delay(problem)
     if delay is not None and estimate.friction_skew is not None:
-        # What is late against the angles, or may be, jumps otherwise, too, as behind drives that lag.
+        # What is late, or may be, against the angles jumps otherwise, too, as behind slow drives.
         late = abs(delay.delay) or delay.error
         share = min(late / estimate.delay_unknown, 1.0)
         doubt = _flat(share * estimate.friction_skew)
