@@ -21,13 +21,13 @@ from rclpy.node import Node
 
 from armimp_bringup.nodes import NODES
 from armimp_common import qos, topics
+from armimp_common.cdr import CommandDecoder, JointStateDecoder
 from armimp_common.errors import GraphError
 from armimp_common.executor import run_node, steady_timer
 from armimp_common.heartbeat import HeartbeatMonitor
 from armimp_common.pubsub import (
     publisher_count,
-    subscribe_commands,
-    subscribe_joint_states,
+    subscribe_decoded,
     wait_for_partners,
 )
 from armimp_common.status import values_of
@@ -54,10 +54,11 @@ class Witness(Node):
         self._perturbed = 0
         self._statuses: list[tuple[float, dict[str, str]]] = []
         self._reports: list[tuple[float, str, str]] = []
-        subscribe_commands(self, topics.COMMANDS, len(JOINTS), self._on_command, raised)
-        subscribe_joint_states(
-            self, topics.PERTURBATION, JOINTS, "effort", self._on_perturbation, raised
+        decoder = JointStateDecoder(JOINTS, "effort")
+        subscribe_decoded(
+            self, topics.COMMANDS, CommandDecoder(len(JOINTS)), self._on_command, raised
         )
+        subscribe_decoded(self, topics.PERTURBATION, decoder, self._on_perturbation, raised)
         self.create_subscription(DiagnosticStatus, topics.TRIAL, self._on_trial, qos.LATCHED)
         self.create_subscription(
             DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS

@@ -12,8 +12,9 @@ from std_msgs.msg import UInt64
 from std_srvs.srv import Trigger
 
 from armimp_common import qos, topics
+from armimp_common.cdr import JointStateDecoder
 from armimp_common.executor import Spinner
-from armimp_common.pubsub import CommandPublisher, subscribe_joint_states, wait_for_partners
+from armimp_common.pubsub import CommandPublisher, subscribe_decoded, wait_for_partners
 from armimp_common.status import Level, values_of
 from armimp_common.topics import JOINT_STATES, TORQUE_SENSORS, VALUE_FIELD
 from armimp_control.parameters import ControllerParameters
@@ -65,8 +66,12 @@ class ScriptedController:
         self.commands = CommandPublisher(node, topics.COMMANDS, len(NAMES))
         self.received = node.create_publisher(UInt64, topics.RECEIVED, qos.LATCHED)
         self.subscriptions = [
-            subscribe_joint_states(
-                node, topic, NAMES, VALUE_FIELD[topic], partial(self.on_sample, topic), raised
+            subscribe_decoded(
+                node,
+                topic,
+                JointStateDecoder(NAMES, VALUE_FIELD[topic]),
+                partial(self.on_sample, topic),
+                raised,
             )
             for topic in self.samples
         ]

@@ -25,13 +25,13 @@ from rclpy.subscription import Subscription
 
 from armimp_bringup.graph import DomainClaim
 from armimp_common import qos, topics
+from armimp_common.cdr import CommandDecoder, JointStateDecoder
 from armimp_common.errors import MalformedMessageError
 from armimp_common.executor import Spinner
 from armimp_common.heartbeat import HeartbeatMonitor
 from armimp_common.pubsub import (
     JointStatePublisher,
-    subscribe_commands,
-    subscribe_joint_states,
+    subscribe_decoded,
     wait_for_partners,
 )
 from armimp_common.schema import Value, flatten
@@ -257,18 +257,17 @@ class ScriptedDriver:
         self.messages: list[DiagnosticStatus] = []
         self._node = node
         self._subscriptions = [
-            subscribe_commands(
+            subscribe_decoded(
                 node,
                 topics.COMMANDS,
-                len(names),
+                CommandDecoder(len(names)),
                 lambda _, command: self.commands.append(command),
                 raised,
             ),
-            subscribe_joint_states(
+            subscribe_decoded(
                 node,
                 topics.PERTURBATION,
-                names,
-                "effort",
+                JointStateDecoder(names, "effort"),
                 lambda stamp_ns, values: self.perturbations.append((stamp_ns, values)),
                 raised,
             ),

@@ -20,6 +20,7 @@ from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
 from armimp_common import qos, topics
+from armimp_common.cdr import CommandDecoder
 from armimp_common.errors import ArmimpError, GraphError
 from armimp_common.executor import steady_timer
 from armimp_common.heartbeat import HeartbeatMonitor
@@ -30,7 +31,7 @@ from armimp_common.pubsub import (
     JointStatePublisher,
     RawPublisher,
     publisher_count,
-    subscribe_commands,
+    subscribe_decoded,
     wait_for_partners,
 )
 from armimp_common.realtime import TimingMeter
@@ -148,8 +149,9 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         self.diagnostics = self.create_publisher(
             DiagnosticArray, topics.DIAGNOSTICS, qos.DIAGNOSTICS
         )
-        self.commands = subscribe_commands(
-            self, topics.COMMANDS, len(joints), self._on_numbered, self.on_malformed
+        decoder = CommandDecoder(len(joints))
+        self.commands = subscribe_decoded(
+            self, topics.COMMANDS, decoder, self._on_numbered, self.on_malformed
         )
         self.own(self.joint_states.publisher, self.torque_sensors.publisher, self.diagnostics)
         self.own(self.commands, steady_timer(self, _CHECK_PERIOD, self.check))

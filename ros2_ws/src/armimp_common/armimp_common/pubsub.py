@@ -105,62 +105,38 @@ def subscribe_raw(
     return node.create_subscription(message_type, topic, callback, profile, raw=True)
 
 
-def _decoded(
-    decode: Callable[[bytes], tuple[int, tuple[float, ...]]],
-    callback: Callable[[int, tuple[float, ...]], None],
-    on_malformed: OnMalformed,
-) -> Callable[[bytes], None]:
-    """Callback for bytes that hands on what is decoded of them, or the error."""
-
-    def on_message(data: bytes) -> None:
-        try:
-            number, values = decode(data)
-        except MalformedMessageError as error:
-            on_malformed(error)
-        else:
-            callback(number, values)
-
-    return on_message
-
-
-def subscribe_joint_states(
+def subscribe_decoded(
     node: Node,
     topic: str,
-    names: Sequence[str],
-    field: ValueField,
+    decoder: cdr.JointStateDecoder | cdr.CommandDecoder,
     callback: Callable[[int, tuple[float, ...]], None],
     on_malformed: OnMalformed,
 ) -> Subscription:
-    """Return a subscription to JointState messages, decoded in the order of `names`.
+    """Return a subscription to JointState messages or commands, as its decoder takes them.
 
     Parameters
     ----------
     node, topic
         Where to listen.
-    names, field
-        As for `armimp_common.cdr.JointStateDecoder`.
+    decoder
+        Of one message after the other.
     callback
-        Called with the stamp (ns) and the values; NaN and infinities are passed on.
+        Called with the stamp (ns), or of commands with the number, and the values; NaN and
+        infinities are passed on.
     on_malformed
         Called instead for a message that cannot be decoded.
     """
-    decode = cdr.JointStateDecoder(names, field).decode
-    return subscribe_raw(node, topic, JointState, _decoded(decode, callback, on_malformed))
 
+    def on_message(data: bytes) -> None:
+        try:
+            number, values = decoder.decode(data)
+        except MalformedMessageError as error:
+            on_malformed(error)
+        else:
+            callback(number, values)
 
-def subscribe_commands(
-    node: Node,
-    topic: str,
-    n: int,
-    callback: Callable[[int, tuple[float, ...]], None],
-    on_malformed: OnMalformed,
-) -> Subscription:
-    """Return a subscription to commands for `n` joints; see `subscribe_joint_states`.
-
-    The callback gets the number of the command, 0 if it has none, in the place of the stamp.
-    """
-    decode = cdr.CommandDecoder(n).decode
-    return subscribe_raw(node, topic, Float64MultiArray, _decoded(decode, callback, on_malformed))
+    kind = Float64MultiArray if isinstance(decoder, cdr.CommandDecoder) else JointState
+    return subscribe_raw(node, topic, kind, on_message)
 
 
 def subscribe_counts(node: Node, topic: str, callback: Callable[[int], None]) -> Subscription:

@@ -11,10 +11,11 @@ from rclpy.node import Node
 from std_msgs.msg import String
 
 from armimp_common import pubsub, qos
+from armimp_common.cdr import CommandDecoder
 from armimp_common.errors import GraphError
 from armimp_common.executor import Spinner
 from armimp_common.heartbeat import HeartbeatMonitor
-from armimp_common.pubsub import CommandPublisher, subscribe_commands, wait_for_partners
+from armimp_common.pubsub import CommandPublisher, subscribe_decoded, wait_for_partners
 from support.graph import eventually, raised
 
 
@@ -22,7 +23,7 @@ def test_when_peers_are_missing_expect_their_topics_named(
     node: Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     publisher = CommandPublisher(node, "spoken", 1)
-    subscription = subscribe_commands(node, "heard", 1, lambda *_: None, raised)
+    subscription = subscribe_decoded(node, "heard", CommandDecoder(1), lambda *_: None, raised)
     start = time.monotonic()
 
     def missed(names: str) -> None:
@@ -33,7 +34,7 @@ def test_when_peers_are_missing_expect_their_topics_named(
 
     missed("/spoken, /heard")
     assert time.monotonic() - start >= 0.1
-    subscribe_commands(node, "spoken", 1, lambda *_: None, raised)
+    subscribe_decoded(node, "spoken", CommandDecoder(1), lambda *_: None, raised)
     wait_for_partners(node, publishers=[publisher])
     missed("/heard")
 

@@ -14,6 +14,7 @@ from rclpy.publisher import Publisher
 from std_srvs.srv import Trigger
 
 from armimp_common import qos, topics
+from armimp_common.cdr import JointStateDecoder
 from armimp_common.errors import ArmimpError, GraphError, MalformedMessageError
 from armimp_common.executor import run_node, steady_timer
 from armimp_common.heartbeat import HeartbeatMonitor, Presence
@@ -24,7 +25,7 @@ from armimp_common.pubsub import (
     CommandPublisher,
     JointStatePublisher,
     subscribe_counts,
-    subscribe_joint_states,
+    subscribe_decoded,
     wait_for_partners,
 )
 from armimp_common.realtime import RealtimeScheduling
@@ -103,11 +104,10 @@ class ImbicControllerNode(ManagedNode):
             DiagnosticArray, topics.DIAGNOSTICS, qos.DIAGNOSTICS
         )
         self._sensors = [
-            subscribe_joint_states(
+            subscribe_decoded(
                 self,
                 topic,
-                names,
-                topics.VALUE_FIELD[topic],
+                JointStateDecoder(names, topics.VALUE_FIELD[topic]),
                 partial(self._on_reading, kind),
                 self._on_malformed,
             )
