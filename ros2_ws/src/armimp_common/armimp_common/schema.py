@@ -21,9 +21,9 @@ import itertools
 import json
 import linecache
 import sys
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Annotated, Any, Final, Literal, TypeAlias, TypeVar, get_args, get_origin
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Final, Literal, TypeAlias, TypeVar
 
 import numpy as np
 import yaml
@@ -52,6 +52,13 @@ TextLoader: Final[Any] = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
 """Loads every value as a string: what is written stays as it is."""
 
 _TYPE_NAMES: dict[ItemType, str] = {bool: "bool", int: "integer", float: "double", str: "string"}
+_ITEMS: Final[Mapping[str | None, ItemType]] = {
+    "boolean": bool,
+    "integer": int,
+    "number": float,
+    "string": str,
+}
+_ENDS: Final = ("minimum", "maximum")
 
 
 class Schema(BaseModel):
@@ -93,17 +100,36 @@ def leaves(model: type[BaseModel]) -> dict[str, Leaf]:
     TypeError
         If a field has a type that ROS parameters cannot have.
     """
-    found: dict[str, Leaf] = {}
+    schema = model.model_json_schema()
+    return {leaf.name: leaf for leaf in _leaves(model, schema, schema.get("$defs", {}), "")}
+
+
+def _leaves(
+    model: type[BaseModel], schema: Mapping[str, Any], known: Mapping[str, Any], prefix: str
+) -> Iterator[Leaf]:
+    """Leaves of a model from its JSON schema, with those of its parts and of enumerations."""
     described = descriptions(model)
     for key, field in model.model_fields.items():
-        sub_model = _sub_model(field)
-        if sub_model is not None:
-            for leaf in leaves(sub_model).values():
-                name = f"{key}.{leaf.name}"
-                found[name] = replace(leaf, name=name)
-        else:
-            found[key] = _leaf(key, field, model, described.get(key, ""))
-    return found
+        one = schema["properties"][key]
+        one = {**one, **known.get(one.get("$ref", "").rpartition("/")[2], {})}
+        if (sub_model := _sub_model(field)) is not None:
+            yield from _leaves(sub_model, one, known, f"{prefix}{key}.")
+            continue
+        array = one.get("type") == "array"
+        item = _ITEMS.get((one.get("items", {}) if array else one).get("type"))
+        if item is None:
+            raise TypeError(
+                f"{model.__name__}.{key}: ROS parameters cannot have type {field.annotation}"
+            )
+        low, high = (one.get(end, one.get(f"exclusive{end.title()}")) for end in _ENDS)
+        yield Leaf(
+            name=f"{prefix}{key}",
+            item=item,
+            array=array,
+            description=described[key],
+            minimum=None if low is None else float(low),
+            maximum=None if high is None else float(high),
+        )
 
 
 def descriptions(model: type[BaseModel]) -> dict[str, str]:
@@ -336,46 +362,6 @@ def load_yaml(text: str, loader: Any = Loader, *, aliases: bool = False) -> Any:
         if isinstance(event, yaml.AliasEvent) and not aliases:
             raise yaml.YAMLError(f"the alias *{event.anchor:.40} is not allowed")
     return yaml.load(text, Loader=loader)
-
-
-def _leaf(key: str, field: FieldInfo, model: type[BaseModel], description: str) -> Leaf:
-    item, array = _item_type(field.annotation, f"{model.__name__}.{key}")
-    minima, maxima = _limits(field, "ge", "gt"), _limits(field, "le", "lt")
-    return Leaf(
-        name=key,
-        item=item,
-        array=array,
-        description=description,
-        minimum=None if array or not minima else max(minima),
-        maximum=None if array or not maxima else min(maxima),
-    )
-
-
-def _item_type(annotation: Any, where: str) -> tuple[ItemType, bool]:
-    arguments = get_args(annotation)
-    if get_origin(annotation) is Annotated:
-        return _item_type(arguments[0], where)
-    if get_origin(annotation) is tuple and arguments:
-        kinds = {_item_type(item, where) for item in arguments if item is not Ellipsis}
-        if len(kinds) == 1 and not next(iter(kinds))[1]:
-            return next(iter(kinds))[0], True
-    elif get_origin(annotation) is Literal:
-        kinds = {_item_type(type(item), where) for item in arguments}
-        if len(kinds) == 1:
-            return next(iter(kinds))
-    elif isinstance(annotation, type):
-        if issubclass(annotation, enum.Enum):
-            return _item_type(type(next(iter(annotation)).value), where)
-        for item in _TYPE_NAMES:
-            if annotation is item:
-                return item, False
-    raise TypeError(f"{where}: ROS parameters cannot have type {annotation}")
-
-
-def _limits(field: FieldInfo, *names: str) -> list[float]:
-    """Values of constraints such as ``ge``, of whatever kind they are."""
-    found = [getattr(one, name, None) for one in field.metadata for name in names]
-    return [float(limit) for limit in found if isinstance(limit, int | float)]
 
 
 def _sub_model(field: FieldInfo) -> type[BaseModel] | None:
