@@ -194,7 +194,7 @@ def test_a_gain_or_a_stiffness_that_changes_at_once_is_found(
 
 def test_a_slow_torque_that_comes_and_goes_is_no_change_of_arm_or_transducer() -> None:
     slow = butter(1, [0.05, 1.0], "bandpass", fs=1000.0, output="sos")
-    changing = []
+    changing: list[str] = []
     for seed in range(20):
         random = np.random.default_rng(seed)
         source = lagging_behind(random.standard_normal(40_000), 0.9)
