@@ -108,10 +108,6 @@ def repeated(piece: bytes, times: int, prefix: bytes = b"") -> bytes:
     return out.getvalue()
 
 
-def zstd(data: bytes) -> bytes:
-    return zstandard.ZstdCompressor(level=1).compress(data)
-
-
 def mcap(directory: Path, *parts: bytes, name: str = "bag.mcap") -> Arguments:
     file = directory / name
     file.write_bytes(b"".join(parts))
@@ -119,7 +115,7 @@ def mcap(directory: Path, *parts: bytes, name: str = "bag.mcap") -> Arguments:
 
 
 def zstd_chunk(content: bytes) -> bytes:
-    return chunk("zstd", len(content), zstd(content))
+    return chunk("zstd", len(content), zstandard.compress(content, level=1))
 
 
 def zstd_chunks(records: Iterable[bytes]) -> bytes:
@@ -171,7 +167,9 @@ MCAP: Final[dict[str, Callable[[], bytes]]] = {
         for size in (4 * _GIB, _GIB)
     ),
     "lz4 chunk bomb": lambda: chunk("lz4", 1000, lz4.frame.compress(bytes(_GIB // 4))),
-    "compressed messages": lambda: 1000 * message(1, 1, zstd(bytes(64 << 20))),
+    "compressed messages": lambda: (
+        1000 * message(1, 1, zstandard.compress(bytes(64 << 20), level=1))
+    ),
     # Counts and names
     "topic with a name of five million letters": lambda: (
         records(channel(1, "/" + "a" * 5_000_000 + "/joint_states")) + _X

@@ -210,10 +210,8 @@ def unsure(record: Record) -> set[str]:
 
 
 def test_a_sound_driver_passes(sound: Record) -> None:
-    findings = judge(sound)
-    assert with_outcome(findings, Outcome.FAIL) == []
-    assert with_outcome(findings, Outcome.NOT_CHECKED) == []
-    assert with_outcome(findings, Outcome.INCONCLUSIVE) == []
+    for outcome in (Outcome.FAIL, Outcome.NOT_CHECKED, Outcome.INCONCLUSIVE):
+        assert with_outcome(judge(sound), outcome) == []
 
 
 @pytest.mark.parametrize(
@@ -396,11 +394,8 @@ def test_each_defect_of_a_driver_under_torque_is_named_and_nothing_else(
 
 
 def test_when_the_watchdog_of_a_deaf_driver_speaks_after_the_stop_expect_its_torque_named() -> None:
-    class HeldUp(Driver):
-        def held_up(self, tick: int) -> bool:
-            return 300 < tick - self.told_to_stop < 310
-
-    record = moved(HeldUp(deaf=True))
+    driver: Driver = Driver(deaf=True, held_up=lambda tick: 300 < tick - driver.told_to_stop < 310)
+    record = moved(driver)
     assert record.moves.stop is not None
     assert record.moves.stop.told == pytest.approx(0.306, abs=0.005)
     assert failed(record) == [KEPT]

@@ -3,6 +3,8 @@
 import math
 from collections.abc import Callable, Iterator
 from enum import Enum
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -147,12 +149,7 @@ def test_parameter_file_reads_back() -> None:
     assert list(content) == ["arm_sim", "/left/imbic", "empty"]
     for node, model in (("arm_sim", Params()), ("/left/imbic", odd)):
         nested = content[node]["ros__parameters"]
-        flat: dict[str, Any] = {}
-        for name in FLAT:
-            value = nested
-            for key in name.split("."):
-                value = value[key]
-            flat[name] = value
+        flat = {name: reduce(getitem, name.split("."), nested) for name in FLAT}
         assert flat == flatten(model)
         assert isinstance(nested["offset"], float), "YAML 1.1 must not take it for a string"
     assert content["empty"] == {"ros__parameters": {}}

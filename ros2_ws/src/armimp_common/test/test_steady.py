@@ -18,7 +18,6 @@ from armimp_common.schema import Schema
 from support.graph import CLOCK_STEPS, PATIENCE, eventually, set_clock
 
 SOURCES = Path(__file__).parents[2]
-stepped = pytest.mark.parametrize("step", CLOCK_STEPS)
 
 WALL_CLOCK = {
     "create_timer",
@@ -50,7 +49,7 @@ class Settings(Schema):
     gain: float = 1.0
 
 
-@stepped
+@pytest.mark.parametrize("step", CLOCK_STEPS)
 @pytest.mark.timeout(60)
 def test_when_the_clock_is_set_expect_stop_conditions_of_a_busy_node_to_be_looked_at(
     node: Node, step: float

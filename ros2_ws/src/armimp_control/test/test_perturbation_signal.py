@@ -1,5 +1,7 @@
 """Perturbations: noise, multisines and optimal ones, and the low-pass of the first."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -25,10 +27,7 @@ from armimp_control.perturbation import (
 )
 
 CONFIG = PerturbationParameters(peak=(9.0, 5.4))
-
-
-def _signal(*, trial: int = 1, ticks: int, seed: int = 1) -> Array:
-    return perturbation(CONFIG, joint=0, trial=trial, ticks=ticks, seed=seed)
+_signal = partial(perturbation, CONFIG, joint=0, trial=1, seed=1)
 
 
 @settings(deadline=None)
@@ -89,10 +88,7 @@ MULTISINE = presets.perturbation(3, 2, "multisine")
 DURATIONS = [(50_000, 7142), (12_000, 3000), (2000, 1000)]
 """Samples of some trials, and of the period that each gets."""
 PERIOD = DURATIONS[0][1]
-
-
-def _multisine(*, joint: int = 0, trial: int = 1, ticks: int = 50_000, seed: int = 1) -> Array:
-    return perturbation(MULTISINE, joint=joint, trial=trial, ticks=ticks, seed=seed)
+_multisine = partial(perturbation, MULTISINE, joint=0, trial=1, ticks=50_000, seed=1)
 
 
 def _lines_of(period: Array) -> NDArray[np.intp]:

@@ -86,10 +86,8 @@ def test_phases_are_announced_at_their_first_tick() -> None:
     for status in bench.statuses:
         assert status.valid
         assert (status.trials, status.ticks, status.seed) == (2, PERTURB, 1)
-        assert (status.joint, status.joint_name) == (
-            status.trial - 1,
-            ("shoulder", "elbow")[status.trial - 1],
-        )
+        assert status.joint == status.trial - 1
+        assert status.joint_name == ("shoulder", "elbow")[status.joint]
     assert bench.experiment.finished
 
 

@@ -460,13 +460,9 @@ def test_trial_without_any_sample_is_refused(statuses: int, code: ProblemCode) -
 BEGIN = 1_700_000_000_000_000_000
 
 
-def whole(nanoseconds: np.ndarray) -> np.ndarray:
-    made: np.ndarray = np.rint(nanoseconds).astype(np.int64)
-    return made
-
-
-def stamps(rate: float) -> np.ndarray:
-    return BEGIN + whole(np.arange(4000) * (1e9 / rate))
+def stamps(rate: float, later: float | np.ndarray = 0.0) -> np.ndarray:
+    """Stamps (ns) that are so much later than those of a rate (Hz)."""
+    return BEGIN + np.rint(np.arange(4000) * (1e9 / rate) + later).astype(np.int64)
 
 
 NOISE = np.random.default_rng(1).normal(size=4000)
@@ -478,16 +474,16 @@ NOISE = np.random.default_rng(1).normal(size=4000)
         *((stamps(rate), rate, []) for rate in (200.0, 1e3 / 3.0, 500.0, 512.0, 800.0, 1e3, 4e3)),
         *((stamps(rate), rate, [ProblemCode.RATE_UNCUSTOMARY]) for rate in (980.0, 1020.0, 900.0)),
         (
-            stamps(1000.0) + whole(2.5 * np.arange(4000) ** 2),  # faster and faster
+            stamps(1000.0, 2.5 * np.arange(4000) ** 2),  # faster and faster
             990.1,
             [ProblemCode.RATE_UNCUSTOMARY, ProblemCode.RATE_DRIFTS],
         ),
         (
-            stamps(1000.0) + whole(3e5 * np.clip(NOISE, -1.4, 1.4)),
+            stamps(1000.0, 3e5 * np.clip(NOISE, -1.4, 1.4)),
             1000.0,
             [ProblemCode.STAMPS_IRREGULAR],
         ),
-        (stamps(1000.0) + whole(2e4 * NOISE), 1000.0, []),
+        (stamps(1000.0, 2e4 * NOISE), 1000.0, []),
     ],
 )
 def test_the_rate_is_that_of_the_stamps_with_all_that_is_wrong_with_them(

@@ -2,7 +2,9 @@
 
 import shutil
 import sqlite3
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -42,27 +44,7 @@ from support.synthetic_bags import (
 
 RECORDING = synthetic_recording(perturbed=(0, 1), ticks=120, settle=30, rest=20)
 METADATA = {"schema": "1", "seed": "1", "joint_names": '["shoulder", "elbow"]'}
-
-
-def write_ours(
-    path: Path,
-    messages: Sequence[Message] = RECORDING.messages,
-    metadata: Mapping[str, str] = METADATA,
-) -> Path:
-    return write_bag(path, messages, metadata)
-
-
-def write_rosbags(
-    path: Path,
-    messages: Sequence[Message] = RECORDING.messages,
-    *,
-    storage: StoragePlugin = StoragePlugin.SQLITE3,
-    mode: CompressionMode = CompressionMode.NONE,
-    version: int = 9,
-) -> Path:
-    return write_foreign(
-        path, typed(messages), storage=storage, mode=mode, version=version, metadata=METADATA
-    )
+write_others = partial(write_foreign, storage=StoragePlugin.SQLITE3, metadata=METADATA)
 
 
 def assert_reads(path: Path) -> None:
@@ -112,19 +94,16 @@ def resent(
 
 class TestStorages:
     def test_metadata_yaml_itself_stands_for_its_bag(self, tmp_path: Path) -> None:
-        assert_reads(write_ours(tmp_path / "bag") / "metadata.yaml")
+        assert_reads(write_bag(tmp_path / "bag", RECORDING.messages, METADATA) / "metadata.yaml")
 
     @pytest.mark.parametrize("version", [8, 9])
     @pytest.mark.parametrize(
         ("storage", "mode"),
         [
-            (StoragePlugin.MCAP, CompressionMode.NONE),
-            (StoragePlugin.MCAP, CompressionMode.STORAGE),
-            (StoragePlugin.MCAP, CompressionMode.FILE),
-            (StoragePlugin.MCAP, CompressionMode.MESSAGE),
-            (StoragePlugin.SQLITE3, CompressionMode.NONE),
-            (StoragePlugin.SQLITE3, CompressionMode.FILE),
-            (StoragePlugin.SQLITE3, CompressionMode.MESSAGE),
+            one
+            for one in product(StoragePlugin, CompressionMode)
+            # SQLite compresses nothing by itself.
+            if one != (StoragePlugin.SQLITE3, CompressionMode.STORAGE)
         ],
     )
     @pytest.mark.parametrize("with_metadata", [True, False])
@@ -136,7 +115,8 @@ class TestStorages:
         version: int,
         with_metadata: bool,
     ) -> None:
-        path = write_rosbags(tmp_path / "bag", storage=storage, mode=mode, version=version)
+        messages = typed(RECORDING.messages)
+        path = write_others(tmp_path / "bag", messages, storage=storage, mode=mode, version=version)
         if not with_metadata:
             (path / "metadata.yaml").unlink()
         assert_reads(path)
@@ -146,7 +126,8 @@ class TestStorages:
     def test_bare_file_is_read(
         self, tmp_path: Path, storage: StoragePlugin, mode: CompressionMode
     ) -> None:
-        path = write_rosbags(tmp_path / "bag", storage=storage, mode=mode)
+        messages = typed(RECORDING.messages)
+        path = write_others(tmp_path / "bag", messages, storage=storage, mode=mode)
         (file,) = (entry for entry in path.iterdir() if entry.name != "metadata.yaml")
         assert_reads(file.rename(tmp_path / "any name#?%"))
 
@@ -160,8 +141,8 @@ class TestStorages:
     def test_split_bag_is_read_in_the_order_of_its_times(self, tmp_path: Path) -> None:
         path = tmp_path / "bag"
         half = len(RECORDING.messages) // 2
-        write_rosbags(path, RECORDING.messages[:half])
-        write_rosbags(tmp_path / "more", RECORDING.messages[half:])
+        write_others(path, typed(RECORDING.messages[:half]))
+        write_others(tmp_path / "more", typed(RECORDING.messages[half:]))
         # Numbered so that the order of the names is not that of the numbers.
         (path / "bag.db3").rename(path / "bag_9.db3")
         (tmp_path / "more" / "more.db3").rename(path / "bag_10.db3")
@@ -169,7 +150,7 @@ class TestStorages:
         assert_reads(path)
 
     def test_sqlite_with_a_write_ahead_log_is_read_to_its_end(self, tmp_path: Path) -> None:
-        path = write_rosbags(tmp_path / "bag", RECORDING.messages[:-300])
+        path = write_others(tmp_path / "bag", typed(RECORDING.messages[:-300]))
         database = sqlite3.connect(path / "bag.db3")
         database.execute("PRAGMA journal_mode=WAL")
         topics = dict(database.execute("SELECT name, id FROM topics"))
@@ -231,7 +212,7 @@ class TestForeignMessages:
     def test_joint_order_may_differ_per_message(self, tmp_path: Path) -> None:
         (record,) = synthetic_recording(ticks=60).records
         messages = resent(record, lambda tick: record.joint_names[:: 1 if tick % 3 else -1])
-        path = write_ours(tmp_path / "bag", messages)
+        path = write_bag(tmp_path / "bag", messages, METADATA)
         assert_same(records_of(read_bag(path))[0], record)
 
     def test_further_joints_in_messages_of_sensors_are_passed_over_with_a_note(
@@ -239,7 +220,7 @@ class TestForeignMessages:
     ) -> None:
         record = RECORDING.records[0]
         messages = resent(record, lambda _: ("grip", *record.joint_names))
-        content = read_bag(write_ours(tmp_path / "bag", messages))
+        content = read_bag(write_bag(tmp_path / "bag", messages, METADATA))
         np.testing.assert_array_equal(records_of(content)[0].position, record.position)
         (note,) = content.notes
         assert "joint_states has joints that were passed over, grip:" in note
@@ -250,14 +231,14 @@ class TestForeignMessages:
     ) -> None:
         record = RECORDING.records[0]
         messages = resent(record, lambda _: ("grip", *record.joint_names), moved=0.1)
-        (found,) = read_bag(write_ours(tmp_path / "bag", messages)).trials[0].problems
+        (found,) = read_bag(write_bag(tmp_path / "bag", messages, METADATA)).trials[0].problems
         assert found.code is ProblemCode.FURTHER_JOINT_MOVED
         assert (found.severity, found.values["name"]) == (Severity.ERROR, "grip")
         assert found.values["percent"] == pytest.approx(10.0)
 
     def test_order_of_the_metadata_prevails(self, tmp_path: Path) -> None:
-        path = write_ours(tmp_path / "bag", metadata={"joint_names": '["elbow", "shoulder"]'})
-        content = read_bag(path)
+        metadata = {"joint_names": '["elbow", "shoulder"]'}
+        content = read_bag(write_bag(tmp_path / "bag", RECORDING.messages, metadata))
         assert content.joint_names == ("elbow", "shoulder")
         assert [record.perturbed_joint for record in records_of(content)] == [1, 0]
         np.testing.assert_array_equal(
@@ -302,13 +283,13 @@ class TestRefusals:
         ],
     )
     def test_broken_metadata(self, tmp_path: Path, text: str, reason: str) -> None:
-        path = write_ours(tmp_path / "bag")
+        path = write_bag(tmp_path / "bag", RECORDING.messages, METADATA)
         (path / "metadata.yaml").write_bytes(text.encode(errors="surrogateescape"))
         assert refusal(path).startswith(f"{path / 'metadata.yaml'}: {reason}")
 
     @pytest.mark.parametrize("name", ["nowhere.mcap", "..", "a\0b"])
     def test_storage_file_that_is_missing(self, tmp_path: Path, name: str) -> None:
-        path = write_ours(tmp_path / "bag")
+        path = write_bag(tmp_path / "bag", RECORDING.messages, METADATA)
         listed = {"relative_file_paths": [name]}
         (path / "metadata.yaml").write_text(dump({"rosbag2_bagfile_information": listed}))
         assert refusal(path).endswith(": is missing, though listed in metadata.yaml")
@@ -319,7 +300,7 @@ class TestRefusals:
         assert refusal(path) == f"{path}: no messages of an experiment in it"
 
     def test_recording_that_ends_before_the_perturbation(self, tmp_path: Path) -> None:
-        path = write_ours(tmp_path / "bag", RECORDING.messages[:80])
+        path = write_bag(tmp_path / "bag", RECORDING.messages[:80], METADATA)
         assert refusal(path) == (
             f"{path}: no trial in it; the last status is: "
             "trial 1 of 2: settling before the perturbation of joint 1 (shoulder)"
@@ -331,7 +312,8 @@ class TestSpoiledTrials:
         recording = synthetic_recording(ticks=50)
         topic, time, raw = recording.messages[-1]
         assert topic == TRIAL
-        path = write_ours(tmp_path / "bag", (*recording.messages[:-1], (topic, time, raw[:40])))
+        messages = (*recording.messages[:-1], (topic, time, raw[:40]))
+        path = write_bag(tmp_path / "bag", messages, METADATA)
         content = read_bag(path)
         assert_same(records_of(content)[0], recording.records[0])
         (note,) = content.notes

@@ -33,10 +33,6 @@ from support.synthetic_bags import Message, synthetic_recording
 METADATA = {"seed": "7", "joint_names": '["shoulder", "elbow"]', "note": "12:30\nü"}
 
 
-def write(path: Path, messages: tuple[Message, ...]) -> Path:
-    return write_bag(path, messages, METADATA)
-
-
 def one_line(error: pytest.ExceptionInfo[BagError]) -> str:
     text = str(error.value)
     assert "\n" not in text
@@ -46,7 +42,7 @@ def one_line(error: pytest.ExceptionInfo[BagError]) -> str:
 class TestFormat:
     def test_mcap_file_has_profile_schemas_channels_and_statistics(self, tmp_path: Path) -> None:
         messages = synthetic_recording(ticks=300).messages
-        path = write(tmp_path / "bag", messages)
+        path = write_bag(tmp_path / "bag", messages, METADATA)
         with (path / "bag_0.mcap").open("rb") as file:
             reader = make_reader(file, validate_crcs=True)
             assert reader.get_header().profile == "ros2"
@@ -117,7 +113,8 @@ class TestFullDisk:
         self, tmp_path: Path, joints: int, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         names = [f"a_long_name_of_joint_{k}" for k in range(joints)]
-        path = write(tmp_path / "bag", synthetic_recording(joint_names=names, ticks=500).messages)
+        messages = synthetic_recording(joint_names=names, ticks=500).messages
+        path = write_bag(tmp_path / "bag", messages, METADATA)
         size = sum(file.stat().st_size for file in path.iterdir())
         monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=size))
         with pytest.raises(BagError, match="of disk space needed"):
@@ -202,23 +199,19 @@ def unfinished(path: Path, messages: Sequence[Message] = MESSAGES) -> Path:
     return path
 
 
-def finished(path: Path) -> Path:
-    """The bag of a writer that got the same messages and lived."""
-    return write_bag(path, MESSAGES[:-LOST], METADATA)
-
-
 def content_of(path: Path) -> dict[str, bytes]:
     return {entry.name: entry.read_bytes() for entry in path.iterdir()}
 
 
 def test_finished_bag_is_that_of_a_recorder_that_lived(tmp_path: Path) -> None:
     path = unfinished(tmp_path / "a" / "bag")
+    expected = content_of(write_bag(tmp_path / "b" / "bag", MESSAGES[:-LOST], METADATA))
     note = finish_bag(path)
     count = len(MESSAGES) - LOST
     assert note == f"{path}: its recorder did not finish it: finished now, with {count} messages"
-    assert content_of(path) == content_of(finished(tmp_path / "b" / "bag"))
+    assert content_of(path) == expected
     assert finish_bag(path) == ""
-    assert content_of(path) == content_of(finished(tmp_path / "c" / "bag"))
+    assert content_of(path) == expected
 
 
 def test_bag_that_is_being_recorded_is_left_alone(tmp_path: Path) -> None:

@@ -171,16 +171,13 @@ def test_a_channel_that_shows_a_share_of_another_joint_is_refused_or_in_the_erro
 
 def test_angles_and_torques_in_another_order_than_perturbations_are_refused() -> None:
     loop = dataclasses.replace(LOOP, lock_stiffness=3000.0)
+    records = [trial.record for trial in synthetic_trials(loop)]
     swapped = [
-        TrialData.of(
-            dataclasses.replace(
-                trial.record, position=trial.record.position[::-1], torque=trial.record.torque[::-1]
-            ),
-            segment=SEGMENT,
-        )
-        for trial in synthetic_trials(loop)
+        dataclasses.replace(one, position=one.position[::-1], torque=one.torque[::-1])
+        for one in records
     ]
-    result = identify(swapped, ("welch_full",), config=CONFIG)
+    data = [TrialData.of(one, segment=SEGMENT) for one in swapped]
+    result = identify(data, ("welch_full",), config=CONFIG)
     (permuted,) = [one for one in result.problems if one.code is ProblemCode.SENSORS_PERMUTED]
     assert permuted.values == {"perturbed": "joint_1, joint_2", "moving": "joint_2, joint_1"}
     assert not result.verdict.impedance

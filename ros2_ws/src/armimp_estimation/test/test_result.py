@@ -3,7 +3,6 @@
 import functools
 import json
 import math
-from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -63,21 +62,9 @@ LOST = {RECORDING.records[1].start_ns + tick * PERIOD_NS for tick in range(4000,
 KEPT = tuple(one for one in RECORDING.messages if one[0] != JOINT_STATES or one[1] not in LOST)
 
 
-def result_of(
-    trials: Sequence[Trial] = LIVE,
-    metadata: dict[str, str] | None = None,
-    problems: Sequence[Problem] = (),
-    *,
-    allow_gaps: bool = False,
-) -> Result:
-    return conclude(
-        trials,
-        metadata=METADATA if metadata is None else metadata,
-        joint_names=("shoulder", "elbow"),
-        estimators=ESTIMATORS,
-        allow_gaps=allow_gaps,
-        problems=problems,
-    )
+result_of = functools.partial(
+    conclude, metadata=METADATA, joint_names=("shoulder", "elbow"), estimators=ESTIMATORS
+)
 
 
 def bits(result: Result) -> list[bytes]:
@@ -90,7 +77,7 @@ def codes(result: Result) -> list[ProblemCode]:
 
 @functools.cache
 def complete() -> Result:
-    return result_of()
+    return result_of(LIVE)
 
 
 # --- from trials ------------------------------------------------------------------------------
@@ -120,7 +107,7 @@ def test_a_trial_of_a_joint_that_there_is_not_is_told_and_has_no_place_in_the_re
 
 
 def test_known_problems_make_a_result_invalid_and_come_first() -> None:
-    summary = result_of(problems=[NOISE]).summary
+    summary = result_of(LIVE, problems=[NOISE]).summary
     assert (summary.valid, summary.problems, summary.faults) == (False, [NOISE], [NOISE])
     assert tuple(summary.estimators) == ESTIMATORS
     assert codes(result_of([], problems=[NOISE])) == [NOISE.code, ProblemCode.TRIALS_INCOMPLETE]
@@ -137,9 +124,9 @@ def test_trials_of_another_rate_are_refused_where_the_controller_that_made_them_
         for one in LIVE
     ]
     known = {"config": json.dumps({CONTROLLER_NODE: {}})}
-    assert ProblemCode.RATE_UNPLANNED not in codes(result_of(faster, {}))
-    assert ProblemCode.RATE_UNPLANNED not in codes(result_of(LIVE, known))
-    assert codes(result_of(faster, known)).count(ProblemCode.RATE_UNPLANNED) == 2
+    assert ProblemCode.RATE_UNPLANNED not in codes(result_of(faster, metadata={}))
+    assert ProblemCode.RATE_UNPLANNED not in codes(result_of(LIVE, metadata=known))
+    assert codes(result_of(faster, metadata=known)).count(ProblemCode.RATE_UNPLANNED) == 2
 
 
 def test_notes_and_problems_of_an_estimator_that_decides_nothing_leave_the_result_valid() -> None:
@@ -207,7 +194,7 @@ def test_trials_that_lost_samples_are_refused_or_estimated_from_their_intact_par
         assert estimator.vaf is not None
         assert np.min(estimator.vaf) > 99.0
     # Of records without gaps the result is the same.
-    assert bits(result_of(allow_gaps=True)) == bits(complete())
+    assert bits(result_of(LIVE, allow_gaps=True)) == bits(complete())
 
 
 def test_segments_of_all_parts_are_averaged_and_none_spans_a_gap() -> None:

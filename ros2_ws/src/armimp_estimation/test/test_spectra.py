@@ -6,7 +6,6 @@ from armimp_common.arrays import FloatArray
 from armimp_estimation.spectra import (
     BAND,
     SEGMENT,
-    CrossSpectra,
     cross_spectra,
     segment_averages,
     step_of,
@@ -23,14 +22,10 @@ def signals(channels: int, samples: int) -> FloatArray:
     return mixing @ rng.standard_normal((channels, samples)) + offset
 
 
-def spectra_of(x: FloatArray, segment: int) -> CrossSpectra:
-    return cross_spectra(x, rate=RATE, segment=segment)
-
-
 @pytest.mark.parametrize("segment", [64, 63, 512])
 def test_matrix_equals_that_of_scipy_up_to_the_nyquist_bin(segment: int) -> None:
     x = signals(3, 8 * segment)
-    ours = spectra_of(x, segment)
+    ours = cross_spectra(x, rate=RATE, segment=segment)
     f, expected = scipy.signal.csd(
         x[:, None],
         x,
@@ -55,7 +50,8 @@ def test_averages_scatter_and_correlate_as_white_noise_shows() -> None:
     x = np.random.default_rng(5).standard_normal((2 * runs, samples))
     averages = np.empty((runs, kept.stop - kept.start), dtype=np.complex128)
     for run in range(runs):
-        averages[run] = spectra_of(x[2 * run : 2 * run + 2], 128).matrix[0, 1, kept]
+        pair = cross_spectra(x[2 * run : 2 * run + 2], rate=RATE, segment=128)
+        averages[run] = pair.matrix[0, 1, kept]
     power = np.mean(np.abs(averages) ** 2)
     assert segment_averages(SEGMENT, 21)[0] == pytest.approx(11.18, abs=0.01)
     # E|G_xy|² = G_xx G_yy / n_d for independent signals; G_xx = 2/rate for unit white noise.

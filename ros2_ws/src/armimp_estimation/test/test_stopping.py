@@ -1,6 +1,7 @@
 """When trials may end: never too early, at fixed numbers of samples, only for known errors."""
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 import pytest
@@ -24,15 +25,12 @@ from support.synthetic_trials import (
 
 BOUND = 0.02
 LEAST = 20_000 - NOTICE_TICKS
+rule = partial(StoppingRule, BOUND, 20.0, trial=2, planned=50_000, rate=1000.0)
 
 
 def column(error: float) -> FittedColumn:
     values, errors = np.array([[1.0, 2.0]] * 3), np.array([[error, error]] * 3)
     return FittedColumn(joint=1, values=values, errors=errors, preliminary=False)
-
-
-def rule(planned: int = 50_000) -> StoppingRule:
-    return StoppingRule(BOUND, 20.0, trial=2, planned=planned, rate=1000.0)
 
 
 def decisions(
@@ -95,7 +93,7 @@ def test_samples_that_come_late_do_not_change_what_is_considered() -> None:
 
 @pytest.mark.parametrize("planned", [1000, 20_000])
 def test_a_trial_no_longer_than_the_least_is_announced_and_left_alone(planned: int) -> None:
-    (only,) = decisions(rule(planned), planned, 0.0)
+    (only,) = decisions(rule(planned=planned), planned, 0.0)
     assert (only.samples, only.due) == (0, None)
 
 

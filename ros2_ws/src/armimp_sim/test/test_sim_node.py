@@ -184,19 +184,14 @@ def test_when_the_recorder_is_dead_expect_zero_torque_and_a_fault(world: World) 
     world.await_fault("impedance_estimator is dead, and a trial without")
 
 
+@pytest.mark.parametrize("recorded", [False, True])
 def test_when_a_recorder_takes_leave_or_there_was_none_expect_no_fault(
-    world: World,
+    world: World, recorded: bool
 ) -> None:
-    watch = world.simulator._recorder
-    report(watch, alive=1, silent=0)
-    report(watch, alive=0, silent=0)
-    world.command(5.0, -5.0)
-    assert world.applied == (5.0, -5.0)
-
-    world.received.publish(UInt64(data=0))
-    eventually(world.spinner, lambda: world.simulator._flow.recorded, "the recorder")
-    world.received.publish(UInt64(data=topics.RECORDER_GONE))
-    eventually(world.spinner, lambda: not world.simulator._flow.recorded, "its leave")
+    watch = with_recorder(world) if recorded else world.simulator._recorder
+    if recorded:
+        world.received.publish(UInt64(data=topics.RECORDER_GONE))
+        eventually(world.spinner, lambda: not world.simulator._flow.recorded, "its leave")
     report(watch, alive=1, silent=0)
     report(watch, alive=0, silent=0)
     world.command(5.0, -5.0)
