@@ -175,7 +175,7 @@ TERMS: Mapping[str, Term] = {
         slope=-1.0,
         large=0.03,
         likely=0.3,
-        sizes=(0.03, 0.1, 0.3),
+        sizes=(0.03, 0.1, 0.3, 1.0),
         lines_alone=True,
     ),
     "curvature": Term(
@@ -752,13 +752,17 @@ def _slope_at_lines(
 
     Where all harmonics are lines, what bends a signal falls on them, too, in another way on each.
     What any linear filter makes of the signal is smooth over frequency: of each `_GROUP` lines a
-    multiple of the signal is taken out that changes steadily with the frequency.
+    multiple of the signal is taken out that changes steadily with the frequency. So is what the
+    ends of the record leak, which has nothing to do with the signal: it is taken out likewise.
     """
+    if lines.size < _GROUP:
+        return 0.0, np.inf, 1.0
     products, squares = [], []
-    for group in np.array_split(lines, max(lines.size // _GROUP, 1)):
+    for group in np.array_split(lines, lines.size // _GROUP):
         steps = np.linspace(-1.0, 1.0, group.size)
         multiples = np.stack((np.ones_like(steps), steps), axis=1)
-        smooth = np.linalg.qr(signal[group, None] * multiples)[0]
+        known = np.concatenate((signal[group, None] * multiples, multiples), axis=1)
+        smooth = np.linalg.qr(known)[0]
         cause, bent, rest = (
             one[group] - smooth @ (np.conj(smooth.T) @ one[group])
             for one in (instrument, term, left)
