@@ -941,6 +941,8 @@ def fit_weights(
     variance: FloatArray,
     weight_floor: float,
     power: FloatArray | float = 1.0,
+    *,
+    reach: float = _SMOOTHING,
 ) -> FloatArray:
     """Inverse of the variance, smoothed over frequency (geometric mean) and floored, at most 1.
 
@@ -949,6 +951,8 @@ def fit_weights(
     frequencies whose variance came out too small, and the standard errors would come out too small
     with them. As far as it goes with the inverse of the power behind each value, it is no chance.
 
+    It is smoothed within a `reach`, Hz, on either side.
+
     Where random errors are larger than the floor, weights are those of the variance. What floors
     are for, as harmonics of friction, falls on all frequencies alike: where power is above its mean
     they are less.
@@ -956,17 +960,17 @@ def fit_weights(
     power, tiny = np.broadcast_to(power, variance.shape), np.finfo(np.float64).tiny
     usual = np.mean(power, axis=-1, keepdims=True)
     size = np.abs(impedance)
-    floor = weight_floor * np.exp(_smooth(f, np.log(size + tiny)))
+    floor = weight_floor * np.exp(_smooth(f, np.log(size + tiny), reach))
     # Even with no floor a variance below rounding means nothing.
     rounding = np.finfo(np.float64).eps * np.max(size, axis=-1, keepdims=True)
-    noise = np.exp(_smooth(f, np.log(variance * power + tiny))) / power
+    noise = np.exp(_smooth(f, np.log(variance * power + tiny), reach)) / power
     total = noise + floor**2 * np.minimum(1.0, usual / power) + rounding**2
     return np.asarray(np.min(total, axis=-1, keepdims=True) / total)
 
 
-def _smooth(f: FloatArray, logarithm: FloatArray) -> FloatArray:
-    """Mean over the neighbours of each frequency, (..., n_freq)."""
-    reach = _SMOOTHING * (1.0 + 1e-9)
+def _smooth(f: FloatArray, logarithm: FloatArray, reach: float) -> FloatArray:
+    """Mean over the neighbours of each frequency within a reach, Hz; (..., n_freq)."""
+    reach *= 1.0 + 1e-9
     below = np.searchsorted(f, f - reach, side="left")
     above = np.searchsorted(f, f + reach, side="right")
     sums = np.zeros((*logarithm.shape[:-1], f.size + 1))

@@ -62,6 +62,8 @@ Friction that holds a locked joint takes up to a fifth of its element.
 """
 _FLOOR = 0.2
 """Relative error that the weights of the fit allow for beside the variance."""
+_REACH = 0.6
+"""Smoothing of these weights on either side, Hz."""
 _TINY = float(np.finfo(np.float64).tiny)
 _ERRORS = 5.0
 _NEGATIVE = 4.0
@@ -385,7 +387,7 @@ def _least_squares(
     regressors: ComplexArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Real coefficients (p,) of regressors (p, n_freq) in an element, and their covariance."""
-    weights = fit_weights(f, Z, variance, _FLOOR)
+    weights = fit_weights(f, Z, variance, _FLOOR, reach=_REACH)
     scale = np.linalg.norm(np.sqrt(weights) * regressors, axis=1)
     scale[scale == 0.0] = 1.0
     design = regressors / scale[:, None]
@@ -422,8 +424,8 @@ def imbalance(robot: RobotBalance, arm: MBKFit) -> tuple[FloatArray, FloatArray,
     shares, errors = np.where(sure, whole, left), np.where(sure, whole_error, left_error)
     own, K_own = np.diag(K), np.diag(arm.mbk.K)
     spring = _PULLED * np.abs(K_own) + robot.rubbing + _REFUTED * np.diag(robot.K_se)
-    refuted = np.diag(np.abs(np.diag(shares) * K_own - own) > spring)
-    return shares, np.where(refuted, np.hypot(errors, shares), errors), possible
+    refuted = (np.abs(own) < spring) & (np.abs(np.diag(shares) * K_own - own) > spring)
+    return shares, np.where(np.diag(refuted), np.hypot(errors, shares), errors), possible
 
 
 def _imbalance(
