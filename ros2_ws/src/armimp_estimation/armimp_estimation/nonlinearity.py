@@ -99,7 +99,7 @@ _JUMPING = 15.0
 not known, N·m/s: a quarter of 2 N·m (assumption) at 30 rad/s."""
 _LEFT = 0.01
 _LEAST = 10.0
-_TOLD = 0.05
+_TOLD = 0.1
 """Share of what the perturbation alone causes of a term below which that tells nothing: what
 remains is chance, begin and end.
 

@@ -192,6 +192,19 @@ def test_a_gain_or_a_stiffness_that_changes_at_once_is_found(
         assert found["time"].share == pytest.approx(stiffness, rel=0.3)
 
 
+def test_what_begins_with_a_record_does_not_hide_a_transducer_that_compresses() -> None:
+    source = multisine(12.0, np.arange(1, 60))
+    angle = angle_of(source) + 0.2 * np.exp(-np.arange(source.size) / 700.0)
+    speed = np.gradient(angle, 1e-3)
+    torque = ARM.M[0, 0] * np.gradient(speed, 1e-3) + ARM.B[0, 0] * speed + ARM.K[0, 0] * angle
+    share = 0.02
+    compressed = torque - share / 3.0 * torque**3 / np.var(torque)
+    noise = 1e-3 * np.random.default_rng(3).standard_normal(torque.size)
+    found = deviations(elbow(source, angle, compressed + noise), ARM)["gain"]
+    assert found.share == pytest.approx(-share, rel=0.3)
+    assert found.error < 0.1 * share
+
+
 def test_a_slow_torque_that_comes_and_goes_is_no_change_of_arm_or_transducer() -> None:
     slow = butter(1, [0.05, 1.0], "bandpass", fs=1000.0, output="sos")
     changing: list[str] = []
