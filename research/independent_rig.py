@@ -225,6 +225,7 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0913, PLR091
             for age in range(7, 0, -1):
                 sent[i, age] = sent[i, age - 1]
             sent[i, 0] = command[i, k]
+        startle = nonlinear[6] * np.exp(-15.0 * k / ticks)
         for s in range(substeps):
             whole = 0
             left = s - command_steps
@@ -243,7 +244,8 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0913, PLR091
                     rubs[i] = bristle * bend[i]
                 else:
                     rubs[i] = friction * np.tanh(speed / stick)
-                rubs[i] += cogging * np.sin(RATCHET * x[i])
+                if cogging > 0.0:
+                    rubs[i] += cogging * np.sin(RATCHET * x[i])
                 force[i] = old - rubs[i]
                 q, v = x[where + i], x[where + n + i]
                 # Reflex: torque after a delay, through two first-order lags of the muscle.
@@ -264,7 +266,7 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0913, PLR091
                     ends = BRISTLE * np.sign(v)
                     grip[i] = ends + (grip[i] - ends) * np.exp(-abs(v) / BRISTLE * step)
                     extra += nonlinear[7] * grip[i] / BRISTLE
-                extra += nonlinear[5] * abs(q) + nonlinear[6] * np.exp(-15.0 * k / ticks) * q
+                extra += nonlinear[5] * abs(q) + startle * q
                 force[n + i] = disturbance[i, k] + contraction[i, 1] + extra
             for i in range(n):
                 for j in range(n):
@@ -285,10 +287,6 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0913, PLR091
                         value += torque_of[i, states + j] * force[j]
                     before[i, k] = value - slip[i]
             for i in range(n):
-                if bristle == 0.0:
-                    rubs[i] = friction * np.tanh(x[n + i] / stick) + cogging * np.sin(
-                        RATCHET * x[i]
-                    )
                 force[i] = active[i] - rubs[i] + slip[i]
             for i in range(n):
                 value = -slip[i]
