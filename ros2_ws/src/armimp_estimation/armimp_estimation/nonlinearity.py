@@ -35,6 +35,7 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
 from scipy.special import ndtri, stdtr, stdtrit
 
 from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
@@ -78,6 +79,8 @@ SLOW = 0.1
 """Speed at which friction has three quarters of its size, in rms speeds."""
 _ENDS = 3.0
 _WIDTH = 1.0
+_SMOOTHING = 0.2
+"""Over what weights are averaged, Hz: a person's rhythm is as narrow."""
 _RATE = 200.0
 _MOST_ENDS = 0.2
 _PART = 1.5
@@ -164,8 +167,6 @@ class Term:
     calibration, which is right for one of two directions, for small torques, at begin or end."""
     even: bool = False
     """Whether it doesn't turn with the sign of what the perturbation causes."""
-    broad: bool = False
-    """Whether it shows at all frequencies, so also where a person's own torque has less power."""
 
 
 TERMS: Mapping[str, Term] = {
@@ -185,7 +186,6 @@ TERMS: Mapping[str, Term] = {
         large=0.1,
         likely=0.7,
         sizes=(0.1, 0.3, 1.0),
-        broad=True,
     ),
     "posture": Term(
         bend=lambda signals: np.abs(signals[0]),
@@ -193,7 +193,6 @@ TERMS: Mapping[str, Term] = {
         slope=2.0,
         large=0.1,
         even=True,
-        broad=True,
     ),
     "hysteresis": Term(
         bend=lambda signals: play(signals[1], PLAY),
@@ -202,7 +201,6 @@ TERMS: Mapping[str, Term] = {
         large=0.05,
         likely=0.1,
         sizes=(0.01, 0.03, 0.1),
-        broad=True,
     ),
     "slack": Term(
         bend=lambda signals: -play(signals[3], SLACK),
@@ -212,7 +210,6 @@ TERMS: Mapping[str, Term] = {
         size=_OWN_LAG,
         likely=0.4,
         sizes=(0.01, 0.03, 0.1),
-        broad=True,
     ),
     "dead zone": Term(
         bend=lambda signals: -np.clip(signals[3] / DEAD, -1.0, 1.0),
@@ -223,7 +220,6 @@ TERMS: Mapping[str, Term] = {
         large=0.1,
         likely=0.1,
         sizes=(0.01, 0.03, 0.1),
-        broad=True,
     ),
     "friction": Term(
         bend=lambda signals: np.tanh(signals[2] / SLOW),
@@ -232,7 +228,6 @@ TERMS: Mapping[str, Term] = {
         robots=_RUBBING,
         likely=0.1,
         sizes=(0.01, 0.03, 0.1),
-        broad=True,
     ),
     "efficiency": Term(
         bend=lambda signals: np.abs(signals[3]) * np.tanh(signals[2] / SLOW),
@@ -242,7 +237,6 @@ TERMS: Mapping[str, Term] = {
         likely=0.1,
         sizes=(0.01, 0.03, 0.1),
         doubted=0.5,
-        broad=True,
     ),
     "time": Term(
         bend=lambda signals: signals[0] * np.linspace(-0.5, 0.5, signals.shape[1]),
@@ -432,12 +426,18 @@ class _Band:
         return _onto(self.filters(self.pushes))(signals)
 
     def weights(self, *noise: FloatArray) -> FloatArray:
-        """What makes a sum of signals white, by frequency, the same in each of its bands."""
-        of_noise = sum(self.means(np.abs(self.of(n)) ** 2) for n in noise)
-        of_white = self.means(self.passed**4)
+        """What makes a sum of signals white, by frequency.
+
+        It changes gradually: what sharp edges pass is alike over the whole trial, whose parts
+        would not be independent of each other.
+        """
+        width = _SMOOTHING / float(self.f[1] - self.f[0])
+        power = np.sum([np.abs(self.of(n)) ** 2 for n in noise], axis=0)
+        of_noise, of_white = (
+            gaussian_filter1d(one, width, mode="constant") for one in (power, self.passed**4)
+        )
         tiny = float(np.finfo(float).tiny)
-        weights: FloatArray = np.sqrt(of_white / np.maximum(of_noise, tiny))
-        return weights[self._which]
+        return np.asarray(np.sqrt(of_white / np.maximum(of_noise, tiny)))
 
     def means(self, values: FloatArray) -> FloatArray:
         """Mean in each band of 1 Hz of values at each frequency."""
@@ -551,16 +551,13 @@ def deviations(
         return {}
     signals, known = actual / sizes, known / sizes
     loaded = known + np.array([0.0, 0.0, 0.0, 1.0])[:, None] * load / sizes
-    linear = _Linear(record, band)
     inner = band.inner(rest)
-    equal = np.ones(band.f.size)
     white = band.weights(inner)
     # What a linear arm leaves that isn't quite as it was fitted is in proportion to the torque.
     nearly = band.weights(inner, _LEFT * band.inner(torque))
     left, moved, shown = (band.of(one) for one in (rest, record.position[k], record.torque[k]))
-    weighed = [
-        (one, linear.removed(band.signal(one * left)[kept])) for one in (equal, nearly, white)
-    ]
+    linear = _Linear(record, band)
+    weighed = [(one, linear.removed(band.signal(one * left)[kept])) for one in (nearly, white)]
     # With as many bands as there are lines, filters can follow what comes at once.
     smooth = linear if record.periods is None else _Linear(record, _Band(record, by_lines=False))
     steady = smooth.removed(band.signal(nearly * left)[kept])
@@ -574,7 +571,7 @@ def deviations(
         alone = one.bend(loaded if of_gain or one.even else known)
         turns = alone + turns if of_gain or one.even else turns
         bent = np.stack([band.of(signal) for signal in (turns, whole, alone)])
-        weights, remains = weighed[2 if of_gain else 1 if one.broad else 0]
+        weights, remains = weighed[1 if of_gain else 0]
         cause, term, alone = (band.signal(weights * part)[kept] for part in bent)
         instrument = linear.unlike(cause)
         told = _ratio(*_by_parts(instrument, linear.removed(term), remains))
