@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from armimp_common.cdr import decode_trial_status, stamp_of
-from armimp_common.topics import DATA_STREAMS, PERTURBATION, TRIAL
+from armimp_common.topics import COMMANDS, DATA_STREAMS, PERTURBATION, TRIAL
 from armimp_estimation.bags import read_bag
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.summary import Summary
@@ -24,8 +24,13 @@ def streams_of(bag: Path) -> dict[str, list[bytes]]:
     for topic, _, raw in iterate_messages(bag):
         streams.setdefault(topic, []).append(raw)
     status = decode_trial_status(streams[TRIAL][-1])
-    first = sum(stamp_of(raw) < (status.start_ns or 0) for raw in streams[PERTURBATION])
-    return {topic: streams[topic][first : first + status.ticks] for topic in DATA_STREAMS}
+    found = {}
+    for topic in DATA_STREAMS:
+        # A bag may begin between two messages of a sample; commands come with the perturbation.
+        stamped = streams[PERTURBATION if topic == COMMANDS else topic]
+        first = sum(stamp_of(raw) < (status.start_ns or 0) for raw in stamped)
+        found[topic] = streams[topic][first : first + status.ticks]
+    return found
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
