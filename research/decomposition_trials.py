@@ -15,7 +15,7 @@ from pydantic import JsonValue
 
 from armimp_bringup.bench import available_cores
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.offline import SimulatedExperiment, run_offline
+from armimp_bringup.offline import SimulatedExperiment, run_offline, simulate
 from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_bringup.study.engine import Backend
 from armimp_bringup.terminal import display
@@ -26,6 +26,7 @@ from armimp_estimation import scores
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.estimators.registry import make_estimator
 from armimp_estimation.fit import MBKFit, fit_impedance
+from armimp_estimation.identify import Identification
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.trial import TrialData
@@ -36,7 +37,9 @@ FloatArray = NDArray[np.float64]
 Work = TypeVar("Work")
 Result = TypeVar("Result")
 
-JOINT_BY_JOINT: Final = ("direct", "welch_siso", "welch_full", "lpm_full")
+ESTIMATOR: Final = "lpm_full"
+"""The one that studies of verdicts ask."""
+JOINT_BY_JOINT: Final = ("direct", "welch_siso", "welch_full", ESTIMATOR)
 MIMO: Final = "mimo"
 ESTIMATORS: Final = (*JOINT_BY_JOINT, MIMO)
 
@@ -203,6 +206,19 @@ def in_blocks(runs: Sequence[Work]) -> list[tuple[Work, ...]]:
     """Runs in groups that the compiled loop does at the price of one."""
     starts = range(0, len(runs), WIDTH)
     return [tuple(itertools.islice(runs, start, start + WIDTH)) for start in starts]
+
+
+def identified(
+    configs: Sequence[ExperimentConfig], workers: int | None
+) -> Iterator[tuple[SimulatedExperiment, Identification]]:
+    """Simulated experiments in their order, each with what `ESTIMATOR` finds and the verdict."""
+
+    def work(
+        block: tuple[ExperimentConfig, ...],
+    ) -> list[tuple[SimulatedExperiment, Identification]]:
+        return [(one, one.identify([ESTIMATOR])) for one in simulate(block)]
+
+    return itertools.chain.from_iterable(in_threads(work, in_blocks(configs), workers))
 
 
 def scales(truth: FloatArray) -> FloatArray:

@@ -16,10 +16,10 @@ from typing import Literal, TypeAlias
 from pydantic import JsonValue
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.offline import simulate
 from armimp_bringup.study import parse_seeds
 from armimp_control.perturbation import PerturbationKind
 from armimp_estimation.problems import ProblemCode
+from research.decomposition_trials import identified
 from research.options import InvestigationOptions
 
 CODES = {
@@ -39,7 +39,6 @@ ARMS: dict[str, tuple[Rig, Mapping[str, JsonValue], ProblemCode | None]] = {
     "realistic": ("realistic", {}, None),
 }
 KINDS: tuple[PerturbationKind, ...] = ("multisine", "optimal")
-_SIDE_BY_SIDE = 8
 
 
 def investigate(options: InvestigationOptions) -> int:
@@ -51,22 +50,18 @@ def investigate(options: InvestigationOptions) -> int:
             continue
         flagged, valid = 0, 0
         found: collections.Counter[str] = collections.Counter()
-        for first in range(0, len(seeds), _SIDE_BY_SIDE):
-            configs = [
-                ExperimentConfig(perturbation_kind=kind, rig=rig, seed=seed, arm_sim=dict(changes))
-                for seed in seeds[first : first + _SIDE_BY_SIDE]
-            ]
-            for experiment in simulate(configs):
-                result = experiment.identify(["lpm_full"])
-                codes = {problem.code for problem in result.problems} & CODES
-                flagged += bool(codes) if code is None else code in codes
-                valid += result.valid
-                found.update(
-                    f"{one.severity.value} {one.sentence}"
-                    for one in result.problems
-                    if options.json
-                )
-                found.update(one.value for one in codes)
+        configs = [
+            ExperimentConfig(perturbation_kind=kind, rig=rig, seed=seed, arm_sim=dict(changes))
+            for seed in seeds
+        ]
+        for _, result in identified(configs, options.workers):
+            codes = {problem.code for problem in result.problems} & CODES
+            flagged += bool(codes) if code is None else code in codes
+            valid += result.valid
+            found.update(
+                f"{one.severity.value} {one.sentence}" for one in result.problems if options.json
+            )
+            found.update(one.value for one in codes)
         what = "anything" if code is None else code.value
         print(f"{name}: {flagged} of {len(seeds)} show {what}, {valid} valid; {dict(found)}")
     return 0

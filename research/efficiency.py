@@ -21,14 +21,20 @@ from armimp_common.errors import ConfigurationError
 from armimp_control.perturbation import PerturbationKind
 from research.cells import LETTERS, FloatArray, Levels
 from research.coverage_statistics import QUANTILE
-from research.decomposition_trials import in_blocks, in_threads, matrices, scales, with_voluntary
+from research.decomposition_trials import (
+    ESTIMATOR,
+    in_blocks,
+    in_threads,
+    matrices,
+    scales,
+    with_voluntary,
+)
 from research.limits import bound_of
 from research.options import InvestigationOptions
 from research.writing import print_table, to_json, write_tables
 
 TIMES: Final = (150.0, 90.0)
 """Of the trials that give the columns of shoulder and elbow, s."""
-_ESTIMATOR: Final = "lpm_full"
 _BAND: Final = (0.122, 15.0)
 
 
@@ -109,8 +115,8 @@ def column_of(
             bounds = [bound_of(one, same, _BAND) for one, same in both]
         found = []
         for experiment, bound in zip(experiments, bounds, strict=True):
-            result = experiment.identify([_ESTIMATOR])
-            fit = result.estimators[_ESTIMATOR].fit
+            result = experiment.identify([ESTIMATOR])
+            fit = result.estimators[ESTIMATOR].fit
             true = matrices(experiment.truth)
             errors = (matrices(fit.mbk) - true) / scales(true)
             stated = np.stack([fit.M_se, fit.B_se, fit.K_se]) / scales(true)

@@ -11,14 +11,13 @@ import collections
 import numpy as np
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.offline import simulate
 from armimp_bringup.study import select_conditions
 from armimp_bringup.study.engine import condition_config
 from armimp_estimation.robot_balance import imbalance
+from research.decomposition_trials import ESTIMATOR, identified
 from research.options import InvestigationOptions
 
 NAMES = "MBK"
-ESTIMATOR = "lpm_full"
 
 
 def investigate(options: InvestigationOptions) -> int:
@@ -28,41 +27,36 @@ def investigate(options: InvestigationOptions) -> int:
     base = ExperimentConfig()
     refused: collections.Counter[str] = collections.Counter()
     covered: dict[tuple[int, int, int], list[np.ndarray]] = collections.defaultdict(list)
-    lacks, gains, runs = [], [], 0
-    for first in range(0, len(conditions), 24):
-        some = conditions[first : first + 24]
-        for condition, experiment in zip(
-            some, simulate([condition_config(base, one) for one in some]), strict=True
-        ):
-            runs += 1
-            found = experiment.identify([ESTIMATOR])
-            result = found.estimators[ESTIMATOR]
-            truth = experiment.truth
-            errors = [
-                (getattr(result.fit.mbk, n) - getattr(truth, n)) / getattr(result.fit, f"{n}_se")
-                for n in NAMES
-            ]
-            key = (condition.friction, condition.resolution, condition.perturbation)
-            covered[key].append(np.array(errors))
-            lacks.append((float(np.max(result.fit.lack)), str(condition)))
-            line = f"{condition}: lack {np.max(result.fit.lack):.2f}"
-            if found.balance is not None:
-                share, error = map(np.diag, imbalance(found.balance, result.fit)[:2])
-                gains.append((float(np.max(np.abs(share))), str(condition)))
-                M = found.balance.M
-                line += f" imbalance {share.round(3)} ± {error.round(3)} M_r {M.round(3).tolist()}"
-            if result.fit.delay is not None:
-                delay = result.fit.delay
-                line += f" delay {1e6 * delay.told:.1f} ± {1e6 * delay.told_error:.1f} µs"
-                line += f" -> {1e6 * delay.delay:.1f} ± {1e6 * delay.error:.1f}"
-            se = [np.max(getattr(result.fit, f"{n}_se") / np.abs(getattr(truth, n))) for n in NAMES]
-            line += " se% " + " ".join(f"{100 * one:.2f}" for one in se)
-            line += " worst " + " ".join(f"{np.max(np.abs(one)):.2f}" for one in errors)
-            print(line)
-            for problem in found.problems:
-                refused[f"{problem.severity.value} {problem.code.value}"] += 1
-                print("     ", problem)
-    print(f"{runs} runs, problems: {dict(refused)}")
+    lacks, gains = [], []
+    runs = identified([condition_config(base, one) for one in conditions], options.workers)
+    for condition, (experiment, found) in zip(conditions, runs, strict=True):
+        result = found.estimators[ESTIMATOR]
+        truth = experiment.truth
+        errors = [
+            (getattr(result.fit.mbk, n) - getattr(truth, n)) / getattr(result.fit, f"{n}_se")
+            for n in NAMES
+        ]
+        key = (condition.friction, condition.resolution, condition.perturbation)
+        covered[key].append(np.array(errors))
+        lacks.append((float(np.max(result.fit.lack)), str(condition)))
+        line = f"{condition}: lack {np.max(result.fit.lack):.2f}"
+        if found.balance is not None:
+            share, error = map(np.diag, imbalance(found.balance, result.fit)[:2])
+            gains.append((float(np.max(np.abs(share))), str(condition)))
+            M = found.balance.M
+            line += f" imbalance {share.round(3)} ± {error.round(3)} M_r {M.round(3).tolist()}"
+        if result.fit.delay is not None:
+            delay = result.fit.delay
+            line += f" delay {1e6 * delay.told:.1f} ± {1e6 * delay.told_error:.1f} µs"
+            line += f" -> {1e6 * delay.delay:.1f} ± {1e6 * delay.error:.1f}"
+        se = [np.max(getattr(result.fit, f"{n}_se") / np.abs(getattr(truth, n))) for n in NAMES]
+        line += " se% " + " ".join(f"{100 * one:.2f}" for one in se)
+        line += " worst " + " ".join(f"{np.max(np.abs(one)):.2f}" for one in errors)
+        print(line)
+        for problem in found.problems:
+            refused[f"{problem.severity.value} {problem.code.value}"] += 1
+            print("     ", problem)
+    print(f"{len(lacks)} runs, problems: {dict(refused)}")
     print("largest lack of fit:", sorted(lacks)[-3:])
     print("largest imbalance of gain:", sorted(gains)[-3:])
     everything = np.array([one for errors in covered.values() for one in errors])
