@@ -513,6 +513,10 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         # Beside all lines of a multisine, nothing but the lines themselves tells.
         play: dict[str, Any] = {"cuff": 1e3, "loose": gap, "voluntary": 0.2, "duration": 30.0}
         add(MUST, "loose cuff, multisine", (f"{gap:g} rad", {"waveform": "multisine", **play}))
+    for waveform, hiding in product(("noise", "multisine", "binary"), (0.5, 1.0)):
+        floats: dict[str, Any] = {"cuff": 300.0, "loose": 0.03, "voluntary": hiding}
+        floats |= {"waveform": waveform, "duration": 30.0}
+        add(MUST, "floating in loose cuffs", (f"{waveform}, {hiding:g} N·m", floats))
     for stiff in (3e5, 1e5):
         softly: dict[str, Any] = {"cuff": stiff, "voluntary": 0.3}
         add(MUST, "cuff, voluntary 0.3 N·m", (f"{stiff / 1e3:g} kN·m/rad", softly))

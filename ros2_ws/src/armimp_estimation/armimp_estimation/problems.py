@@ -122,6 +122,7 @@ class ProblemCode(str, Enum):
     LOCK_RATIO = "lock_ratio"
     LOCK_BIAS = "lock_bias"
     NO_RESPONSE = "no_response"
+    ARM_FLOATS = "arm_floats"
 
 
 class Kind(JsonModel):

@@ -1,5 +1,7 @@
 """What is wrong with single signals: clipped, stuck, too coarse to tell; and lost readings mended.
 
+So is a torque that stays while its joint moves, as behind cuffs that are loose.
+
 Noise, hum and drift are no problem: the perturbation doesn't cause them, so the estimate is right
 and its intervals know. But what follows from the motion itself biases it.
 """
@@ -82,6 +84,9 @@ _BINS, _FOLDED, _FOLLOWING, _ALIKE = 10, 0.3, 0.85, 0.8
 """Bins of a coherence; power of a perturbation near half of the rate relative to that at 15 to
 40 Hz, from which on it may have more beyond; share of the motion that follows it otherwise; and
 share of quick motion per that of slow motion from which on they are alike."""
+_QUICK, _NEAR, _LINGERS, _STILL, _SURE = (3.0, 40.0), 0.2, 0.04, 0.5, 4.0
+_SETTLED = 3.0
+"""Seconds of a trial from which on it is looked at whether a joint moves without the arm."""
 RESOLVED_SHARE = 0.25
 """Share of the motion of a locked joint that may be unseen where its motion counts as resolved."""
 RESOLVED: Final = {JOINT_STATES: 20.0, TORQUE_SENSORS: 8.0}
@@ -132,11 +137,75 @@ def _faults(record: TrialRecord, stream: str, joint: int) -> Iterator[tuple[Prob
         yield ProblemCode.DEAD_ZONE, {"count": count, "percent": 100.0 * count / signal.size}
     if torques and (share := repeating(signal)):
         yield ProblemCode.TORQUE_REPEATS, {"percent": 100.0 * share}
-    for source in ("command", "perturbation") if torques and joint == k else ():
+    if torques and joint == k:
+        yield from _faults_of_response(record)
+
+
+def _faults_of_response(record: TrialRecord) -> Iterator[tuple[ProblemCode, Values]]:
+    """What is wrong with the torque of the perturbed joint."""
+    for source in ("command", "perturbation"):
         factor, share = _copied(record, source)
         if share < _COPIED:
             about: Values = {"source": source, "factor": factor, "percent": 100.0 * share}
             yield ProblemCode.TORQUE_IS_COMMAND, about
+    value, share = floating(record) if record.duration > _SETTLED else (0.0, 0.0)
+    if share:
+        yield ProblemCode.ARM_FLOATS, {"value": value, "percent": 100.0 * share}
+
+
+def floating(record: TrialRecord) -> tuple[float, float]:
+    """Torque of the perturbed joint beside which it moves without the arm, and how often.
+
+    An arm that is loose in its cuffs, or behind play, leaves a torque as it is while the joint
+    moves. That of a linear arm changes whatever it is. So its change between 3 and 40 Hz, where a
+    person adds little, is compared with that of the torque which follows linearly from angles,
+    speeds and accelerations there, at all torques within a tenth of a standard deviation of one.
+
+    Parameters
+    ----------
+    record : TrialRecord
+        One trial, without gaps.
+
+    Returns
+    -------
+    torque : float
+        That of which the change is least, N·m, in power and relative to the usual one: less than
+        half, and beyond the chance of as many visits.
+    share : float
+        Of the time in which it is there, 4 % at least; 0 if there is none.
+    """
+    k, f = record.perturbed_joint, np.fft.rfftfreq(record.samples, 1.0 / record.rate)
+    top, s = min(_QUICK[1], 0.4 * record.rate), 2j * np.pi * f
+    quick = (f > _QUICK[0]) & (f < top)
+    angles, torque = (
+        np.fft.rfft(one - one.mean(axis=-1, keepdims=True))
+        for one in (record.position, record.torque[k])
+    )
+    motion = np.concatenate([s[quick] ** order * angles[:, quick] for order in range(3)])
+    motion /= np.linalg.norm(motion, axis=1, keepdims=True) + _TINY
+    parts = [np.concatenate((one.real, one.imag), axis=-1) for one in (motion, torque[quick])]
+    follows = np.zeros_like(torque)
+    follows[quick] = np.linalg.lstsq(parts[0].T, parts[1], rcond=None)[0] @ motion
+    signals = np.fft.irfft(
+        np.stack((torque * (f < top), s * quick * torque, s * follows)), record.samples
+    )
+    level, own, expected = signals[:, round(record.rate) : -round(record.rate)]
+    width = _NEAR * float(np.std(level))
+    if record.resolution[TORQUE_SENSORS][k] >= width or not expected.any():
+        return 0.0, 0.0  # it changes by counts alone, or not at all
+    lowest = np.rint(np.min(level) / width)
+    place = (np.rint(level / width) - lowest).astype(np.int64)
+    share = np.bincount(place) / place.size
+    changes, usual = (
+        np.bincount(place, weights=one**2) / np.mean(one**2) / place.size for one in (own, expected)
+    )
+    visits = np.bincount(place[1:][np.diff(place) != 0], minlength=share.size)
+    limit = np.minimum(_STILL, 1.0 - _SURE * np.sqrt(2.0 / np.maximum(visits, 1)))
+    still = (share > _LINGERS) & (usual > 0.5 * share) & (changes < limit * usual)
+    if not still.any():
+        return 0.0, 0.0
+    where = int(np.argmax(np.where(still, share, 0.0)))
+    return float(record.torque[k].mean() + (where + lowest) * width), float(np.sum(share[still]))
 
 
 def mended(record: TrialRecord) -> tuple[TrialRecord, list[Problem]]:
