@@ -24,13 +24,10 @@ def streams_of(bag: Path) -> dict[str, list[bytes]]:
     for topic, _, raw in iterate_messages(bag):
         streams.setdefault(topic, []).append(raw)
     status = decode_trial_status(streams[TRIAL][-1])
-    found = {}
-    for topic in DATA_STREAMS:
-        # A bag may begin between two messages of a sample; commands come with the perturbation.
-        stamped = streams[PERTURBATION if topic == COMMANDS else topic]
-        first = sum(stamp_of(raw) < (status.start_ns or 0) for raw in stamped)
-        found[topic] = streams[topic][first : first + status.ticks]
-    return found
+    # A bag may begin between two messages of a sample; commands come with the perturbation.
+    stamped, start = {**streams, COMMANDS: streams[PERTURBATION]}, status.start_ns or 0
+    first = {one: sum(stamp_of(raw) < start for raw in stamped[one]) for one in DATA_STREAMS}
+    return {one: streams[one][first[one] : first[one] + status.ticks] for one in DATA_STREAMS}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -337,7 +337,6 @@ def test_a_white_perturbation_that_is_recorded_as_it_acts_is_sound(
 def shaken(kind: str) -> np.ndarray:
     """Angles of a joint that moves in one way, rad, 20 s."""
     rng, t = np.random.default_rng(3), np.arange(20_000) / RATE
-    low_pass = butter(2, 15.0, fs=RATE, output="sos")
     pushes = {
         "noise": rng.standard_normal(t.size),
         "binary": rng.choice([-1.0, 1.0], t.size // 50).repeat(50),
@@ -345,33 +344,29 @@ def shaken(kind: str) -> np.ndarray:
         "fading in": rng.standard_normal(t.size) * t,
         "at rest now and then": rng.standard_normal(t.size) * (np.sin(1.5 * t) > -0.5),
     }
-    angle = sosfilt(butter(2, 1.5, fs=RATE, output="sos"), sosfilt(low_pass, pushes[kind]))
+    angle = sosfilt(butter(2, 1.5, fs=RATE, output="sos"), pushes[kind])
     return np.asarray(np.round(0.03 * angle / angle.std() / 2e-5) * 2e-5)
 
 
 @pytest.mark.parametrize("kind", ["noise", "binary", "chirp", "fading in", "at rest now and then"])
-@pytest.mark.parametrize("person", ["none", "slow", "in bursts"])
-def test_a_joint_that_moves_the_arm_all_the_time_doesn_t_float(kind: str, person: str) -> None:
+@pytest.mark.parametrize("pushes", [0.0, 0.3, 1.0])
+def test_a_joint_that_moves_the_arm_all_the_time_doesn_t_float(kind: str, pushes: float) -> None:
     angle, rng = shaken(kind), np.random.default_rng(4)
     quick = sosfilt(butter(2, 40.0, fs=RATE, output="sos"), np.gradient(np.gradient(angle)))
     slow = sosfilt(butter(2, 2.0, fs=RATE, output="sos"), rng.standard_normal(angle.size))
-    pushing = {"none": 0.0, "slow": 1.0, "in bursts": np.arange(angle.size) % 5000 < 1500}
-    torque = 0.05 * RATE**2 * quick + 5.0 * angle + pushing[person] * slow / slow.std()
-    noise = 0.005 * rng.standard_normal(angle.size)
-    assert floating(made_record(angle[None], (torque + noise)[None])) == (0.0, 0.0)
+    torque = 0.05 * RATE**2 * quick + 5.0 * angle + 0.005 * rng.standard_normal(angle.size)
+    torque += (np.arange(angle.size) % 5000 < 5000 * pushes) * slow / slow.std()
+    assert floating(made_record(angle[None], torque[None])) == (0.0, 0.0)
 
 
-@pytest.mark.parametrize("kind", ["noise", "binary"])
-@pytest.mark.parametrize("gap", [0.02, 0.04])
+@pytest.mark.parametrize(("kind", "gap"), [("noise", 0.02), ("noise", 0.04), ("binary", 0.02)])
 def test_a_joint_that_moves_within_loose_cuffs_is_told(kind: str, gap: float) -> None:
-    angle, torque = shaken(kind), np.zeros(20_000)
-    arm, speed = 0.0, 0.0
+    angle, torque, arm, speed = shaken(kind), np.zeros(20_000), 0.0, 0.0
     for tick, at in enumerate(angle):
         torque[tick] = 300.0 * (at - arm - np.clip(at - arm, -gap, gap))
         speed += (torque[tick] - 0.4 * speed - 5.0 * arm) / 0.05 / RATE
         arm += speed / RATE
     record = made_record(angle[None], (1.0 + torque)[None])
-    value, share = floating(record)
-    assert value == pytest.approx(1.0, abs=0.15 * torque.std())
-    assert share > 0.3
+    off = np.abs(np.subtract(floating(record), (1.0, 0.7)))
+    assert (off < (0.15 * torque.std(), 0.3)).all()
     assert ProblemCode.ARM_FLOATS in {one.code for one in judge_signals(record)}
