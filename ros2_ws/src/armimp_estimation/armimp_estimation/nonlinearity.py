@@ -311,7 +311,7 @@ class Deviation:
     at_lines: bool = False
     """Whether the lines of a multisine tell it."""
     looks: int = 1
-    """At how many times it was looked for."""
+    """In how many joints, and at how many times, it was looked for."""
     slack: float = 0.0
     """Torque by which the transducer lags on either way, or that it shows as none, N·m."""
 
@@ -586,12 +586,14 @@ def deviations(
         # What M, B and K are alike of it: the derivatives 2, 1, 0.
         alike = np.linalg.lstsq(motion[2::-1, kept].T, band.signal(bent[1])[kept], rcond=None)[0]
         deviation = _deviation(name, told, alike, own, sizes[:, 0])
-        found[name] = replace(deviation, at_lines=at_lines)
+        found[name] = replace(deviation, at_lines=at_lines, looks=record.joints)
         if one.at_once is not None:
             changing = known[one.at_once], signals[one.at_once]
             seen = [band.signal(nearly * band.of(signal))[kept] for signal in changing]
             step, looks = _step(seen[0], seen[1], steady)
-            sudden = replace(_deviation(name, step, alike, own, sizes[:, 0]), looks=looks)
+            sudden = replace(
+                _deviation(name, step, alike, own, sizes[:, 0]), looks=looks * record.joints
+            )
             if abs(sudden.share) > _LEFT:
                 found[name] = max(found[name], sudden, key=lambda one: one.errors)
     return found
