@@ -311,7 +311,9 @@ class Deviation:
     at_lines: bool = False
     """Whether the lines of a multisine tell it."""
     looks: int = 1
-    """In how many joints, and at how many times, it was looked for."""
+    """At how many times it was looked for."""
+    joints: int = 1
+    """And of how many joints that chance may make it of."""
     slack: float = 0.0
     """Torque by which the transducer lags on either way, or that it shows as none, N·m."""
 
@@ -323,7 +325,7 @@ class Deviation:
     @property
     def significant(self) -> bool:
         """Whether chance hardly explains it."""
-        return self.errors > SIGNIFICANT
+        return self._errors(self.looks * self.joints) > SIGNIFICANT
 
     def doubt(self, elsewhere: float = 0.0, *, declared: bool = False) -> float:
         """Standard error that it is, relative to what was found: less if it may be chance.
@@ -363,9 +365,12 @@ class Deviation:
     @property
     def errors(self) -> float:
         """Standard errors of a normal distribution that are as unlikely."""
+        return self._errors(self.looks)
+
+    def _errors(self, looks: int) -> float:
         if not self.error > 0.0:
             return 0.0
-        chance = self.looks * float(stdtr(self.freedom, -abs(self.share) / self.error))
+        chance = looks * float(stdtr(self.freedom, -abs(self.share) / self.error))
         return float(-ndtri(min(max(chance, np.finfo(float).tiny), 0.5)))
 
 
@@ -586,13 +591,13 @@ def deviations(
         # What M, B and K are alike of it: the derivatives 2, 1, 0.
         alike = np.linalg.lstsq(motion[2::-1, kept].T, band.signal(bent[1])[kept], rcond=None)[0]
         deviation = _deviation(name, told, alike, own, sizes[:, 0])
-        found[name] = replace(deviation, at_lines=at_lines, looks=record.joints)
+        found[name] = replace(deviation, at_lines=at_lines, joints=record.joints)
         if one.at_once is not None:
             changing = known[one.at_once], signals[one.at_once]
             seen = [band.signal(nearly * band.of(signal))[kept] for signal in changing]
             step, looks = _step(seen[0], seen[1], steady)
             sudden = replace(
-                _deviation(name, step, alike, own, sizes[:, 0]), looks=looks * record.joints
+                _deviation(name, step, alike, own, sizes[:, 0]), looks=looks, joints=record.joints
             )
             if abs(sudden.share) > _LEFT:
                 found[name] = max(found[name], sudden, key=lambda one: one.errors)
