@@ -169,10 +169,10 @@ def floating(record: TrialRecord) -> tuple[float, float]:
     Returns
     -------
     torque : float
-        That of which the change is least, N·m, in power and relative to the usual one: less than
-        half, and beyond the chance of as many visits.
+        Of those at which it changes by less than half of what is usual, in power and beyond the
+        chance of as many visits, the one where it is most often, for 4 % of the time at least, N·m.
     share : float
-        Of the time in which it is there, 4 % at least; 0 if there is none.
+        Of the time in which it is at any of them; 0 if there is none.
     """
     k, f = record.perturbed_joint, np.fft.rfftfreq(record.samples, 1.0 / record.rate)
     top, s = min(_QUICK[1], 0.4 * record.rate), 2j * np.pi * f
