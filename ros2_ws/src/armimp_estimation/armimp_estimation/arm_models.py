@@ -1,9 +1,9 @@
-"""Arms that are more than M, B and K, fitted to the same impedance.
+"""Models of arms that are more than M, B and K, fitted to the same impedance.
 
 Each :class:`ArmModel` is an equation ``Z(s)`` with the matrices M, B and K of the arm itself and a
-few parameters beside. All are fitted by weighted complex least squares with the weights of the
-M-B-K fit, and judged alike: by lack of fit, by the lack of fit of bins that had no part in the fit,
-and by an information criterion. Theory page, section 9.
+few further parameters. All are fitted by weighted complex least squares with the weights of the
+M-B-K fit, and judged alike: by lack of fit, by lack of fit at bins that were held out (cross-
+validation), and by an information criterion. See section 9 of the theory page.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ AUTO: Final = "auto"
 MBK_MODEL: Final = "mbk"
 DIAGONAL: Final = "diagonal"
 KEPT: Final = "kept"
-_MOST_JOINTS = 4
-_BLOCK = 0.5
+_MOST_JOINTS = 4  # number of joints up to which models are looked for
+_BLOCK = 0.5  # width of the stretches of bins that are held out in turn, Hz
 _STRONG = 10.0
 """Difference of the criterion that is strong evidence (Kass & Raftery, J. Am. Stat. Ass. 1995)."""
 _CLEARLY = 2.0
 """Standard errors from which on a parameter is resolved."""
-_ITERATIONS = 30
-_FAR = 40.0
-_LEAST = 1e-6
+_ITERATIONS = 30  # evaluations of a least-squares fit per free parameter, at most
+_FAR = 40.0  # largest absolute logarithm of a positive parameter, so that none overflows
+_LEAST = 1e-6  # size of a parameter, and of its effect in weighted residuals, that counts as none
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +58,7 @@ class Parameter:
     rank : int
         2 for a matrix (n, n), 1 for a value for each joint, 0 for one value.
     positive : bool
-        Whether it can't be 0 or less.
+        Whether it must be above 0.
     """
 
     name: str
@@ -80,28 +80,28 @@ class ArmModel:
 
     name: str
     equation: str
-    """``Z(s)`` in words of its parameters."""
+    """``Z(s)`` in terms of the names of its parameters."""
     parameters: tuple[Parameter, ...]
     """M, B and K first."""
     impedance: Callable[[Values, ComplexArray], ComplexArray]
-    """Values by name and ``s = jω`` (n_freq,) to ``Z``, (n, n, n_freq)."""
+    """Function of values by name and ``s = jω``, (n_freq,), that returns Z, (n, n, n_freq)."""
     starts: tuple[Mapping[str, float], ...]
-    """Values of scalars and of joints to start from; matrices start from the fit of M, B and K,
-    others from 0."""
+    """Initial values, each set tried, of parameters that aren't 0 at first; M, B and K start from
+    their plain fit."""
     variants: tuple[Mapping[str, str], ...] = ({},)
     """From simple to full: parameters of which only the diagonal is free, or which keep their
-    start. The one with the best criterion is taken."""
+    initial values. The variant with the best criterion is taken."""
     possible: Callable[[Values], bool] = lambda _: True
-    """Whether values can be those of an arm; others are no solution where there is one."""
+    """Whether an arm can have these values; solutions that are possible take precedence."""
 
 
 class ParameterFit(JsonModel):
     """One parameter: numbers row by row, as many as a matrix, the joints, or one; SI units."""
 
     values: Vector
-    """What was fitted."""
+    """Fitted values."""
     errors: Vector
-    """Standard errors; null for what has no effect, or was not fitted."""
+    """Standard errors; null for values that have no effect, or were not fitted."""
     unit: str
     """SI unit of both."""
 
@@ -114,19 +114,19 @@ class ModelFit(JsonModel):
     parameters: dict[str, ParameterFit]
     """By name, M, B and K first, see below."""
     lack_of_fit: Matrix
-    """Misfit of the model over what noise explains."""
+    """Misfit of the model relative to that which noise explains."""
     held_out: Number
-    """Mean lack of fit of bins that had no part in the fit; null if the others don't fit."""
+    """Mean lack of fit of bins that were held out of the fit; null if the model doesn't fit."""
     criterion: Number
     """Bayesian information criterion, less is better."""
     fits: bool
-    """Whether it is possible, and noise explains what it leaves, in the fit and held out."""
+    """Whether an arm can be so, and noise explains the residual, both in the fit and held out."""
     declared: bool = False
-    """Whether it was asked for by its name, not looked for."""
+    """Whether the model was asked for by its name, not searched for."""
 
     @property
     def elements(self) -> Iterator[tuple[str, tuple[int, ...], float, float, str]]:
-        """Name of each parameter, indices from 1, value, standard error and unit."""
+        """Name, indices from 1, value, standard error and unit of each number."""
         n = len(self.lack_of_fit)
         shapes = {n * n: (n, n), n: (n,), 1: ()}
         for name, one in self.parameters.items():
@@ -136,18 +136,18 @@ class ModelFit(JsonModel):
 
     @property
     def beside(self) -> dict[str, ParameterFit]:
-        """What it has beside M, B and K."""
+        """Parameters beside M, B and K, by name."""
         return dict([*self.parameters.items()][len(INTRINSIC) :])
 
     @property
     def resolved(self) -> bool:
-        """Whether the data tell something beside M, B and K from 0."""
+        """Whether any parameter beside M, B and K differs significantly from 0."""
         pairs = (zip(one.values, one.errors, strict=True) for one in self.beside.values())
         return any(abs(value) > _CLEARLY * error for pair in pairs for value, error in pair)
 
     @property
     def text(self) -> str:
-        """Values and standard errors of what is beside M, B and K, in words."""
+        """Values and standard errors of the parameters beside M, B and K, in words."""
         parts = []
         for name, one in self.beside.items():
             pairs = zip(one.values, one.errors, strict=True)
@@ -188,7 +188,7 @@ def _cuffed(values: Values, s: ComplexArray) -> ComplexArray:
 
 _DELAY = Parameter(name="delay", unit="s", rank=0)
 _LATENESS = Parameter(name="torque_delay", unit="s", rank=0)
-"""Common delay of the torque readings, in any model, where it isn't known exactly."""
+"""Common delay of the torque readings, fitted in any model unless it is known exactly."""
 
 MODELS: Final[Mapping[str, ArmModel]] = MappingProxyType(
     {
@@ -246,16 +246,16 @@ MODELS: Final[Mapping[str, ArmModel]] = MappingProxyType(
         )
     }
 )
-"""Models by name, beside plain ``mbk``."""
+"""Models by name, without plain ``mbk``."""
 
 
 def require_model(name: str) -> str:
-    """Return the name of a model, ``auto`` or ``mbk``.
+    """Return a name if it is that of a model, ``auto`` or ``mbk``.
 
     Raises
     ------
     ConfigurationError
-        If there is none of that name.
+        If it is not.
     """
     known = (AUTO, MBK_MODEL, *MODELS)
     if name not in known:
@@ -269,7 +269,7 @@ def fit_models(
     plain: MBKFit,
     calibration: Calibration,
 ) -> dict[str, ModelFit]:
-    """Fit what is asked for: one model, or all where an unbiased estimate isn't M, B and K.
+    """Fit the model that is asked for, or all if M, B and K don't fit an unbiased estimate.
 
     Parameters
     ----------
@@ -278,14 +278,14 @@ def fit_models(
     estimate : ImpedanceEstimate
         As the estimator returns it: a delay that it leaves open is fitted in each model anew.
     plain : MBKFit
-        That fit.
+        Plain fit of M, B and K to it.
     calibration : Calibration
         What is known of the transducers.
 
     Returns
     -------
     dict of str to ModelFit
-        By name of the model.
+        Fits by name of the model.
     """
     if asked == MBK_MODEL:
         return {}
@@ -299,16 +299,16 @@ def fit_models(
 
 
 def supported(models: Mapping[str, ModelFit]) -> str | None:
-    """Model that stands beside M, B and K: of those that fit, the one with the best criterion.
+    """Name of the model to report beside M, B and K: of those that fit, that of best criterion.
 
-    One that nobody declared has to be resolved, too.
+    A model that nobody declared has to be resolved, too. None if there is no such model.
     """
     possible = (n for n, one in models.items() if one.fits and (one.declared or one.resolved))
     return min(possible, key=lambda name: models[name].criterion, default=None)
 
 
 class _Problem:
-    """One model and one impedance."""
+    """Least-squares problem of one model and one impedance."""
 
     def __init__(
         self,
@@ -328,16 +328,16 @@ class _Problem:
         self.ends = np.cumsum([math.prod(shape) for shape in self.shapes])
         Z, variance, power = estimate.Z, estimate.variance, estimate.power
         self.weights = fit_weights(estimate.f, Z, variance, floor, power)
-        # Weights are relative, with the largest of each element 1: rows differ in their noise.
+        # Weights have a maximum of 1 in each element; rows differ in noise, so they are scaled.
         least = np.min(estimate.variance + (floor * np.abs(estimate.Z)) ** 2, axis=2)
         self.weights /= least[:, :, None]
-        # Bins that are neighbours share most of what they tell.
+        # Neighbouring bins share most of their information.
         self.used = np.arange(self.s.size) % max(1, len(estimate.bin_correlation) // 4) == 0
         self.weights *= self.used
         self.positive: BoolArray = self.vector(lambda one: one.positive)
 
     def vector(self, of: Callable[[Parameter], Any]) -> NDArray[Any]:
-        """What there is of each parameter, alike for all of its elements or an array, (p,)."""
+        """Stack a property of each parameter, one value or an array of its shape, to (p,)."""
         pairs = zip(self.parameters, self.shapes, strict=True)
         return np.concatenate([np.ravel(np.broadcast_to(of(one), shape)) for one, shape in pairs])
 
@@ -360,7 +360,7 @@ class _Problem:
         )
 
     def free(self, variant: Mapping[str, str]) -> BoolArray:
-        """Which parameters a variant has."""
+        """Which elements of the parameters are free in a variant, (p,)."""
         kinds = {None: True, KEPT: False, DIAGONAL: np.eye(self.estimate.joints) > 0.0}
         return self.vector(lambda one: kinds[variant.get(one.name)])
 
@@ -371,7 +371,7 @@ class _Problem:
         bins: BoolArray,
         tolerance: float = 1e-6,
     ) -> tuple[FloatArray, float]:
-        """Least squares over the free parameters and some bins: parameters and sum of squares."""
+        """Fit the free parameters to some bins; return all of them and half the sum of squares."""
         from scipy.optimize import least_squares
 
         root = np.sqrt(self.weights[:, :, bins])
@@ -390,7 +390,7 @@ class _Problem:
             prior = [solution[-1] / self.doubt] if self.doubt else []
             return np.concatenate((left.real.ravel(), left.imag.ravel(), prior))
 
-        # Positive parameters are fitted by their logarithms, so none of them needs a bound.
+        # Positive parameters are fitted as logarithms, so none of them needs a bound.
         first = np.where(positive, np.log(np.where(positive, start[free], 1.0)), start[free])
         most = _ITERATIONS * (first.size + 1)
         found = least_squares(
@@ -400,7 +400,7 @@ class _Problem:
 
     def fit(self) -> ModelFit:
         """Fit each variant, and take the one with the best criterion."""
-        # With scalars kept, most models are linear.
+        # With fixed scalars, most models are linear.
         free = self.free(self.model.variants[0])
         rough = free & self.vector(lambda one: one.rank == 2)
         starts = [self.solve(self.start(one), rough, self.used, 1e-2) for one in self.model.starts]
@@ -438,7 +438,7 @@ class _Problem:
         )
 
     def held_out(self, solution: FloatArray, free: BoolArray) -> float:
-        """Mean lack of fit of every other stretch of bins, with the others fitted."""
+        """Mean lack of fit at every other stretch of bins, with the model fitted to the others."""
         even = np.floor(self.estimate.f / _BLOCK).astype(int) % 2 == 0
         left = []
         for bins in (even, ~even):
@@ -450,14 +450,14 @@ class _Problem:
         return float(np.mean(left))
 
     def criterion(self, solution: FloatArray, free: BoolArray) -> float:
-        """``χ² + p log N`` with N independent real numbers, less is better."""
+        """Bayesian criterion ``χ² + p log N`` with N independent real numbers; less is better."""
         ratio = lack_ratio(self.estimate, self.impedance(solution))
         rho = np.mean(self.estimate.bin_correlation, axis=1)
         independent = 2.0 * ratio.size / (1.0 + 2.0 * float(np.sum(np.abs(rho[1:]))))
         return independent * float(np.mean(ratio)) + np.sum(free) * math.log(independent)
 
     def errors(self, solution: FloatArray, free: BoolArray) -> FloatArray:
-        """Standard errors of the parameters, (p,), by the sandwich, whatever the weights.
+        """Standard errors of the parameters, (p,), by the sandwich formula, whatever the weights.
 
         To first order ``δp = Re Σ conj(b) δZ`` over elements and bins, with ``b = N⁻¹ W ∂Z/∂p``.
         """
@@ -466,7 +466,7 @@ class _Problem:
         flat = slopes.reshape(solution.size, -1)
         weighted = self.weights.reshape(-1) * flat
         size = np.linalg.norm(np.sqrt(self.weights.reshape(-1)) * flat, axis=1)
-        # One that went to 0 or without end has no effect any more.
+        # A parameter that went to 0 or to infinity has no effect any more.
         free = free & (size * np.maximum(np.abs(solution), _LEAST) > _LEAST)
         normal = (np.conj(flat[free]) @ weighted[free].T).real
         if self.doubt:
@@ -479,11 +479,11 @@ class _Problem:
         systematics = [*self.estimate.systematics, *self.calibration.effects(self.estimate.Z)]
         if self.doubt:
             found += np.outer(inverse[-1], inverse[-1]) / self.doubt**2
-            # What doesn't jump with the commands is late by what nobody told; see the M-B-K fit.
+            # It is unknown if torque that doesn't jump with commands is late; see the M-B-K fit.
             M = self.values(solution)["M"][:, :, None]
             systematics.append(self.doubt * self.s * (self.impedance(solution) - M * self.s**2))
         for common in systematics:
-            # The error of a correction is that of one transducer, so it is common to a row.
+            # The error of a correction belongs to one transducer, so it is common to a row.
             shift = np.sum((np.conj(b) * common).real, axis=(2, 3))
             found += shift @ shift.T
         errors = np.full(solution.size, math.nan)
@@ -499,13 +499,13 @@ class _Problem:
             yield (self.impedance(up) - self.impedance(down)) / (2.0 * step)
 
     def _spread(self, b: ComplexArray) -> FloatArray:
-        """Covariance of ``Re Σ conj(b) δZ``, with that of elements and of neighbouring bins."""
+        """Covariance of ``Re Σ conj(b) δZ``; errors of elements and neighbouring bins correlate."""
         estimate = self.estimate
         noise = np.sqrt(estimate.without_systematics().variance)
         if estimate.disturbance is None or estimate.inverse is None:
             parts = [b * noise]
         else:
-            # δZ = Σ_k V_k inverse_k with the columns V_k independent: b goes to each by its factor.
+            # δZ = Σ_k V_k inverse_k with independent columns V_k: b is applied to a root of each.
             turned = [np.einsum("aijf,jf->aif", b, np.conj(one)) for one in estimate.inverse]
             factors = [_root(np.moveaxis(one, 2, 0)) for one in estimate.disturbance]
             parts = [

@@ -40,7 +40,7 @@ from armimp_estimation.verdict import Verdict
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EstimatorResult:
-    """What one estimator found, and how well."""
+    """Result of one estimator, with its scores."""
 
     estimate: ImpedanceEstimate
     """Impedance over frequency."""
@@ -49,24 +49,24 @@ class EstimatorResult:
     vaf: FloatArray | None
     """Variance accounted for, %, if the truth is known; shape (n, n)."""
     coherence: scores.Coherences
-    """Over frequency."""
+    """Coherences over frequency."""
     models: dict[str, ModelFit]
     """Models of the arm that were fitted beside M, B and K, by name."""
 
     def with_doubts(self, shifts: Sequence[FloatArray]) -> EstimatorResult:
-        """Return the same with changes of M, B and K, (3, n, n), as more standard errors."""
+        """Return the same with changes of M, B and K, (3, n, n), as further standard errors."""
         return replace(self, fit=reduce(MBKFit.with_doubt, shifts, self.fit))
 
     def with_gains_in_doubt(self, doubts: FloatArray) -> EstimatorResult:
-        """Return the same with standard errors of gains and cross-talk, (n, n), in all errors.
+        """Return the same with relative standard errors of gains and cross-talk in all errors.
 
-        Of each joint and the one whose torque its transducer may show, relative.
+        Row i of `doubts`, (n, n), is the transducer, column l the joint whose torque it may show.
         """
         if not doubts.any():
             return self
         fit, variance, shifts = self.fit, self.estimate.variance.copy(), []
         found = np.stack([fit.mbk.M, fit.mbk.B, fit.mbk.K])
-        # What is near 0 by chance isn't when it is scaled.
+        # An element that is near 0 by chance would otherwise get next to no error.
         found = np.copysign(np.hypot(found, np.stack([fit.M_se, fit.B_se, fit.K_se])), found)
         for i, row in np.argwhere(doubts):
             shift = np.zeros_like(found)
@@ -92,13 +92,13 @@ class EstimatorResult:
 
 
 class TrialScores(JsonModel):
-    """What one trial tells of the robot: how it locks joints, and yields to the perturbation."""
+    """How the robot locked joints, and yielded to the perturbation, in one trial."""
 
     k: int
     """Perturbed joint, from 1."""
     lock_ratio: Vector
-    """Motion of each joint within the band that the perturbation causes, relative to that of joint
-    k, 1 there."""
+    """Motion of each joint, within the band and caused by the perturbation, relative to that of
+    joint k, for which it is 1."""
     bias_bound: Vector
     """Share of each torque that motion of locked joints explains."""
     realisation: Number = math.nan
@@ -115,15 +115,15 @@ class Identification:
     joint_names: tuple[str, ...]
     """Names of the n joints."""
     trials: tuple[TrialScores, ...]
-    """In order of the perturbed joint."""
+    """Scores of the trials, in the order of the perturbed joints."""
     estimators: dict[str, EstimatorResult]
-    """By name, in the order asked for."""
+    """Results by name of the estimator, in the order asked for."""
     problems: tuple[Problem, ...]
-    """What is wrong with the result, and what was found and put right."""
+    """What is wrong with the result, and what was found and corrected."""
     truth: MBK | None
     """True matrices, if known."""
     balance: RobotBalance | None = None
-    """What the commands move, if they are known."""
+    """Robot that the commands move, if commands are known."""
 
     @property
     def deciding(self) -> tuple[str, ...]:
@@ -152,10 +152,10 @@ def identify_records(
     known: Metadata,
     options: IdentifyConfig | None = None,
 ) -> Identification:
-    """Identify from the intact stretches of each trial, and from what is known beside them.
+    """Identify the impedance from the intact stretches of each trial and their metadata.
 
-    Welch segments are those that suit the shortest trial, and options by default those that follow
-    from what is known; see :func:`identify` for the rest.
+    Welch segments have the length that suits the shortest trial. Options follow from the metadata
+    unless given; for the rest see :func:`identify`.
     """
     segment = segment_for(trials)
     data = [TrialData.of(*one, segment=segment, reading=known.reading) for one in trials]
@@ -175,7 +175,7 @@ def identify(
     trials : sequence of TrialData
         One for each joint, in any order.
     estimators : sequence of str or Estimator
-        Names from :mod:`armimp_estimation.estimators.registry`, or estimators of one's own.
+        Names from :mod:`armimp_estimation.estimators.registry`, or custom estimators.
     truth : MBK, optional
         True matrices, for the VAF only; they have no part in the verdict.
     config : IdentifyConfig, optional
@@ -184,7 +184,7 @@ def identify(
     Raises
     ------
     ConfigurationError
-        If no estimator is asked for, or an unknown one, or the truth is of another size.
+        If no estimator is asked for, one twice, or an unknown one, or the truth has another size.
     DataError
         If a joint has no trial or the data cannot be estimated.
     """

@@ -1,11 +1,11 @@
-"""Whether matrices and angles can be those of a person's arm, whoever it is.
+"""Whether matrices and angles can be those of anybody's arm.
 
 A passive arm has a kinetic energy ``½ q̇ᵀ M q̇ > 0`` for any motion, so the symmetric part of M has
 positive eigenvalues. Torques or angles in the wrong order make the elements off the diagonal
-larger than those on it, and a wrong sign makes one on it negative; both show there. And ``M = Mᵀ``,
-unless torques and angles belong to other coordinates, as where one of two angles is absolute or
-has a share of the other, or one of two gains is wrong. What all joints have in common, such as a
-unit, shows in the size alone.
+larger than those on it, and a wrong sign makes one on it negative; the eigenvalues show both. And
+``M = Mᵀ``, unless torques and angles belong to different coordinates, as where one of two angles is
+absolute or contains a share of the other, or one of two gains is wrong. Errors that all joints
+have in common, such as a wrong unit, show only in the size of the values.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from armimp_estimation.problems import Problem, ProblemCode, problem
 from armimp_estimation.record import TrialRecord
 
 RANGES: Final = {"M": (1e-4, 10.0), "B": (0.0, 150.0), "K": (0.0, 1500.0)}
-"""What a joint may have, from a wrist to a stiff ankle and ten times beyond; SI units."""
+"""Possible values of a joint, from a wrist to a stiff ankle and ten times beyond; SI units."""
 LARGEST_POSTURE = 2.0 * np.pi
 """Angle beyond which a posture isn't in radians, rad."""
 TURN = 0.9 * 2.0 * np.pi
-"""Step between two samples that is none of a joint, but of an encoder that counts in turns, rad."""
+"""Step between two samples that no joint makes, but an encoder that begins another turn, rad."""
 LARGEST_MOTION = 1.5
-"""Peak to peak motion beyond which it isn't, rad: linear models end far below."""
+"""Peak to peak motion beyond which angles aren't in radians, rad: linear models end far below."""
 ASYMMETRY = 0.07
-"""Share of ``√(M_ii M_jj)`` by which elements of an inertia off the diagonal may differ, beside
-chance: 0.05 is that of the arm that the paper found."""
-_TOP = 0.8
-_ERRORS = 5.0
-_UNEVEN = 3.0
-_NOTICED = 2.0
+"""Share of ``√(M_ii M_jj)`` by which M_ij and M_ji may differ, beside chance. For the arm of the
+paper it is 0.05."""
+_TOP = 0.8  # share of the highest frequency at which the upper end of the band begins
+_ERRORS = 5.0  # standard errors by which a value must be outside a range to be refused
+_UNEVEN = 3.0  # standard errors beyond which an asymmetry is refused
+_NOTICED = 2.0  # standard errors beyond which an asymmetry adds to the standard errors
 
 
 def judge_matrices(
@@ -53,8 +53,8 @@ def judge_matrices(
     fit : MBKFit
         Matrices and their standard errors.
     apart : float
-        How far the postures of the trials are apart, rad: inertia changes by as much of
-        ``√(M_ii M_jj)`` at most between them.
+        Distance between the postures of the trials, rad. Between them, M_ij changes by at most
+        this share of ``√(M_ii M_jj)``.
     """
     problems = []
     matrices = {
@@ -85,7 +85,7 @@ def judge_matrices(
         return problems
     least = {letter: least_eigenvalue(*pair) for letter, pair in matrices.items()}
     negative = {letter for letter, (value, error) in least.items() if value < -_ERRORS * error}
-    # Muscles may drive a motion of an arm, or let it fall, but not both.
+    # Muscles may drive a motion (B < 0) or let the arm fall (K < 0), but not both.
     letter = "M" if "M" in negative else "K"
     if "M" in negative or {"B", "K"} <= negative:
         value, error = least[letter]
@@ -116,8 +116,8 @@ def judge_matrices(
 def _quick_inertia(estimate: ImpedanceEstimate) -> tuple[FloatArray, FloatArray]:
     """Largest inertia that joints may have at the upper end of the band, and its noise, each (n,).
 
-    It is ``|Z|/ω²``, or what any joint may have where stiffness makes that larger. Whatever else
-    may be wrong with a torque, one that passed a low-pass shows none at all.
+    It is ``|Z|/ω²``, or the upper limit of `RANGES` if stiffness makes that larger. A torque behind
+    a low-pass shows no inertia there, whatever else may be wrong with it.
     """
     top = estimate.f >= _TOP * estimate.f[-1]
     square = (2.0 * np.pi * estimate.f[top]) ** 2
@@ -128,26 +128,26 @@ def _quick_inertia(estimate: ImpedanceEstimate) -> tuple[FloatArray, FloatArray]
 
 
 def uneven(M: FloatArray, errors: FloatArray, share: float, chance: float = _ERRORS) -> BoolArray:
-    """Elements of an inertia that differ from those across by more than a share of √(M_ii M_jj).
+    """Whether M_ij and M_ji of an inertia differ by more than a share of √(M_ii M_jj), (n, n).
 
-    So many standard errors of that may be chance.
+    The number `chance` of standard errors of the difference is added to what is allowed.
     """
     size = np.sqrt(np.abs(np.outer(np.diag(M), np.diag(M))))
     return np.asarray(np.abs(M - M.T) > share * size + chance * np.hypot(errors, errors.T))
 
 
 def mixed_channels(fit: MBKFit, calibration: Calibration) -> list[FloatArray]:
-    """Changes of M, B and K if an inertia is uneven as angles or torques show other joints, too.
+    """Changes of M, B and K by cross-talk of angles or torques that would explain an asymmetric M.
 
-    An encoder i that shows c times the angle of joint j beside its own takes ``c Z_li`` off each
-    ``Z_lj``, and so ``c M_ii`` off M_ij alone of two elements that are to be alike. A transducer i
-    that shows c times the torque of joint j adds ``c Z_jl`` to each ``Z_il``. Chance is what
-    isn't of the calibration: that explains torques that mix, not angles.
+    An encoder i that also shows c times the angle of joint j takes ``c Z_li`` off each ``Z_lj``,
+    and so ``c M_ii`` off M_ij, but nothing off M_ji. A transducer i that also shows c times the
+    torque of joint j adds ``c Z_jl`` to each ``Z_il``. Standard errors that the calibration adds
+    don't count as chance here, since they explain cross-talk of torques, but not of angles.
 
     Returns
     -------
     list of ndarray, shape (3, n, n)
-        For each pair of joints, as far as the difference is beyond chance.
+        Changes for each pair of joints, as far as the asymmetry is beyond chance.
     """
     matrices = np.stack((fit.mbk.M, fit.mbk.B, fit.mbk.K))
     M = matrices[0]
@@ -166,9 +166,9 @@ def mixed_channels(fit: MBKFit, calibration: Calibration) -> list[FloatArray]:
 
 
 def least_eigenvalue(matrix: FloatArray, errors: FloatArray) -> tuple[float, float]:
-    """Least eigenvalue of the symmetric part, and its standard error.
+    """Least eigenvalue of the symmetric part of a matrix A, and its standard error.
 
-    With the eigenvector v it is ``vᵀ A v``, whose error follows from those of the elements.
+    With the unit eigenvector v it is ``vᵀ A v``; the error follows from those of the elements.
     """
     values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
     v = vectors[:, 0]
@@ -177,7 +177,7 @@ def least_eigenvalue(matrix: FloatArray, errors: FloatArray) -> tuple[float, flo
 
 
 def judge_angles(record: TrialRecord) -> list[Problem]:
-    """Find angles that aren't radians, or begin another turn.
+    """Find angles that aren't in radians, or jump to another turn.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Problems of a result as data: a code with values. The words are in ``problems.yaml``."""
+"""Problems of a result as data: a code with values. Sentences are in ``problems.yaml``."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from armimp_estimation.json_model import JsonModel, Number
 
 
 class Severity(str, Enum):
-    """What a problem does to the verdicts that it concerns."""
+    """Effect of a problem on the verdicts that it concerns."""
 
     ERROR = "error"
-    """They say not valid."""
+    """They are "not valid"."""
     NOTE = "note"
-    """Nothing: it was corrected, or is in the standard errors."""
+    """None: the problem was corrected, or the standard errors include it."""
 
 
 class Concern(str, Enum):
-    """Which verdict a problem concerns."""
+    """Verdict that a problem concerns."""
 
     IMPEDANCE = "impedance"
-    """Z(f) and its bands, and with them all that is fitted to it."""
+    """Z(f) and its confidence bands, and so all that is fitted to it."""
     PARAMETERS = "parameters"
     """M, B and K and their intervals; Z(f) may be right."""
 
@@ -126,39 +126,39 @@ class ProblemCode(str, Enum):
 
 
 class Kind(JsonModel):
-    """A kind of problems, for all of which the same advice holds."""
+    """A kind of problem: several codes to which the same advice applies."""
 
     title: str
     """The kind in plain words."""
     advice: str
-    """What it means and what to do about it."""
+    """What the problem means and what to do about it."""
     sentences: Mapping[ProblemCode, str]
-    """One sentence for each code, with places for its values."""
+    """A sentence for each code, as a format string for its values."""
 
 
 @cache
 def kinds() -> Mapping[ProblemCode, Kind]:
-    """Kind of each code, as ``problems.yaml`` has them."""
+    """Kind of each code, from ``problems.yaml``."""
     text = files(__package__).joinpath("problems.yaml").read_text(encoding="utf-8")
     found = [Kind.model_validate(one) for one in load_yaml(text, TextLoader)]
     return {code: kind for kind in found for code in kind.sentences}
 
 
 class Problem(JsonModel):
-    """Something that is wrong with a result, or that was found and corrected."""
+    """A problem of a result, or one that was found and corrected."""
 
     code: ProblemCode
     """Kind of problem."""
     concern: Concern = Concern.IMPEDANCE
     """Which verdict it concerns; what concerns the impedance concerns the parameters as well."""
     severity: Severity = Severity.ERROR
-    """Whether it makes that verdict say not valid."""
+    """Whether it makes that verdict "not valid"."""
     trial: int | None = None
-    """Number of the trial, 1-based, if it is of one."""
+    """Number of the trial, 1-based, if it concerns one."""
     estimator: str = ""
-    """The estimator, if only the estimate of one is concerned."""
+    """Name of the estimator, if only its estimate is concerned."""
     values: Mapping[str, int | Number | str] = Field(default_factory=dict)
-    """What the sentence of the code tells."""
+    """Values that the sentence contains."""
 
     @computed_field  # type: ignore[prop-decorator]
     @property
@@ -174,7 +174,7 @@ class Problem(JsonModel):
 
     @classmethod
     def of(cls, error: ArmimpError, default: ProblemCode = ProblemCode.NOT_ESTIMATED) -> Problem:
-        """The problem that an error tells of, by the code that it carries."""
+        """The problem that an error reports, with the code of the error or else the default."""
         return problem(ProblemCode(error.code) if error.code else default, reason=str(error))
 
 
@@ -187,6 +187,6 @@ def problem(
     estimator: str = "",
     **values: float | str,
 ) -> Problem:
-    """Return a problem with the values of its sentence; all else is as of :class:`Problem`."""
+    """Return a problem; `values` are those of its sentence, the rest as for :class:`Problem`."""
     of = {"concern": concern, "severity": severity, "trial": trial, "estimator": estimator}
     return Problem.model_validate({"code": code, "values": values, **of})

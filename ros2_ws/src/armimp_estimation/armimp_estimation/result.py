@@ -1,4 +1,4 @@
-"""From assembled trials to the result that is shown and stored: live, replayed and offline."""
+"""From assembled trials to the result that is shown and stored, live, replayed or offline."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ class Result:
     curves: Mapping[str, ImpedanceCurve] = field(default_factory=dict)
     """Impedance over frequency by name of the estimator; empty if nothing could be estimated."""
     trials: tuple[Trial, ...] = ()
-    """Samples and their account, in the order of the perturbed joints."""
+    """Samples and their statistics, in the order of the perturbed joints."""
     notes: tuple[str, ...] = ()
-    """What could not be found or is unusual."""
+    """Remarks on what could not be found or is unusual."""
 
     @property
     def averages(self) -> float | None:
-        """Number of independent averages behind the coherences; None without curves."""
+        """Least number of independent averages behind the coherences; None without curves."""
         known = [one.averages for name, one in self.curves.items() if name.startswith("welch")]
         return min(known or [one.averages for one in self.curves.values()], default=None)
 
@@ -83,28 +83,28 @@ def conclude(
 ) -> Result:
     """Identify the impedance from the trials, and collect the problems of the result.
 
-    Welch segments are those that suit the shortest trial.
+    Welch segments have the length that suits the shortest trial.
 
     Parameters
     ----------
     trials : sequence of Trial
         One for each joint.
     metadata : mapping of str to str
-        That of the bags: configuration, seed, from a simulator the truth, the timing of a run in
-        real time, and what is known of the torque readings.
+        Metadata of the bags: configuration, seed, truth (of a simulator), timing of a run in real
+        time, and what is known of the torque readings.
     joint_names : sequence of str
         Names of the n joints.
     estimators : sequence of str or Estimator
         As for :func:`armimp_estimation.identify.identify`.
     allow_gaps : bool
         Estimate from the intact parts of trials that lost samples or were aborted; else such
-        trials are refused. The result of one that was aborted is not valid.
+        trials are refused. With an aborted trial the result is not valid.
         Intervals in which the controller clipped its command are left out in any case.
     most_excluded : float
-        Largest share of the samples of a trial that may be left out, from 0 to 1. Beyond, there
-        is an estimate, but the result is not valid.
+        Largest share of the samples of a trial that may be left out, from 0 to 1. If more are, the
+        result has an estimate, but is not valid.
     problems : sequence of Problem
-        What is known to have gone wrong beforehand.
+        Problems that are known beforehand.
 
     Raises
     ------
@@ -126,7 +126,7 @@ def conclude(
         except DataError as error:
             found.append(Problem.of(error))
     seed = known.seed if known.seed is not None or not trials else trials[0].window.seed
-    # Of a joint that there is not, a problem tells; it has no place in tables and figures.
+    # A trial of an unknown joint is reported as a problem, but left out of tables and figures.
     trials = [trial for trial in trials if trial.joint < len(joint_names)]
     trials.sort(key=lambda trial: (trial.joint, trial.trial))
     summary = Summary.of(
@@ -155,7 +155,7 @@ def problems_of(
     allow_gaps: bool = False,
     most_excluded: float = MOST_EXCLUDED,
 ) -> list[Problem]:
-    """What is wrong with a recording, before anything is estimated from it.
+    """Find the problems of a recording before anything is estimated from it.
 
     Parameters
     ----------
@@ -186,8 +186,8 @@ def load_result(directory: Path) -> Result:
     Parameters
     ----------
     directory : Path
-        With ``summary.json``, ``frf.npz`` if there are estimates, and the bags that the summary
-        names.
+        Directory of ``summary.json``, of ``frf.npz`` if there are estimates, and of the bags that
+        the summary names.
 
     Raises
     ------

@@ -1,20 +1,20 @@
-"""Balance of the robot: what the commands move, less what the transducers show of the arm.
+"""Torque balance of the robot: commands less transducer torques must move a possible robot.
 
 Between the robot's drives and the arm nothing but the robot itself takes torque, so
 
     H T_u - T_τ = (M_r s² + B_r s + K_r) R + F,    H = (1 - exp(-jωL))/jωL
 
 with the responses T_u of the commands, T_τ of the transducers and R of the angles to the
-perturbation, and the hold H of the commands. Inertia and stiffness of the robot, as of springs and
-gravity, are symmetric, the inertia with positive eigenvalues. The friction of a joint acts
-on its own motion alone, ``F_ik = (β_ik s + κ_ik) R_ik``, but is another one when the joint is
-locked, and moves little, than when it is perturbed. So off the diagonal of ``(H T_u - T_τ) R⁻¹``
-the terms ``(β s + κ) W`` with the motion ``W_ij = R_ij (R⁻¹)_jj`` of locked joints stand beside M,
-B and K, and what then is left there of viscosity, and of stiffness in one of two elements alone, is
-no robot's: if the transducer of a joint shows g times the torque, it is ``(1 - g)/g`` times the B̂
-and K̂ of the estimate in its row. So wrong signs, units, gains and orders show without knowing arm
-or robot. What is wrong with commands, torques and angles in the same proportion doesn't, nor does a
-gain above 1 where a locked joint that friction holds (κ > 0) explains it.
+perturbation, and the zero-order hold H of the commands. The robot's stiffness, due to springs and
+gravity, and its inertia are symmetric, and the inertia has positive eigenvalues. Friction of a
+joint depends on its own motion alone, ``F_ik = (β_ik s + κ_ik) R_ik``, but differs between the
+trial that perturbs the joint and those in which it is locked and moves little. So off the diagonal
+of ``(H T_u - T_τ) R⁻¹`` there are, beside M, B and K, the terms ``(β s + κ) W`` with the motion
+``W_ij = R_ij (R⁻¹)_jj`` of locked joints. Viscosity that remains there, and stiffness in only one
+of two mirrored elements, can't be the robot's: a transducer that shows g times the torque leaves
+``(1 - g)/g`` times the estimated B̂ and K̂ in its row. So wrong signs, units, gains and orders show
+without knowledge of arm or robot. Common errors of commands, torques and angles in the same
+proportion don't, nor does a gain above 1 that friction of a locked joint (κ > 0) explains.
 """
 
 from __future__ import annotations
@@ -52,69 +52,69 @@ from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 
 BAND = (0.25, 12.0)
-"""Where inertia and stiffness are seen, Hz: below, friction is most of it."""
+"""Band in which inertia and stiffness of the robot show, Hz; below it friction dominates."""
 GAIN_TOLERANCE = 0.02
 """Share by which the torque of a transducer may differ from that of the command, beside chance."""
 ASYMMETRY = 0.25
-"""Share by which elements of the robot's inertia off the diagonal may differ from each other.
+"""Share of ``√(M_ii M_jj)`` by which M_ij and M_ji of the robot may differ, beside chance.
 
 Friction that holds a locked joint takes up to a fifth of its element.
 """
 _FLOOR = 0.2
 """Relative error that the weights of the fit allow for beside the variance."""
 _REACH = 0.6
-"""Smoothing of these weights on either side, Hz."""
+"""Half width of the smoothing of these weights, Hz."""
 _TINY = float(np.finfo(np.float64).tiny)
-_ERRORS = 5.0
-_NEGATIVE = 4.0
-_CLEARLY = 0.3
+_ERRORS = 5.0  # standard errors beyond which a deviation is refused
+_NEGATIVE = 4.0  # standard errors beyond which a negative viscosity or stiffness counts
+_CLEARLY = 0.3  # rms stiffness in another order of commands relative to the given one, at most
 _WEIGHTLESS = 0.02
-"""Inertia of a joint of the robot relative to the arm's, below which it is none: the torque is the
-command. The lightest robots beside heavy arms have a sixth."""
+"""Inertia of a joint of the robot relative to the arm's below which there is none, as the torque is
+the command. The lightest robots have a sixth of the inertia of heavy arms."""
 _ANSWERS = 10.0
-"""Power of the answer of a command relative to its variance that no chance has at most of the
-frequencies."""
+"""Ratio of the power of a command's response to its variance, median over the frequencies, that
+chance doesn't reach."""
 _TAKEN = 0.15
 _HELD = 0.8
-"""Standard errors of the torque that friction takes from a locked joint, of that torque itself.
+"""Standard errors of the torque that friction takes from a locked joint, relative to that torque.
 
-It is not as linear as the terms that stand for it; speeds that aren't Gaussian may tell more. The
-second is where friction that holds the joint would explain what is left.
+Friction isn't as linear as the terms fitted to it, and may be less so if speeds aren't Gaussian.
+The second one is where friction that holds the joint would explain the residual.
 """
 _HIDDEN = 0.2
-"""Share of friction from which on the inertia beside it may be anything."""
+"""Share of friction in an element from which on all of that share may be inertia."""
 _UNCONFIRMED = 0.1
 """Assumption: relative error of a gain that nobody has declared and no command confirms."""
 _UNCONFIRMED_CROSS_TALK = 0.03
-"""Assumption: the same of cross-talk."""
+"""Assumption: error of cross-talk in the same case."""
 _SPRING = 2.0
 """Standard errors from which on a joint of the robot seems to have a spring."""
 _RUBBING = 2.0
-"""Stiffness of friction per its viscosity, as it seems to a perturbation, at most, 1/s."""
+"""Largest ratio of the apparent stiffness of friction to its apparent viscosity, 1/s."""
 _LOADED = 0.3
-"""Assumption: standard error of a torque that seems to be of a spring of the robot, which may as
-well be of a cable that loads the transducer, relative to itself."""
+"""Assumption: relative standard error of a torque that seems to be that of a spring of the robot;
+it may as well be that of a cable which loads the transducer."""
 _PULLED = 0.3
-"""Assumption: stiffness by which gravity may pull a joint of the robot away, relative to the
-arm's."""
+"""Assumption: negative stiffness by which gravity may pull a joint of the robot away from the
+posture, relative to the arm's stiffness."""
 _REFUTED = 3.0
 """Standard errors by which a gain has to differ from 1 to refute a declared calibration."""
 _AT_ONCE, _WHOLE = 0.1, 1.2
-"""Share of a step of its command by which a torque may jump beyond what inertias allow, and at
-most: beyond, it is in another unit, of which the balance tells."""
+"""Shares of a step of the command: by which a torque may jump beyond what inertias allow; and
+beyond which the torque is in another unit, which the balance finds."""
 _ROUNDED = 1.0
-"""Power of second differences of an angle, relative to its resolution squared, up to which most of
-them is rounding, half of that square."""
+"""Largest mean square of second differences of an angle, relative to its squared resolution, of
+which most is rounding; rounding itself has half of that square."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RobotBalance:
-    """What commands less torques move."""
+    """Robot that the commands less the transducer torques move."""
 
     values: FloatArray
     """Inertia, viscosity and stiffness of the robot, SI units; shape (3, n, n)."""
     covariance: FloatArray
-    """Of those of each element, with their lack of fit; shape (3, 3, n, n)."""
+    """Covariance of the three values of each element, with lack of fit; shape (3, 3, n, n)."""
     friction: FloatArray
     """Share of what moves the robot that the friction of locked joints takes; shape (n, n)."""
     unseen: FloatArray
@@ -122,9 +122,9 @@ class RobotBalance:
     shape (n, n)."""
     undamped: FloatArray
     """Torque of friction of each joint in each trial that may follow the perturbation but not the
-    speed, relative to that which does; shape (n, n)."""
+    speed, relative to that which follows the speed; shape (n, n)."""
     rubbing: FloatArray
-    """Stiffness that friction of the perturbed joint may seem to have, N·m/rad, shape (n,)."""
+    """Apparent stiffness that friction of the perturbed joint may have, N·m/rad, shape (n,)."""
     order: tuple[int, ...]
     """Row of the commands that belongs to each joint."""
 
@@ -135,11 +135,11 @@ class RobotBalance:
 
     @property
     def M_se(self) -> FloatArray:
-        """Its standard errors.
+        """Standard errors of M, kg·m², shape (n, n).
 
-        What friction of the perturbed joint isn't like a damper may be all of it at the upper end
-        of the band. Where friction takes much of what moves a locked joint, it may hide inertia,
-        the more so the less it is like a damper.
+        Friction of the perturbed joint that isn't like a damper may look like an inertia of B/ω at
+        the upper end of the band. Where friction takes much of what moves a locked joint, it may
+        hide inertia, the more so the less it is like a damper.
         """
         share = np.maximum(self.friction, self.unseen)
         hidden = self.friction > _HIDDEN * (1.0 - self.undamped)
@@ -155,19 +155,19 @@ class RobotBalance:
 
     @property
     def K_se(self) -> FloatArray:
-        """Its standard errors."""
+        """Standard errors of K, N·m/rad, shape (n, n)."""
         return np.asarray(self.errors[2])
 
     @property
     def impossible(self) -> bool:
-        """Whether no robot has this inertia, as it is uneven or has a negative eigenvalue."""
+        """Whether no robot has this inertia: it is asymmetric, or has a negative eigenvalue."""
         M = self.M
         value, error = least_eigenvalue(M, self.M_se)
         return bool(value < -_ERRORS * error or uneven(M, self.M_se, ASYMMETRY).any())
 
     @property
     def errors(self) -> FloatArray:
-        """Standard errors of the values, but for what friction may hide of them; (3, n, n)."""
+        """Standard errors of the values, without what friction may hide of them; (3, n, n)."""
         return np.asarray(np.sqrt(np.einsum("aaij->aij", self.covariance)))
 
 
@@ -178,19 +178,19 @@ class RobotResponses:
     records: tuple[TrialRecord, ...]
     """One trial for each joint, in order."""
     columns: tuple[LocalResponse, ...]
-    """Of angles, torques and commands, by trial."""
+    """Responses of angles, torques and commands, one element for each trial."""
     stacked: ComplexArray
-    """The same, (3n, n, n_freq)."""
+    """The same as an array; shape (3n, n, n_freq)."""
     inverse: ComplexArray
     """``R⁻¹``; shape (n, n, n_freq)."""
     hidden: HiddenMotion
-    """Of locked joints."""
+    """Motion of locked joints that encoders don't show."""
 
     @classmethod
     def of(cls, records: Sequence[TrialRecord]) -> RobotResponses | None:
-        """Those of trials; None if there are no commands, or something does not respond.
+        """Estimate the responses of trials; None without commands, or if R⁻¹ can't be found.
 
-        Of commands at least one has to answer each perturbation: others are not of these trials.
+        None, too, if no command responds to one of the perturbations: they are of other trials.
         """
         channels = [
             np.concatenate([record.position, record.torque, record.command])
@@ -219,8 +219,9 @@ class RobotResponses:
     def order(self) -> tuple[int, ...]:
         """Row of the commands that belongs to each joint.
 
-        The right order leaves a robot with hardly any stiffness; friction leaves some of it. The
-        given one stays unless it leaves what can't be chance, and another one a possible robot.
+        In the right order the robot has hardly any stiffness but that of friction. The given order
+        is kept unless it leaves stiffness beyond chance, and another one much less of it and a
+        possible robot.
         """
         n = len(self.records)
         given = self.balance(tuple(range(n)))
@@ -231,7 +232,7 @@ class RobotResponses:
         for shift in range(n):
             one = self.balance(tuple(np.roll(own, shift).tolist()))
             stiffness[own, list(one.order)] = np.sum(one.K**2, axis=1)
-        # Hardly anybody has to wait for this import.
+        # This import is slow, and few runs need it.
         from scipy.optimize import linear_sum_assignment
 
         _, best = linear_sum_assignment(np.nan_to_num(stiffness))
@@ -247,7 +248,7 @@ class RobotResponses:
         reading: TorqueReading | None = None,
         arm: MBKFit | None = None,
     ) -> RobotBalance:
-        """Estimate what the commands move.
+        """Estimate the robot that the commands move.
 
         Parameters
         ----------
@@ -258,7 +259,7 @@ class RobotResponses:
         reading : TorqueReading, optional
             How torques were read.
         arm : MBKFit, optional
-            What was found of the arm, and of their delay.
+            Fit of the arm, with the delay of the torques that was found.
         """
         n, f, rate = len(self.records), self.columns[0].f, self.records[0].rate
         turn = 2j * np.pi * f / rate
@@ -266,7 +267,7 @@ class RobotResponses:
         reading, delay = reading or TorqueReading(), None if arm is None else arm.delay
         late = 0.0 if delay is None else delay.delay
         torques = without_skew(f, rate, n, reading, jump, late)
-        # What torque and commands, (n, 3n), move the robot.
+        # Coefficients of angles, torques and commands, (n, 3n), in the torque on the robot.
         mixed = np.zeros((n, 3 * n, f.size), dtype=np.complex128)
         mixed[:, n : 2 * n] = -torques[:, :n]
         for i in range(n):
@@ -282,7 +283,7 @@ class RobotResponses:
             torque = multiply(mixed[:, n : 2 * n], self.stacked[n : 2 * n])
             systematics.append(delay.error * turn * rate * multiply(torque, self.inverse))
         if arm is not None and reading.timing is TorqueTiming.UNKNOWN:
-            # Torques that don't jump with commands may be half a period late, or not at all.
+            # Torques that don't jump with commands may be half a period late, or in time.
             steady = replace(arm.mbk, M=np.zeros((n, n))).impedance(f)
             systematics.append(0.5 * turn * steady)
         disturbance = covariance_of(self.columns, coefficients)
@@ -306,12 +307,12 @@ class RobotResponses:
     def _fit(
         self, impedance: ComplexArray, variance: FloatArray, driven: ComplexArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Fit what commands move by robot, friction of locked joints and lag of their drives.
+        """Fit a robot, friction of locked joints and a lag of their drives to an impedance.
 
         Parameters
         ----------
         impedance, variance, driven : ndarray, shape (n, n, n_freq)
-            What they move, and its variance; the part of it that is the commands'.
+            Impedance that the commands move, its variance, and the part that commands have in it.
 
         Returns
         -------
@@ -333,7 +334,7 @@ class RobotResponses:
             values, covariance = _least_squares(*given, terms)
             taken = values[3:5] @ held if i != j else 0.0
             if i != j and values[4] <= 0.0:
-                # Friction resists: where it would have to push, none holds the joint.
+                # Friction resists motion. A κ below 0 would push, so no friction holds the joint.
                 values, covariance = _least_squares(*given, np.delete(terms, 4, axis=0))
                 taken = values[3] * held[0]
             found[:, i, j], errors[:, :, i, j] = values[:3], covariance[:3, :3]
@@ -345,16 +346,16 @@ class RobotResponses:
     def _not_of_a_damper(self) -> tuple[FloatArray, FloatArray]:
         """Torque of friction that may follow the perturbation, but not as that of a damper does.
 
-        Friction ``f sign(v)`` of a Gaussian speed v is a damper's torque and what has to do with
-        nothing that is linear (Bussgang). Of f² the damper's part is the square of the mean speed,
-        without its sign, over the rms. Where that is less than the Gaussian 2/π, as where a joint
-        is pushed and then sticks away from where it would rest, the rest may be like a spring, of
+        At a Gaussian speed v friction ``f sign(v)`` is the torque of a damper plus a residual that
+        is uncorrelated with anything linear (Bussgang). The damper has the part
+        ``(mean |v| / rms v)²`` of f², which is 2/π for Gaussian speeds. What is missing of that, as
+        where a joint is pushed and then sticks away from its equilibrium, may act like a spring of
         either sign.
 
         Returns
         -------
         undamped : ndarray, shape (n, n)
-            Of each joint in each trial, relative to the torque that is a damper's.
+            This torque of each joint in each trial, relative to that of the damper.
         pace : ndarray, shape (n,)
             Rms speed over rms angle of each joint in its own trial, 1/s.
         """
@@ -374,7 +375,7 @@ class RobotResponses:
 
 
 def _certainty(column: LocalResponse) -> FloatArray:
-    """Median power of the responses of a trial relative to their variances, by channel, (C,)."""
+    """Median ratio of the power of each response of a trial to its variance, by channel, (C,)."""
     power = np.abs(column.response) ** 2
     return np.asarray(np.median(power / np.maximum(column.variance, _TINY), axis=1))
 
@@ -386,7 +387,7 @@ def _least_squares(
     correlation: FloatArray,
     regressors: ComplexArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Real coefficients (p,) of regressors (p, n_freq) in an element, and their covariance."""
+    """Fit real coefficients, (p,), of regressors, (p, n_freq), to an element; and covariance."""
     weights = fit_weights(f, Z, variance, _FLOOR, reach=_REACH)
     scale = np.linalg.norm(np.sqrt(weights) * regressors, axis=1)
     scale[scale == 0.0] = 1.0
@@ -400,17 +401,18 @@ def _least_squares(
 
 
 def imbalance(robot: RobotBalance, arm: MBKFit) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Shares of the arm's torque that are no robot's, and their standard errors, each (n, n).
+    """Shares of the arm's torque that the balance contains, but no robot has, each (n, n).
 
-    On the diagonal ``ρ = (1 - g)/g`` of the torque of the joint itself, which its transducer shows
-    g times; beside it -c of each other joint's, as with the cross-talk c. Each is as if there was
-    no other, by least squares from B and K of the robot off the diagonal: a spring or friction of
-    the joint itself is on it. What K there has in common with the element on the other side may be
-    of gravity, unless what then is left tells that share, too, rather than none. For a single joint
-    it is that of K. Of the joint itself it has to be on the diagonal, too, but for what gravity and
-    friction of the joint may be there; else it is friction of the locked joint, and its own error.
-    Where what is left rather tells it, but may be chance, that share with K is the
-    third value, else 0.
+    The share ρ of the joint's own torque, on the diagonal, is ``(1 - g)/g`` if its transducer shows
+    g times that torque; those of other joints' torques are -c with the cross-talk c. Each is
+    estimated as if it were the only one, by least squares from the off-diagonal B and K of the
+    robot, since springs and friction of the joint itself are on the diagonal; for a single joint
+    from its K. What K has in common with the mirrored element may come from gravity and is a
+    standard error, unless the remaining information agrees with ρ rather than with 0. Own shares
+    must show in K on the diagonal, too, but for what gravity and friction may add there; otherwise
+    friction of the locked joint explains ρ, which is added to its own standard error. Returned are
+    the shares, their standard errors and, where a share from all of K is significant, but the
+    remaining information, which agrees with it, is not, that share; else 0.
     """
     K = robot.K
     potential = np.where(K * K.T > 0.0, np.minimum(np.abs(K), np.abs(K.T)), 0.0)
@@ -431,7 +433,7 @@ def imbalance(robot: RobotBalance, arm: MBKFit) -> tuple[FloatArray, FloatArray,
 def _imbalance(
     robot: RobotBalance, arm: MBKFit, other: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """What :func:`imbalance` finds where K of the robot has other standard errors, too, (n, n)."""
+    """Shares and errors as of :func:`imbalance` with further standard errors of K, (n, n)."""
     n = len(robot.order)
     used, others = ([2], np.ones((1, 1))) if n == 1 else ([1, 2], 1.0 - np.eye(n))
     covariance = robot.covariance.copy()
@@ -441,7 +443,7 @@ def _imbalance(
     residual = robot.values[used]
     arms = np.stack((arm.mbk.M, arm.mbk.B, arm.mbk.K))[used]
     arms_se = np.stack((arm.M_se, arm.B_se, arm.K_se))[used]
-    # Of joint i, by the row of the arm whose torque it may show, and by j.
+    # Indices: joint i, row r of the arm whose torque its transducer may show, column j.
     part = np.einsum("arj,ijab,brj->irj", arms, information, arms)
     square = _TINY + np.sum(part, axis=2)
     mixed = np.einsum("arj,ijab,bij->ir", arms, information, residual)
@@ -454,7 +456,7 @@ def _imbalance(
             robot.unseen,
         )
     )
-    # Where the arm hardly couples the joints its own errors count.
+    # Where the arm hardly couples the joints, the errors of the arm count.
     own = np.einsum("arj,ijab,brj->ir", arms_se, information, arms_se)
     shares = mixed / square
     # One share has to explain all of the row.
@@ -469,15 +471,15 @@ def _imbalance(
 def _gains_above_one(
     robot: RobotBalance, arm: MBKFit, shares: FloatArray, errors: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Shares of the arm's torque that negative elements of the robot on the diagonal tell.
+    """Shares of the arm's torque, (n,), that follow from negative diagonal elements of the robot.
 
-    Friction makes viscosity of a joint positive, so where it is negative, the transducer has to
-    show too much. So it has where stiffness is, beyond what friction may seem to have, unless
-    gravity pulls the robot away. Then the elements off the diagonal tell that, too: they know the
-    gain, and it is nearer to 1 than to the one that the stiffness seems to be. Where they don't
-    know, up to `_PULLED` may be gravity, and is in doubt.
-    Shares and standard errors, (n,), are 0 where there is none beyond chance. Friction may hide a
-    part of each. Given are those of the joints themselves of :func:`imbalance`.
+    Friction makes the viscosity of a joint positive, so if it is negative, the transducer shows too
+    much. So it does if the stiffness is negative beyond the apparent one of friction, unless
+    gravity pulls the robot away. It is gravity if the off-diagonal elements determine the gain, and
+    put it nearer to 1 than to the one that the stiffness suggests; where they don't, up to
+    `_PULLED` may be gravity, and is in doubt. Friction may hide a part of each share. Shares and
+    their standard errors are 0 where none is beyond chance. Given are the diagonals of the shares
+    and errors of :func:`imbalance`.
     """
     own, own_error = (
         np.diagonal(one[1:], axis1=1, axis2=2) for one in (robot.values, robot.errors)
@@ -496,12 +498,12 @@ def _gains_above_one(
 
 
 def _springs(robot: RobotBalance, arm: MBKFit) -> FloatArray:
-    """Stiffness of each joint of the robot beyond chance, relative to the arm's.
+    """Stiffness of each joint of the robot beyond chance, relative to the arm's; shape (2, n).
 
-    There is none but that of gravity and of friction which holds a joint, unless the transducer
-    shows another torque than the drive feels.
-    Of each joint; and the same where friction would have to be more viscous to have it; (2, n). Of
-    a negative one friction may hide a part, which is added.
+    A robot has no stiffness but that of gravity and of friction that holds a joint, unless the
+    transducer shows another torque than the drive feels. The first row is any such stiffness. The
+    second is 0 unless friction of the viscosity found can't explain it, and includes the part of a
+    negative stiffness that friction may hide.
     """
     own, error, K = np.diag(robot.K), np.diag(robot.K_se), np.abs(np.diag(arm.mbk.K))
     hidden = np.where(own < 0.0, robot.rubbing, 0.0)
@@ -514,19 +516,19 @@ def _springs(robot: RobotBalance, arm: MBKFit) -> FloatArray:
 def _gains_in_doubt(
     shares: FloatArray, errors: FloatArray, springs: FloatArray, calibration: Calibration
 ) -> FloatArray:
-    """Standard errors of gains and, beside the diagonal, of cross-talk that the balance leaves.
+    """Standard errors of gains and, off the diagonal, of cross-talk that the balance leaves.
 
-    A share ρ that the commands tell is possible, whatever else may explain it, so it comes beside
-    what is assumed; so does what they could not have told, up to `_UNCONFIRMED`, or up to what
-    a spring of the joint itself would be of the arm's, if there seems to be one. A calibration that
-    was declared holds until ρ refutes it, or a negative spring speaks against it, for which a robot
-    needs gravity. Cross-talk is told where it explains more than a gain.
+    A significant share ρ is possible, whatever else may explain it, so it is a standard error
+    beside those assumed. So is a share that the commands could not have shown, up to `_UNCONFIRMED`
+    or, if the joint seems to have a spring, up to its stiffness relative to the arm's. A declared
+    calibration holds until ρ refutes it, or a negative stiffness speaks against it, for which a
+    robot needs gravity. Cross-talk counts as shown where it explains more than a gain.
     """
     size, own = np.abs(shares), np.eye(len(shares), dtype=np.bool_)
     told = np.where(
         (size > _REFUTED * errors) & (own | _explained_better(shares, errors)), size, 0.0
     )
-    # Of a gain that nobody declared, what commands rather tell than not is possible, too.
+    # If nobody declared the gain, a share above one standard error is possible, too.
     unconfirmed = np.maximum(_UNCONFIRMED, np.where(size > errors, size, 0.0))
     cross_talk = _UNCONFIRMED_CROSS_TALK
     if not calibration.assumed:
@@ -540,7 +542,7 @@ def _gains_in_doubt(
 
 
 def _may_be_spring(shares: FloatArray) -> BoolArray:
-    """Where shares may be springs or gravity of the robot: with one joint, no other tells."""
+    """Where shares may be springs or gravity of the robot, as no element off the diagonal tells."""
     return np.asarray((np.abs(shares) < 1.0) & (len(shares) == 1))
 
 
@@ -553,16 +555,16 @@ def _explained_better(shares: FloatArray, errors: FloatArray) -> BoolArray:
 def judge_balance(
     names: Sequence[str], balance: RobotBalance | None, arm: MBKFit, calibration: Calibration
 ) -> tuple[list[Problem], FloatArray]:
-    """Find what doesn't balance.
+    """Find transducers and commands that don't balance.
 
     Parameters
     ----------
     names : sequence of str
         Joint names.
     balance : RobotBalance or None
-        What the commands move; without any that are of the trials, nothing confirms a gain.
+        Robot that the commands move; None if no commands of these trials confirm gains.
     arm : MBKFit
-        What was estimated of the arm from the same trials.
+        Fit of the arm from the same trials.
     calibration : Calibration
         What is known of the transducers.
 
@@ -570,8 +572,8 @@ def judge_balance(
     -------
     problems : list of Problem
     doubts : ndarray, shape (n, n)
-        Relative standard errors of the gains of transducers that are not refused, and of their
-        cross-talk, see `_gains_in_doubt`.
+        Relative standard errors of gains and cross-talk, see `_gains_in_doubt`; all 0 where a
+        transducer is refused.
     """
     if balance is None:
         return _nothing_confirmed(names, calibration)
@@ -582,9 +584,9 @@ def judge_balance(
     own = np.eye(len(names), dtype=np.bool_)
     shares, errors, possible = imbalance(balance, arm)
     less, less_error = _gains_above_one(balance, arm, np.diag(shares), np.diag(errors))
-    # Written so that NaN is beyond.
+    # Negated so that NaN counts as beyond.
     beyond = ~(np.abs(shares) <= GAIN_TOLERANCE + _ERRORS * errors)
-    # What makes a transducer show too much of its own torque is a gain.
+    # Where a transducer shows too much of its own torque, its gain explains that, not cross-talk.
     crossed = beyond & ~own & _explained_better(shares, errors) & ~(less < 0.0)[:, None]
     explanations = [
         (crossed, shares, errors),
@@ -624,10 +626,10 @@ def judge_answers(
 ) -> list[Problem]:
     """Find torques that were computed from the commands and a model of the robot.
 
-    Such torques balance, as the robot then is its model. But accelerations have to be smoothed, so
-    that all of a step of the command is in the torque at first, while of that on an arm no more
-    than ``D = M_h (M_r + M_h)⁻¹`` is. Parameters are those of :func:`judge_balance`, and the trials
-    in order.
+    Such torques balance, as the balance then finds the model of the robot. But the computation has
+    to smooth accelerations, so that at first the torque shows all of a step of the command, while
+    that on an arm shows no more than ``D = M_h (M_r + M_h)⁻¹`` of it. Parameters are those of
+    :func:`judge_balance`, and the trials in the order of the joints.
     """
     if balance is None or not all(_rounds(record) for record in records):
         return []
@@ -655,7 +657,7 @@ def judge_answers(
 
 
 def _rounds(record: TrialRecord) -> bool:
-    """Whether angles change from sample to sample by their rounding rather than by motion."""
+    """Whether second differences of the angles are due to rounding rather than motion."""
     power = np.mean(np.diff(record.position, n=2) ** 2, axis=1)
     return bool((power <= _ROUNDED * record.resolution[JOINT_STATES] ** 2).all())
 
@@ -663,7 +665,7 @@ def _rounds(record: TrialRecord) -> bool:
 def _nothing_confirmed(
     names: Sequence[str], calibration: Calibration
 ) -> tuple[list[Problem], FloatArray]:
-    """What :func:`judge_balance` finds where no command tells of the transducers."""
+    """Result of :func:`judge_balance` without commands that could confirm the transducers."""
     doubt = max(_UNCONFIRMED, calibration.gain) if calibration.assumed else 0.0
     problems = [_unconfirmed(name, doubt) for name in names if doubt > 0.0]
     return problems, doubt * np.eye(len(names))
@@ -672,7 +674,7 @@ def _nothing_confirmed(
 def _doubted(
     name: str, share: float, error: float, doubt: float, calibration: Calibration
 ) -> Iterator[Problem]:
-    """What is in the standard errors of a transducer that is not refused."""
+    """Note what the standard errors contain of a transducer that is not refused."""
     if doubt > 1.0:
         yield problem(ProblemCode.COMMANDS_UNRELATED, severity=Severity.NOTE, name=name)
     elif doubt > 0.0 and (abs(share) > _REFUTED * error or not calibration.assumed):
@@ -688,7 +690,7 @@ def _unconfirmed(name: str, doubt: float) -> Problem:
 
 
 def _wrong(names: Sequence[str], i: int, row: int, share: float, error: float) -> Problem:
-    """A transducer that shows a share too much of the torque of a joint: its own, or another."""
+    """Problem of transducer i with a share ρ of the torque of joint `row`, its own or another's."""
     if i == row:
         gain = _gain_of(names[i], share, error)
         if not gain["error"] < abs(gain["share"]):
@@ -704,13 +706,13 @@ def _wrong(names: Sequence[str], i: int, row: int, share: float, error: float) -
 
 
 def _gain_of(name: str, share: float, error: float) -> dict[str, Any]:
-    # In terms of the stiffness, so that a gain near 0 or below counts as well.
+    # From ρ = (1 - g)/g, which is linear in the stiffness, so that gains near 0 or below count.
     gain = 1.0 / (1.0 + share)
     return {"name": name, "share": float(gain), "error": float(error * gain**2)}
 
 
 def in_order(trial: TrialData, order: tuple[int, ...]) -> TrialData:
-    """Return a trial with its commands in the order of the joints."""
+    """Return a trial with the rows of its commands in the order of the joints."""
     record = trial.record
     if record.command is None or order == tuple(range(record.joints)):
         return trial

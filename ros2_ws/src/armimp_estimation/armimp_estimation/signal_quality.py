@@ -1,9 +1,8 @@
-"""What is wrong with single signals: clipped, stuck, too coarse to tell; and lost readings mended.
+"""Faults of single signals, such as clipping or coarse resolution; repair of lost readings.
 
-So is a torque that stays while its joint moves, as behind cuffs that are loose.
-
-Noise, hum and drift are no problem: the perturbation doesn't cause them, so the estimate is right
-and its intervals know. But what follows from the motion itself biases it.
+A torque that stays constant while its joint moves, as in loose cuffs, is a fault as well.
+Noise, hum and drift are not: the perturbation doesn't cause them, so they don't bias the estimate,
+and its intervals include them. But errors that depend on the motion itself do bias it.
 """
 
 from __future__ import annotations
@@ -25,68 +24,70 @@ from armimp_estimation.record import EXACT, TrialRecord, resolution_of
 Values = dict[str, Any]
 
 _UNITS: Final = {JOINT_STATES: "rad", TORQUE_SENSORS: "N·m"}
-_CLIPPED = 8
-_HEAPED = 4.0
-_NEIGHBOURS = 8
-_REACH = 3.0
-_VISITS = 3
-_PASSED = 20
-_FELT = 0.005
-_APPROACH = 5
-_UNSLOWED = 0.4
+_CLIPPED = 8  # least number of samples at a clipped value, and of passages through a dead zone
+_HEAPED = 4.0  # ratio of samples at a suspect value to those at each neighbouring value
+_NEIGHBOURS = 8  # distinct values next to a suspect one that it is compared with
+_REACH = 3.0  # range of those values, in median steps of the signal, where that includes more
+_VISITS = 3  # least number of arrivals at clipped values
+_PASSED = 20  # samples near a zero in which larger values must come; most for which it counts
+_FELT = 0.005  # share of samples that are 0 in a dead zone, at least
+_APPROACH = 5  # samples over which the speed before an arrival is taken
+_UNSLOWED = 0.4  # speed at an arrival at a limit relative to that before, at least
 STUCK = 0.1
 """Time for which a signal that moves may keep one value, s; longer where it moves slowly."""
-_STUCK_TIMES = 6.0
-_RESTING = 0.3
-_JUMP = 12.0
-_SETS_OFF = 4.0
-_HELD_TIMES = 3.0
-_LEAST_HELD = 5
-_LEAST_DIPS = 3
+_STUCK_TIMES = 6.0  # the same, in 99 % quantiles of the times for which it keeps a value
+_RESTING = 0.3  # range of a resting signal, relative to what it usually covers in that time
+_JUMP = 12.0  # jump at the end of a dropout, in median steps, at least
+_SETS_OFF = 4.0  # jump after which a signal was stuck, in median steps, at least
+_HELD_TIMES = 3.0  # length of a dropout, in 99 % quantiles of its runs of one value, at least
+_LEAST_HELD = 5  # length of a dropout that holds a value, in samples, at least
+_LEAST_DIPS = 3  # jumps to and from one and the same value that are dropouts, at least
 _KICK = 4
-"""Samples for which a law needs to answer a step of the angle, at most."""
+"""Samples that a control law takes to respond to a step of the angle, at most."""
 DROPPED = 0.002
-"""Share of the samples that may be dropped; as large is the bias of what is lost."""
+"""Share of samples that may be dropouts; they bias the estimate by about as much."""
 _BRIEF = 5
-"""Samples in a row that are mended at most: one less than those over which extremes are taken."""
-_USUAL = 0.98
+"""Most samples in a row that are mended: one less than the morphological opening takes."""
+_USUAL = 0.98  # quantile of the heights of readings above or below their neighbours
 _AWAY = 16.0
-"""What readings stand out by that are lost, per what one in fifty does, or count: sound ones do so
-by 12.5 at most, where a joint that sticks begins to slip."""
+"""Height from which on a reading is lost, in units of that quantile or, if larger, the resolution.
+Sound readings reach 12.5 at most, where a sticking joint begins to slip."""
 _SMALL = 0.05
-"""Share of the rms of a signal by which lost readings may stand out and hardly change it."""
+"""Height relative to the standard deviation of a signal up to which lost readings hardly matter."""
 _PERIODS = 6
-"""For which torques follow a command by jumps and not as the arm moves."""
+"""Control periods in which torques follow a command by jumps, before the arm has moved."""
 MENDED = 0.005
-"""Share of the samples that may be mended; of those lost some remain that don't stand out."""
-_TELLING_COUNTS = 50.0
-_TELLING_SAMPLES = 4096
-_TELLING_MOST = 16384
-_REPEATED = 0.15
-_BESIDE = 9.0
-_BROAD = 0.5
-_LOST = 0.16
+"""Share of samples that may be mended; beyond, too many lost ones remain that don't stand out."""
+_TELLING_COUNTS = 50.0  # range in counts, or number of changes or samples, that suffices for a test
+_TELLING_SAMPLES = 4096  # half of the samples that are searched for repetitions
+_TELLING_MOST = 16384  # samples that suffice for a regression on commands
+_REPEATED = 0.15  # share of repetitions that chance doesn't reach
+_BESIDE = 9.0  # ratio of repetitions to the most frequent step that chance doesn't reach
+_BROAD = 0.5  # share of samples near 0, or of changes of one size, that leaves a test undecided
+_LOST = 0.16  # rms motion that the encoder of a resting joint may miss, in steps
 _LEADING, _MOST_LED, _UNGATHERED, _LEAD_ERROR = 0.12, 0.1, 0.2, 0.5
-"""Assumptions for :func:`rounding_lead`: its factor, a lead times the speed in the band at most, in
-steps, and as standard errors that of ln ρ and the relative one of the lead."""
+"""Assumptions for :func:`rounding_lead`: its factor; the largest lead times the speed in the band,
+in steps; the standard error of ln ρ; and the relative standard error of the lead."""
 _DISTINCT = 0.1
-"""Least eigenvalue of an inertia, in units of those of the joints, twice, that can be inverted."""
-_SLOW, _USUAL_SLOW, _LITTLE = (0.0, 0.1), (0.5, 1.0), 0.25
+"""Least eigenvalue of A + Aᵀ at which an inertia A, scaled to a diagonal of 1, is inverted."""
+_SLOW, _USUAL_SLOW, _LITTLE = (0.0, 0.1), (0.5, 1.0), 0.25  # bands, Hz; ratio of their power
 _TINY = float(np.finfo(np.float64).tiny)
-_WINDOW = 0.5
-_VALUES = 3
-_CHANGES = 5
+_WINDOW = 0.5  # time over which the readings of a locked joint are judged, s
+_VALUES = 3  # distinct values in such a window from which on a joint moves
+_CHANGES = 5  # steps of an encoder from which on a joint moves
 _COPIED = 0.005
-"""Share of a torque beside a multiple of its command below which it is none on the arm: a robot has
-inertia, but hardly any beside a heavy arm."""
-_LAGS = 4
+"""Residual of a torque, relative to it, below which it is a multiple of its command, and not the
+torque on the arm: a robot has inertia, if hardly any beside that of a heavy arm."""
+_LAGS = 4  # lags, in samples from 0 on, at which such a torque is looked for
 _BINS, _FOLDED, _FOLLOWING, _ALIKE = 10, 0.3, 0.85, 0.8
-"""Bins of a coherence; power of a perturbation near half of the rate relative to that at 15 to
-40 Hz, from which on it may have more beyond; share of the motion that follows it otherwise; and
-share of quick motion per that of slow motion from which on they are alike."""
+"""For :func:`aliased`: frequencies per bin; power of a perturbation near the Nyquist frequency,
+relative to that at 15 to 40 Hz, from which on it may have more beyond; least share of the motion
+that follows a sound one; ratio of that share at high and low frequencies if they are alike."""
 _QUICK, _NEAR, _LINGERS, _STILL, _SURE = (3.0, 40.0), 0.2, 0.04, 0.5, 4.0
+"""For :func:`floating`: band, Hz; width of a bin of torque, in standard deviations; least share of
+time in it; power of changes relative to what is usual, at most; standard deviations of chance."""
 _SETTLED = 3.0
-"""Seconds of a trial from which on it is looked at whether a joint moves without the arm."""
+"""Length of a trial from which on it is judged whether a joint moves without the arm, s."""
 RESOLVED_SHARE = 0.25
 """Share of the motion of a locked joint that may be unseen where its motion counts as resolved."""
 RESOLVED: Final = {JOINT_STATES: 20.0, TORQUE_SENSORS: 8.0}
@@ -94,14 +95,14 @@ RESOLVED: Final = {JOINT_STATES: 20.0, TORQUE_SENSORS: 8.0}
 
 
 def judge_signals(record: TrialRecord) -> list[Problem]:
-    """Find what is wrong with angles and torques of a trial.
+    """Find the faults of the angles and torques of a trial.
 
     Parameters
     ----------
     record : TrialRecord
         One trial, without gaps.
     """
-    # What was interpolated with all that is recorded did the same to cause and effect.
+    # Interpolation that the perturbation underwent as well did the same to cause and effect.
     resampled = repeating(record.perturbation[record.perturbed_joint]) > 0.0
     return [
         problem(code, trial=record.trial, stream=stream, name=name, **values)
@@ -113,7 +114,7 @@ def judge_signals(record: TrialRecord) -> list[Problem]:
 
 
 def _faults(record: TrialRecord, stream: str, joint: int) -> Iterator[tuple[ProblemCode, Values]]:
-    """What is wrong with one signal, with the values of each problem."""
+    """Yield the faults of one signal, with the values for the sentence of each problem."""
     k, torques = record.perturbed_joint, stream == TORQUE_SENSORS
     signal, step = record.readings[stream][joint], float(record.resolution[stream][joint])
     for value, count in clipping(signal, step):
@@ -142,7 +143,7 @@ def _faults(record: TrialRecord, stream: str, joint: int) -> Iterator[tuple[Prob
 
 
 def _faults_of_response(record: TrialRecord) -> Iterator[tuple[ProblemCode, Values]]:
-    """What is wrong with the torque of the perturbed joint."""
+    """Yield the faults of the torque of the perturbed joint."""
     for source in ("command", "perturbation"):
         factor, share = _copied(record, source)
         if share < _COPIED:
@@ -154,12 +155,12 @@ def _faults_of_response(record: TrialRecord) -> Iterator[tuple[ProblemCode, Valu
 
 
 def floating(record: TrialRecord) -> tuple[float, float]:
-    """Torque of the perturbed joint beside which it moves without the arm, and how often.
+    """Torque at which the perturbed joint moves without the arm, and the share of time spent there.
 
-    An arm that is loose in its cuffs, or behind play, leaves a torque as it is while the joint
-    moves. That of a linear arm changes whatever it is. So its change between 3 and 40 Hz, where a
-    person adds little, is compared with that of the torque which follows linearly from angles,
-    speeds and accelerations there, at all torques within a tenth of a standard deviation of one.
+    While an arm is loose in its cuffs, or behind play, the torque stays constant although the joint
+    moves. The torque of a linear arm changes at any level. So the rate of change of the torque from
+    3 to 40 Hz, where a person adds little, is compared with that of its linear regression on
+    angles, speeds and accelerations, in bins of torque a fifth of a standard deviation wide.
 
     Parameters
     ----------
@@ -169,10 +170,10 @@ def floating(record: TrialRecord) -> tuple[float, float]:
     Returns
     -------
     torque : float
-        Of those at which it changes by less than half of what is usual, in power and beyond the
-        chance of as many visits, the one where it is most often, for 4 % of the time at least, N·m.
+        Centre of the most frequent bin in which the torque stays, N·m: over 4 % of the time, with
+        less than half of the power of changes that the regression has there, and beyond chance.
     share : float
-        Of the time in which it is at any of them; 0 if there is none.
+        Share of time in all such bins; 0 if there is none.
     """
     k, f = record.perturbed_joint, np.fft.rfftfreq(record.samples, 1.0 / record.rate)
     top, s = min(_QUICK[1], 0.4 * record.rate), 2j * np.pi * f
@@ -192,7 +193,7 @@ def floating(record: TrialRecord) -> tuple[float, float]:
     level, own, expected = signals[:, round(record.rate) : -round(record.rate)]
     width = _NEAR * float(np.std(level))
     if record.resolution[TORQUE_SENSORS][k] >= width or not expected.any():
-        return 0.0, 0.0  # it changes by counts alone, or not at all
+        return 0.0, 0.0  # the torque changes by single counts, or not at all
     lowest = np.rint(np.min(level) / width)
     place = (np.rint(level / width) - lowest).astype(np.int64)
     share = np.bincount(place) / place.size
@@ -209,12 +210,12 @@ def floating(record: TrialRecord) -> tuple[float, float]:
 
 
 def mended(record: TrialRecord) -> tuple[TrialRecord, list[Problem]]:
-    """Interpolate readings that are lost: up to 5 in a row that jump away, and back again.
+    """Interpolate readings that were lost: up to 5 in a row that jump away, and back again.
 
-    A bus or a converter that fails now and then shows 0, an old value, or any other. How far a
-    reading stands out is by how much it exceeds both what is least within 5 samples before and
-    after it, or the same downwards. What commands that chatter make of torques is taken out before.
-    A record of which nothing stands out stays as it is.
+    A bus or a converter that fails now and then shows 0, an old value, or any other. A lost reading
+    stands out by its height above the morphological opening of the signal over 6 samples, or its
+    depth below the closing. Jumps that chattering commands cause in torques are subtracted before.
+    A record without such outliers stays as it is.
 
     Parameters
     ----------
@@ -224,8 +225,9 @@ def mended(record: TrialRecord) -> tuple[TrialRecord, list[Problem]]:
     Returns
     -------
     record : TrialRecord
+        The trial with lost readings interpolated.
     problems : list of Problem
-        How many samples of which signals; errors where they are too many.
+        How many samples of which signals were mended; errors where they are too many.
     """
     problems, k = [], np.arange(record.samples)
     whole = {stream: signals.copy() for stream, signals in record.readings.items()}
@@ -235,7 +237,7 @@ def mended(record: TrialRecord) -> tuple[TrialRecord, list[Problem]]:
             rest = signal - known[stream][joint]
             height = np.maximum(_over_opening(rest), _over_opening(-rest))
             if record.command is not None:
-                height[:_PERIODS] = 0.0  # which follow commands that nobody recorded
+                height[:_PERIODS] = 0.0  # these follow commands from before the record
             usual = max(float(np.quantile(height, _USUAL)), record.resolution[stream][joint])
             away = height > max(_AWAY * usual, _SMALL * float(np.std(signal)))
             if not away.any():
@@ -259,7 +261,7 @@ def mended(record: TrialRecord) -> tuple[TrialRecord, list[Problem]]:
 
 
 def _of_commands(record: TrialRecord) -> FloatArray:
-    """What the commands of the last periods make of the torques by jumps, (n, N)."""
+    """Part of the torques that jumps with the commands of the last periods, (n, N), N·m."""
     if record.command is None or record.samples <= _TELLING_COUNTS:
         return np.zeros_like(record.torque)
     lags = range(_PERIODS)
@@ -271,7 +273,7 @@ def _of_commands(record: TrialRecord) -> FloatArray:
 
 
 def _over_opening(signal: FloatArray) -> FloatArray:
-    """By how much a signal (N,) exceeds its morphological opening: peaks that are brief."""
+    """Height of a signal, (N,), above its morphological opening, which removes brief peaks."""
     opened = np.pad(signal, _BRIEF, mode="edge")
     for extreme in (np.minimum, np.maximum):
         of_two = extreme(opened[:-1], opened[1:])
@@ -280,23 +282,22 @@ def _over_opening(signal: FloatArray) -> FloatArray:
 
 
 def clipping(signal: FloatArray, step: float) -> list[tuple[float, int]]:
-    """Values at which a signal is clipped, and in how many samples.
+    """Values at which a signal is clipped, and the number of samples at each.
 
-    A signal that turns where it likes has fewer samples at its extreme value than at the next
-    ones. One that is clipped heaps them up there: it is taken as clipped if the extreme value, to
-    its resolution, has at least 8 samples and 4 times as many as each of the 8 distinct values next
-    to it, and of those within 3 usual steps: a fast signal that was interpolated has many values
-    from one count to the next. A joint that
-    friction holds may rest there as long. But it does not come back to the same value, and it slows
-    down before: so a signal is clipped only if it comes there 3 times, at both ends together, and
-    arrives with more than 0.4 of the speed that it had 5 samples before. (A motion that comes to
-    rest steadily has a third of it.)
+    A signal that turns freely has fewer samples at its extreme value than at the next ones, while
+    clipping heaps them up there. So the extreme value, to the resolution, must have at least 8
+    samples, and more than 4 times as many as each of the 8 distinct values next to it and each one
+    within 3 median steps (an interpolated fast signal has many values between two counts). A joint
+    that friction holds may rest at an extreme as long, but doesn't come back to the same value, and
+    slows down before. So a clipped signal must also arrive 3 times, at both ends together, with
+    more than 0.4 of the speed that it had 5 samples before. (A motion that comes to rest steadily
+    has a third of that speed.)
 
     Parameters
     ----------
     signal : ndarray, shape (N,)
     step : float
-        Its resolution.
+        Resolution of the signal.
     """
     levels = np.rint(signal / (step or 1.0))
     values, counts = np.unique(levels, return_counts=True)
@@ -323,7 +324,7 @@ def clipping(signal: FloatArray, step: float) -> list[tuple[float, int]]:
 
 
 def _arrivals(rank: NDArray[np.int_]) -> NDArray[np.int_]:
-    """Samples that reach rank 0 for the first time after one of more than 8."""
+    """Samples that reach rank 0, the extreme value, for the first time since a rank above 8."""
     there = np.flatnonzero((rank == 0) | (rank > _NEIGHBOURS))
     at_end = rank[there] == 0
     came: NDArray[np.int_] = there[at_end & ~np.concatenate(([False], at_end[:-1]))]
@@ -333,11 +334,11 @@ def _arrivals(rank: NDArray[np.int_]) -> NDArray[np.int_]:
 def lost_motion(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]:
     """Motion that follows the perturbation and that the encoders of locked joints may not show.
 
-    Rounding to steps q takes ``2 exp(-2π²σ²/q²)`` off the response of a motion of the standard
-    deviation σ, which follows from that of the readings in each half second, less that of rounding,
-    ``q²/12``. A joint that shows fewer than three values there, or hardly changes between them, may
-    be held by friction, and move as it likes within a step. Of a motion of 0.2 q, at which most of
-    it is lost, that is 0.16 q.
+    Rounding to steps q takes a share ``2 exp(-2π²σ²/q²)`` off the response of a motion with the
+    standard deviation σ. σ² is the variance of the readings in each half second less that of
+    rounding, ``q²/12``. A joint that shows fewer than three values in that time, or hardly changes
+    between them, may be held by friction, and may move in any way within a step. The most that is
+    lost then is 0.16 q, of a motion of 0.2 q.
 
     Parameters
     ----------
@@ -347,10 +348,11 @@ def lost_motion(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]
     Returns
     -------
     share : ndarray, shape (n, n)
-        Of each joint in each trial, 0 to 1 of the motion that its encoder shows: all while it seems
-        to rest, as it may be less if rounding goes to and fro.
+        Error of the motion that the encoder of each joint shows in each trial, relative to it; 1
+        while the joint seems to rest, as a reading that toggles may show more than there is.
     beside : ndarray, shape (n, n)
-        Of each joint in each trial, rad, while it seems to rest. Both are 0 where all is seen.
+        Unseen motion of each joint in each trial while it seems to rest, rms, averaged over the
+        trial, rad. Both are 0 where all motion is seen.
     """
     shares, beside = np.zeros((2, len(records), len(records)))
     for joint, k in np.ndindex(shares.shape):
@@ -373,29 +375,29 @@ def lost_motion(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]
 def rounding_lead(
     records: Sequence[TrialRecord], inertia: FloatArray, band_end: float
 ) -> tuple[FloatArray, FloatArray]:
-    """How far the motion that encoders show is ahead of that of the joints.
+    """Time by which the motion that encoders show is ahead of that of the joints.
 
-    A law that holds a joint throws it back where its reading steps, so that the joint stays near
+    A control law throws a locked joint back when its reading steps, so that the joint stays near
     the thresholds, or between them. Rounding then isn't independent of the motion, but follows its
-    speed. How often a reading steps tells: ``ρ |v|/q`` times a second at a mean speed of ``|v|``,
-    where ρ is the density of the angle at thresholds of steps q, over that elsewhere. Of joints
-    that laws of 30 to 250 rad/s hold at 250 to 4000 Hz readings led by about
-    ``0.12 (1 - 2d) ln(ρ) q/|v|`` where a share d of the readings steps, and at most by a tenth of a
-    step at the speed in the band, which is assumed.
+    speed. The rate of steps shows this: at a mean speed ``|v|`` it is ``ρ |v|/q``, where q is the
+    step and ρ the density of the angle at thresholds relative to that elsewhere. Readings of joints
+    that laws of 30 to 250 rad/s held at 250 to 4000 Hz led by about ``0.12 (1 - 2d) ln(ρ) q/|v|``,
+    where d is the share of readings that step. That this holds, and that the lead is at most the
+    time of a tenth of a step at the speed in the band, is an assumption.
 
     Parameters
     ----------
     records : sequence of TrialRecord
         One trial for each joint, in order.
     inertia : ndarray, shape (n, n)
-        Of the arm, kg·m²: above the band, torques tell the speed.
+        Inertia of the arm, kg·m²: above the band the speed is taken from the torques.
     band_end : float
-        Frequency up to which angles tell it, Hz.
+        Frequency up to which the speed is taken from the angles, Hz.
 
     Returns
     -------
     lead, error : ndarray, shape (n, n)
-        Of each joint in each trial, s; its standard error, both 0 where nothing is rounded.
+        Lead of each joint in each trial, and its standard error, s; 0 where nothing is rounded.
     """
     lead, error = np.zeros((2, len(records), len(records)))
     for k, record in enumerate(records):
@@ -417,7 +419,7 @@ def rounding_lead(
 
 
 def _speeds(record: TrialRecord, inertia: FloatArray, band_end: float) -> FloatArray:
-    """Speeds, (n, N), rad/s: of the angles in the band; above it, of the torques, if they tell."""
+    """Speeds, (n, N), rad/s: from the angles in the band, above it from the torques if possible."""
     turning = 2.0 * np.pi * np.fft.rfftfreq(record.samples, 1.0 / record.rate)
     beyond = turning > 2.0 * np.pi * band_end
     spectrum = 1j * turning * np.fft.rfft(record.position - record.position[:, :1])
@@ -431,10 +433,10 @@ def _speeds(record: TrialRecord, inertia: FloatArray, band_end: float) -> FloatA
 
 
 def without_slow(records: Sequence[TrialRecord]) -> BoolArray:
-    """Torques, and angles, that show little of what is slow, as behind a high-pass, (2, n).
+    """Whether torques, and angles, have little power at low frequencies, as behind a high-pass.
 
-    A person, noise and drift have as much power below 0.1 Hz as at 0.5 to 1 Hz, and most
-    perturbations have; behind a high-pass of 0.3 Hz it is a tenth.
+    A person, noise, drift and most perturbations have as much power density below 0.1 Hz as at 0.5
+    to 1 Hz. Behind a high-pass of 0.3 Hz it is a tenth. The result has the shape (2, n).
 
     Parameters
     ----------
@@ -444,7 +446,7 @@ def without_slow(records: Sequence[TrialRecord]) -> BoolArray:
     powers = np.zeros((2, 2, len(records)))
     for record in records:
         signals = np.stack((record.torque, record.position))
-        # The posture itself is no motion: without it, before the window makes it some.
+        # The window would give the mean, which is the posture, power at low frequencies.
         signals = (signals - signals.mean(axis=2, keepdims=True)) * np.hanning(record.samples)
         f = np.fft.rfftfreq(record.samples, 1.0 / record.rate)
         power = np.abs(np.fft.rfft(signals)) ** 2
@@ -455,7 +457,7 @@ def without_slow(records: Sequence[TrialRecord]) -> BoolArray:
 
 
 def spectrum_by_bins(signal: FloatArray) -> ComplexArray:
-    """Spectrum of a signal, (N,), behind a Hann window, by bins of `_BINS` frequencies, (m, 10)."""
+    """Spectrum of a signal, (N,), with a Hann window, in bins of `_BINS` frequencies, (m, 10)."""
     bins = signal.size // 2 // _BINS * _BINS
     spectrum = np.fft.rfft((signal - signal.mean()) * np.hanning(signal.size))
     return np.asarray(spectrum[:bins].reshape(-1, _BINS))
@@ -464,9 +466,9 @@ def spectrum_by_bins(signal: FloatArray) -> ComplexArray:
 def followed(
     cause: ComplexArray, signal: ComplexArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Coherence of a signal with its cause, and the power of both, by bins, (m,).
+    """Coherence of a signal with its cause, power of the cause and of the signal, in bins, (m,).
 
-    Both are taken as :func:`spectrum_by_bins` gives them.
+    Both are given as :func:`spectrum_by_bins` returns them, (m, 10).
     """
     power, answer = (np.sum(np.abs(one) ** 2, axis=1) for one in (cause, signal))
     cross = np.abs(np.sum(np.conj(cause) * signal, axis=1)) ** 2
@@ -474,13 +476,14 @@ def followed(
 
 
 def aliased(record: TrialRecord) -> float:
-    """Share of the motion that follows a perturbation with power between the samples; 1 if all.
+    """Share of the motion that follows a perturbation which was aliased; 1 if it was not.
 
-    A recorder that keeps one sample in several, without a low-pass, folds what is beyond half of
-    its rate. Torques follow such a perturbation at once, and fold with it, but angles follow what
-    it sums up to: so they seem to follow a part of it, alike at all frequencies. What encoders or a
-    person add is quick or slow. So motion has to follow less than 0.85 of the perturbation at 3 to
-    8 Hz, and as little, within a fifth, at 15 to 40 Hz, where rounding is taken off its power.
+    A recorder that keeps one sample in several, without a low-pass, folds what is above its Nyquist
+    frequency. Torques follow such a perturbation at once and are aliased alike, but angles follow
+    its integral. So they seem to follow only a part of it, the same part at all frequencies, while
+    encoders add noise at high frequencies, and a person at low ones. So if the perturbation has
+    power near the Nyquist frequency, its coherence with the motion, less the power of rounding, has
+    to be below 0.85 at 3 to 8 Hz and at 15 to 40 Hz, and alike in both bands within a fifth.
     """
     k = record.perturbed_joint
     angle = record.position[k]
@@ -491,7 +494,7 @@ def aliased(record: TrialRecord) -> float:
     told = slow.any() and quick.any()
     if not told or np.mean(power[f > 0.375 * record.rate]) < _FOLDED * np.mean(power[quick]):
         return 1.0
-    # Second differences of rounding, of the power q²/12, behind a Hann window.
+    # Power of the second differences of rounding, whose variance is q²/12, with a Hann window.
     rounding = record.resolution[JOINT_STATES][k] ** 2 / 12.0 * 0.375 * record.samples * _BINS
     moved = np.maximum(1.0 - rounding * (2.0 * np.sin(np.pi * f / record.rate)) ** 4 / answer, 0.02)
     shares = [float(np.mean((share / moved)[one])) for one in (slow, quick)]
@@ -499,7 +502,7 @@ def aliased(record: TrialRecord) -> float:
 
 
 def speed_of(angle: FloatArray, rate: float, band_end: float) -> FloatArray:
-    """Speed of a joint, up to a frequency in Hz, (N,), rad/s."""
+    """Speed of a joint up to the frequency `band_end` in Hz, (N,), rad/s."""
     turning = 2.0 * np.pi * np.fft.rfftfreq(angle.size, 1.0 / rate)
     spectrum = 1j * turning * np.fft.rfft(angle - np.mean(angle))
     spectrum[turning > 2.0 * np.pi * band_end] = 0.0
@@ -507,13 +510,13 @@ def speed_of(angle: FloatArray, rate: float, band_end: float) -> FloatArray:
 
 
 def sticking(signal: FloatArray, rate: float, partner: FloatArray) -> tuple[float, int, float]:
-    """Longest time for which a signal keeps one value, how often it does so for too long, and that.
+    """How long and how often a signal keeps one value for too long.
 
-    What is too long follows from the signal: 6 times the time for which it keeps a value but in one
-    of a hundred moments, and no less than 100 ms. A signal may rest as it likes where its partner
-    rests as well: a joint that friction holds has a steady torque. If the person pushes against
-    that friction, it has not, but such a joint sets off slowly: unless its record ends there, a
-    signal is stuck only if it then jumps by more than 4 times the usual step.
+    The limit follows from the signal: 6 times the 99 % quantile of the times for which it keeps a
+    value, and at least 100 ms. A signal may rest while its partner rests as well: a joint that
+    friction holds has a steady torque. If the person pushes against that friction, the torque isn't
+    steady, but such a joint sets off slowly. So a signal is stuck only if it jumps afterwards by
+    more than 4 median steps, or if the record ends there.
 
     Parameters
     ----------
@@ -526,7 +529,8 @@ def sticking(signal: FloatArray, rate: float, partner: FloatArray) -> tuple[floa
     Returns
     -------
     longest, count, limit : float, int, float
-        s, number of times, s.
+        Longest time for which the signal was stuck or, if it never was, kept one value, s; number
+        of times that it was stuck; limit, s.
     """
     edges = np.flatnonzero(np.diff(signal) != 0.0)
     runs = np.diff(np.concatenate(([-1], edges, [signal.size - 1])))
@@ -547,20 +551,20 @@ def sticking(signal: FloatArray, rate: float, partner: FloatArray) -> tuple[floa
 def dropouts(
     signal: FloatArray, partner: FloatArray, kicked: FloatArray | None = None
 ) -> tuple[int, float]:
-    """How often a signal drops out, and in which share of its samples.
+    """Number of dropouts of a signal, and their share of its samples.
 
-    It does where it keeps one value for 3 times longer than but in one of a hundred moments, while
-    its partner moves, and then jumps by 12 times the usual step to where it should be; and where it
-    jumps so to and from a value, mostly the same one, as 0.
+    In a dropout a signal keeps one value for at least 3 times the 99 % quantile of such times,
+    while its partner moves, and then jumps by over 12 median steps to where it should be. Jumps as
+    large to a value and back are dropouts, too, if that value is mostly the same one, such as 0.
 
     Parameters
     ----------
     signal : ndarray, shape (N,)
     partner : ndarray, shape (N,)
-        As :func:`sticking` takes it.
+        As for :func:`sticking`.
     kicked : ndarray, shape (N,), optional
-        Angle of the locked joint whose torque the signal is. Where that rests as well, and steps as
-        the torque jumps, the law has thrown the joint back.
+        Angle of the locked joint whose torque the signal is. Where it rests as well, and steps when
+        the torque jumps, the control law has thrown the joint back, which is no dropout.
     """
     steps = np.diff(signal)
     edges = np.flatnonzero(steps)
@@ -586,19 +590,19 @@ def dropouts(
 
 
 def zeros_beyond_chance(signal: FloatArray, step: float) -> int:
-    """In how many samples a signal is 0 where it passes that; 0 if chance explains it.
+    """Number of samples in which a signal is 0 as it passes through 0; 0 if chance explains them.
 
-    Torques that are small are shown as none by a dead zone, and lost ones by a bus. A sound signal
-    of which most is larger than that is 0 about as often as it has, to its resolution, any of the 8
-    values on either side: 4 times as much is more. Where it rests, it does so at any value, and is
-    counted for 20 samples. It has to come from larger values and go on to others within as many:
-    without a perturbation a relaxed arm has no torque.
+    A dead zone shows small torques as 0, and so does a bus with lost ones. A sound signal, most of
+    which is farther from 0, has the value 0 about as often as any of the 8 values, to its
+    resolution, on either side; more than 4 times as often is beyond chance. A rest counts for 20
+    samples at most, as a signal may rest at any value. Within 20 samples before and after it the
+    signal has to be farther from 0 than those 8: without perturbation a relaxed arm has no torque.
 
     Parameters
     ----------
     signal : ndarray, shape (N,)
     step : float
-        Its resolution.
+        Resolution of the signal.
     """
     levels = np.rint(signal / (step or 1.0))
     away = np.cumsum(np.pad(np.abs(levels) > _NEIGHBOURS, (_PASSED + 1, _PASSED)))
@@ -620,14 +624,14 @@ def zeros_beyond_chance(signal: FloatArray, step: float) -> int:
 
 
 def repeating(signal: FloatArray) -> float:
-    """In which share of its samples a signal stays the same or goes on straight; 0 if by chance.
+    """Share of samples in which a signal stays constant or on a straight line; 0 if by chance.
 
-    A median filter returns values as they were, readings of a lower rate are held or interpolated
-    by lines: what is quick in the torque, as where a law throws a joint back, is then lost, or
-    comes back at other frequencies. Rounding makes a sound signal do the same, but then steps by
-    one count, or another, are as frequent. So it repeats itself where it does so in more than
-    15 % of the samples, 9 times as often as it takes the most frequent step in either direction,
-    and less than half of the other steps are of that size. Sound torques have 4 times at most.
+    A median filter repeats values, and readings of a lower rate are held or interpolated linearly.
+    Fast torques, as where a control law throws a joint back, are then lost, or aliased. Rounding
+    makes a sound signal repeat values as well, but then steps by one count, or another, are as
+    frequent. So a signal counts as repeating if it does so in more than 15 % of the samples, more
+    than 9 times as often as it takes the most frequent step in either direction (sound torques: 4
+    times at most), and if less than half of the steps that aren't 0 are of that size.
 
     Parameters
     ----------
@@ -649,9 +653,9 @@ def repeating(signal: FloatArray) -> float:
 
 
 def _copied(record: TrialRecord, source: str) -> tuple[float, float]:
-    """Torque of the perturbed joint per command or perturbation, up to 3 samples late.
+    """Regress the torque of the perturbed joint on its command or perturbation, at lags of 0 to 3.
 
-    And the rms of the rest per rms of the torque, 1 without commands.
+    Returns the factor, and the rms of the residual relative to the torque's: 1 without commands.
     """
     k, best = record.perturbed_joint, (0.0, 1.0)
     torque, streams = record.torque[k], getattr(record, source)
@@ -667,9 +671,9 @@ def _copied(record: TrialRecord, source: str) -> tuple[float, float]:
 
 
 def _rests(signal: FloatArray, start: int, run: int) -> bool:
-    """Whether a signal moves far less over a run than it can over as many samples."""
+    """Whether a signal moves far less in a run of samples than it usually can in as many."""
     whole = signal[: signal.size // run * run].reshape(-1, run)
     usual = float(np.quantile(np.ptp(whole, axis=1), 0.9))
-    # A torque is ahead of the angle that it begins to move, by up to some milliseconds.
+    # A torque is ahead of the angle that it begins to move by up to some milliseconds.
     within = signal[start + run // 10 : start + run - run // 10]
     return float(np.ptp(within)) < _RESTING * usual

@@ -1,18 +1,18 @@
-"""How readings of torque come about: instant, delay, anti-alias filter; what undoes it.
+"""How torque readings come about (instant, delay, anti-alias filter), and how that is undone.
 
-The torque on the arm is ``τ(ω)``. It passes a low-pass H, is read late by D, at the ticks of the
-control: ``G(ω) = H(ω) exp(-jωD)``. That alone would be undone by division by G. But commands step
-at the ticks, so that τ jumps there, and the spectrum of what jumps does not end at half the
-sampling rate: sampling folds it back into the band. By how much is known in closed form. Be
-``s(t)`` the response of a reading to a step of 1 N·m at t = 0, ``r(t)`` its integral over t/L. The
-spectrum of the readings is then, with jumps ``J`` and jumps of the slope ``S/L`` at the ticks
-(whose spectra repeat at the sampling rate), and with x = ωL,
+The torque on the arm, ``τ(ω)``, passes a low-pass H and is read at the control ticks with a delay
+D: ``G(ω) = H(ω) exp(-jωD)``. Division by G would undo that alone. But commands step at the ticks,
+so τ jumps there, and the spectrum of jumps does not end at half the sampling rate: sampling folds
+it back into the band, by an amount that is known in closed form. Let ``s(t)`` be the response of a
+reading to a step of 1 N·m at t = 0, ``r(t)`` its integral over t/L, and x = ωL. With jumps ``J``
+of the torque and jumps ``S/L`` of its slope at the ticks, whose spectra repeat at the sampling
+rate, the spectrum of the readings is
 
     y(ω) = G τ(ω) - e(ω) J(ω) - b(ω) S(ω)
     e = G/jx - Σ_n s(nL) exp(-jxn),   b = G/(jx)² - Σ_n r(nL) exp(-jxn),   n > 0
 
-For readings just before the update that pass no filter, ``e = 1/2 - jx/12 ...``, ``b = 1/12 ...``:
-the Euler-Maclaurin formula. For a drive that lags, whose torque does not jump, s and r are the
+For unfiltered readings just before the update ``e = 1/2 - jx/12 ...`` and ``b = 1/12 ...``, which
+is the Euler-Maclaurin formula. The torque of a drive that lags does not jump: s and r are then the
 responses to its command, and the first terms of e and b have the response of the drive as a factor.
 """
 
@@ -28,29 +28,29 @@ from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_estimation.json_model import JsonModel
 
 _APART = 1e-5
-"""Relative distance that poles have at least; partial fractions know no double ones."""
+"""Least relative distance of two poles, as the partial fractions allow no double ones."""
 HIGHEST_ORDER = 4
 LATEST = 1.0
-"""Delay of readings that is believed, s."""
+"""Largest delay of readings that is accepted, s."""
 _AT_ONCE = 1e-6
-"""Part of a period by which a reading just after an update is later than it."""
+"""Time from an update to a reading just after it, in periods."""
 
 
 class TorqueTiming(str, Enum):
-    """When torques are read, relative to the update of the command at the same sample."""
+    """Instant of a torque reading relative to the command update at the same sample."""
 
     UNKNOWN = "unknown"
-    """Nobody knows: the records have to tell, as far as they can."""
+    """Unknown: it is estimated from the records as far as possible."""
     BEFORE_UPDATE = "before_update"
-    """Just before: what jumps with the command is late."""
+    """Just before the update: torque that jumps with the command is late."""
     AFTER_UPDATE = "after_update"
-    """Just after: what jumps with the command is early."""
+    """Just after the update: torque that jumps with the command is early."""
     MID_INTERVAL = "mid_interval"
     """Half a sample before the angles."""
     INTERVAL_MEAN = "interval_mean"
-    """As the mean since the last sample: everything is late by half a sample."""
+    """Mean since the last sample: all torque is late by half a sample."""
     SIMULTANEOUS = "simultaneous"
-    """With the angles, and nothing jumps."""
+    """At the instant of the angles; no torque jumps."""
 
 
 _INSTANTS = {
@@ -64,7 +64,7 @@ _INSTANTS = {
 
 
 class TorqueReading(JsonModel):
-    """What is known of the readings of torque, all joints alike.
+    """What is known of the torque readings, which are alike for all joints.
 
     Raises
     ------
@@ -73,30 +73,30 @@ class TorqueReading(JsonModel):
     """
 
     timing: TorqueTiming = TorqueTiming.UNKNOWN
-    """When they are read."""
+    """Instant at which they are read."""
     delay: float = Field(default=0.0, ge=-LATEST, le=LATEST)
-    """How late they are beyond that, s; negative if they are early."""
+    """Delay beyond that instant, s; negative if they are early."""
     cutoff: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)
     """Cut-off frequency of the Butterworth low-pass before the sampling, Hz; 0: there is none."""
     order: int = Field(default=1, ge=1, le=HIGHEST_ORDER)
-    """Its order."""
+    """Order of that low-pass."""
     actuator_lag: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)
     """Time constant with which the torque of the drives follows the commands, s; 0: at once. It
-    delays torques and angles alike, and matters for what sampling folds back only."""
+    delays torques and angles alike, so it matters only for what sampling folds back."""
 
     @property
     def prompt(self) -> bool:
-        """Whether nothing but the instant of reading is to be corrected."""
+        """Whether only the instant of reading has to be corrected."""
         return not (self.delay or self.cutoff or self.actuator_lag)
 
     @property
     def without_jumps(self) -> bool:
-        """Whether it was told that what jumps with commands doesn't matter to these readings."""
+        """Whether by declaration jumps with the commands don't affect these readings."""
         return self.timing in {TorqueTiming.INTERVAL_MEAN, TorqueTiming.SIMULTANEOUS}
 
     @property
     def sentence(self) -> str:
-        """All of this in words."""
+        """Instant, delay, filter and lag in words."""
         facts = [_INSTANTS[self.timing]]
         if self.delay:
             facts.append(f"{1e3 * abs(self.delay):g} ms {'late' if self.delay > 0 else 'early'}")
@@ -109,10 +109,10 @@ class TorqueReading(JsonModel):
         return ", ".join(facts)
 
     def at_rate(self, rate: float) -> TorqueReading:
-        """The same as readings just before the updates, or of what doesn't jump, that are late.
+        """Return equivalent readings just before the updates, or without jumps, with a delay.
 
-        Readings just after an update are early by nothing but the jump, those amid a period, and
-        means over it, are late by half of it.
+        Readings just after an update differ from those just before only by the jump; readings amid
+        a period, and means over it, are late by half a period.
 
         Parameters
         ----------
@@ -139,7 +139,7 @@ class TorqueReading(JsonModel):
         return np.asarray(low_pass * late, dtype=np.complex128)
 
     def folded(self, f: FloatArray, rate: float) -> tuple[ComplexArray, ComplexArray]:
-        """What readings lack per jump and per jump of the slope, (e, b) of the module.
+        """What readings lack per jump of the torque, and of its slope: (e, b) of the module.
 
         Parameters
         ----------
@@ -163,14 +163,14 @@ class TorqueReading(JsonModel):
         return edge, bend
 
     def answers(self, rate: float, count: int) -> FloatArray:
-        """Responses of readings to a step, a ramp and a parabola of the torque at an update.
+        """Responses of readings to a step, a ramp and a parabola of the torque from an update on.
 
         Parameters
         ----------
         rate : float
             Readings per second, Hz.
         count : int
-            How many readings, from the first one that shows anything on.
+            Number of readings, from the first one that shows the update on.
 
         Returns
         -------
@@ -189,15 +189,15 @@ class TorqueReading(JsonModel):
         return np.ascontiguousarray(found.real)
 
     def whitening(self, rate: float) -> FloatArray:
-        """Coefficients that take the poles of the low-pass from readings, newest first; sum 1."""
+        """Weights, newest first, that remove poles of drive and low-pass from readings; sum 1."""
         _, poles = self._modes
         coefficients = np.atleast_1d(np.poly(np.exp(poles / rate))).real
         return np.asarray(coefficients / np.sum(coefficients))
 
     def first(self, rate: float) -> tuple[int, float]:
-        """Periods from an update to the first reading that shows it.
+        """Periods from an update to the first reading that shows it, and `since`.
 
-        And how many periods after the update that reading belongs to, 0 < since <= 1.
+        That reading shows the torque of `since` periods after the update, 0 < since <= 1.
         """
         periods = self.delay * rate
         # A delay of whole periods may come with a rounding error.
@@ -215,7 +215,7 @@ class TorqueReading(JsonModel):
 
     @cached_property
     def _low_pass(self) -> tuple[FloatArray, FloatArray]:
-        # Where there is no low-pass, nobody has to wait for this import.
+        # This import is slow, and needless without a low-pass.
         from scipy.signal import butter
 
         b, a = butter(self.order, 2.0 * np.pi * self.cutoff, analog=True)
@@ -223,7 +223,7 @@ class TorqueReading(JsonModel):
 
     @cached_property
     def _modes(self) -> tuple[ComplexArray, ComplexArray]:
-        """Amplitudes and poles of what a step response has beside 1, of drive and low-pass."""
+        """Amplitudes and poles of the transient of a step response, of drive and low-pass."""
         b: FloatArray = np.ones(1)
         a: FloatArray = np.ones(1)
         if self.cutoff > 0.0:

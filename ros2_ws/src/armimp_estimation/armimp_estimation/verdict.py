@@ -1,9 +1,9 @@
-"""Judgement of an identification, from what a rig can measure (never from the truth).
+"""Verdict on an identification, from what a rig can measure (never from the truth).
 
-Noise is no problem: intervals tell of it. What would make a number wrong is. A result is valid
-where no problem is left: :meth:`Verdict.of`. The problems themselves are found by the functions
+Noise is no problem, as the intervals include it; whatever would make a number wrong is one. A
+result is valid if it has no errors: :meth:`Verdict.of`. The problems are found by the functions
 below, and by `plausibility`, `signal_quality`, `nonlinearity`, `robot_balance` and, in a recording,
-`alignment`. Names are those of the n joints; comparisons are written so that NaN fails.
+`alignment`. `names` are those of the n joints; comparisons are written so that NaN is a problem.
 """
 
 from __future__ import annotations
@@ -27,44 +27,44 @@ from armimp_estimation.torque_timing import TorqueReading
 
 LOCK_RATIO = 0.02
 """Largest motion of a locked joint, within the band and caused by the perturbation, relative to the
-perturbed one; it biases ``welch_siso``. Here the bias of off-diagonal elements may reach several
-per cent."""
+perturbed one; it biases ``welch_siso``. At this limit the bias of off-diagonal elements may reach
+several per cent."""
 BIAS_BOUND = 0.1
 """Largest share of a torque that motion of locked joints explains, band mean, see
 :func:`armimp_estimation.scores.bias_bound`. Good locking stays below 0.03."""
 UNEVEN = 0.05
-"""Largest share of a torque at the lines of a multisine that no linear arm explains. Linear ones
-beside friction and coarse encoders stay below 0.01, arms that play in their cuffs have 0.07 to 0.5.
+"""Largest share of a torque at the lines of a multisine that no linear arm explains. Linear arms
+beside friction and coarse encoders stay below 0.01; arms with play in the cuffs have 0.07 to 0.5.
 """
-_NOTICED = 5.0
+_NOTICED = 5.0  # standard errors beyond which a delay or the corner of a high-pass is reported
 _CORNER = 0.03
-"""Corner of a high-pass, Hz, below which what it does is small enough for the standard errors."""
+"""Corner of a high-pass, Hz, below which its effect is small enough for the standard errors."""
 _SUREST = 1e-6
-"""Standard error below which no delay is known, s."""
+"""Least standard error that any delay is taken to have, s."""
 SINGLE = "welch_siso"
 """The estimator that takes locked joints as still."""
 _CLEARLY = 2.0
-"""Another joint moves this many times as much as the perturbed one."""
+"""Ratio of the motion of another joint to that of the perturbed one that is clearly too large."""
 _AS_MUCH, _FOLLOWS = 0.1, 0.5
 """Motion or torque of a joint relative to that in its own trial, and coherence with the
-perturbation of that, from which on it is of that trial."""
+perturbation of its own trial, from which on a channel belongs to the latter."""
 
 
 def faults(problems: Iterable[Problem], *estimators: str) -> list[Problem]:
-    """Problems for which the numbers of estimators can't be trusted; not those of others."""
+    """Errors due to which the numbers of these estimators can't be trusted."""
     errors = (one for one in problems if one.severity is Severity.ERROR)
     return [one for one in errors if one.estimator in ("", *estimators)]
 
 
 class Verdict(JsonModel):
-    """The two verdicts: whether Z(f), and whether M, B and K, are right within their intervals."""
+    """Whether Z(f), and whether M, B and K, are right within their intervals."""
 
     impedance: bool
     parameters: bool
 
     @classmethod
     def of(cls, problems: Iterable[Problem], *estimators: str) -> Verdict:
-        """Judge whether the numbers of estimators can be trusted; without any they cannot."""
+        """Judge whether the numbers of estimators can be trusted; never if there is none."""
         found = [one.concern for one in faults(problems, *estimators)]
         trusted = bool(estimators)
         return cls(
@@ -75,11 +75,11 @@ class Verdict(JsonModel):
 def judge_locking(
     names: Sequence[str], lock_ratio: FloatArray, bias_bound: FloatArray
 ) -> list[Problem]:
-    """Problems with joints that were to be held still; they concern ``welch_siso`` alone.
+    """Find joints that were not held still; these problems concern ``welch_siso`` alone.
 
-    Derived coherence stays near 1 when locking fails, since a joint that gives way still answers
-    the perturbation coherently; so locking is judged by the motion itself. Of both scores, shape
-    (n, n), row i is the locked, column k the perturbed joint.
+    Derived coherence stays near 1 when locking fails, since a joint that gives way still responds
+    coherently to the perturbation; so locking is judged by the motion itself. Both scores have the
+    shape (n, n), with row i of the locked and column k of the perturbed joint.
     """
     problems = []
     for k, perturbed in enumerate(names):
@@ -112,11 +112,11 @@ def judge_locking(
 
 
 def judge_order(names: Sequence[str], lock_ratio: FloatArray) -> list[Problem]:
-    """Problems with angles that are not those of the joints which are perturbed.
+    """Find angles in another order than the perturbations.
 
-    A joint may move more than the one that is perturbed, if it is lighter and gives way. But what
-    they store and lose would be negative if each of two joints moved more while the other one is
-    perturbed, or more of them in a circle.
+    A joint that is lighter and gives way may move more than the perturbed one. But the energy that
+    joints store and lose would be negative if each of two joints moved more while the other one is
+    perturbed, or several joints in a cycle.
 
     Parameters
     ----------
@@ -138,9 +138,9 @@ def judge_order(names: Sequence[str], lock_ratio: FloatArray) -> list[Problem]:
 
 
 def judge_trials(records: Sequence[TrialRecord]) -> list[Problem]:
-    """Problems with channels that are those of another trial, as where axes are exchanged.
+    """Find channels that belong to another trial, as where axes are exchanged.
 
-    Its angle or torque follows the perturbation of another trial and not that of its own.
+    Such an angle or torque follows the perturbation of another trial instead of that of its own.
 
     Parameters
     ----------
@@ -176,14 +176,14 @@ def judge_trials(records: Sequence[TrialRecord]) -> list[Problem]:
 
 
 def judge_band(f: FloatArray, perturbed: FloatArray) -> list[Problem]:
-    """Say on which band an estimate rests if the perturbation has no power in a part of it.
+    """Note on which frequencies an estimate rests if the perturbation lacks power at some.
 
     Parameters
     ----------
     f : ndarray, shape (n_freq,)
         Frequencies of the whole band, Hz.
     perturbed : ndarray, shape (m,)
-        Those of them at which all joints were perturbed.
+        Those at which all joints were perturbed, Hz.
     """
     if perturbed.size == f.size:
         return []
@@ -201,7 +201,7 @@ def judge_band(f: FloatArray, perturbed: FloatArray) -> list[Problem]:
 def judge_coherence(
     names: Sequence[str], motion: FloatArray, torque: FloatArray, level: float
 ) -> list[Problem]:
-    """Problems with perturbed joints that do not answer the perturbation.
+    """Find perturbed joints whose motion or torque does not follow the perturbation.
 
     Parameters
     ----------
@@ -238,7 +238,7 @@ def judge_estimate(
     apart: float,
     decides: bool,
 ) -> list[Problem]:
-    """Problems with one estimate and its fit.
+    """Find problems of one estimate and its fit.
 
     Parameters
     ----------
@@ -249,12 +249,12 @@ def judge_estimate(
     fit : MBKFit
         M, B and K.
     reading : TorqueReading
-        When torques were read, as far as that was told.
+        Instant of the torque readings, as far as it was declared.
     apart : float
-        How far the postures of the trials are apart, rad.
+        Distance between the postures of the trials, rad.
     decides : bool
-        Whether the verdict is about it. Beside others, what is known of its bias is known roughly,
-        and lack of fit says no more than that.
+        Whether the verdict is about this estimate. The bias of others is known only roughly, and
+        their lack of fit shows no more than that.
     """
     name = estimate.name
     problems = judge_matrices(names, estimate, fit, apart)
@@ -295,14 +295,14 @@ def judge_estimate(
 
 
 def judge_models(estimator: str, models: Mapping[str, ModelFit]) -> list[Problem]:
-    """Say which model was declared or is supported in the place of M, B and K, or that none is.
+    """Note which model was declared, or is supported, instead of M, B and K, or that none is.
 
     Parameters
     ----------
     estimator : str
         Name of the estimator.
     models : mapping of str to ModelFit
-        Those that were fitted, by name.
+        Models that were fitted, by name.
     """
     if not models:
         return []
