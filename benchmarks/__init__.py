@@ -1,1 +1,1 @@
-"""Benchmarks of our own, run from the checkout: ``make bench``."""
+"""Benchmarks for the development of the project, run from the checkout: ``make bench``."""

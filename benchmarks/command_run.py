@@ -54,7 +54,7 @@ def run_command(
     Raises
     ------
     GraphError
-        If it ends without result, or loses samples. A result that is not valid is one, too.
+        If it ends without result, or loses samples. A result need not be valid.
     """
     command = [sys.executable, "-m", COMMAND, "run", "--out", str(directory), *options]
     with tempfile.TemporaryFile("w+") as said:

@@ -1,7 +1,7 @@
-"""How much the machine was kept busy by others, of whom little can be seen from here.
+"""How much other work disturbed this machine, most of which cannot be seen from within it.
 
 A virtual processor mostly is a thread of a core whose other thread works for somebody else. Plain
-Python then takes up to twice as long, though no other process of this machine runs. Besides, the
+Python then takes up to twice as long, though no other process runs on this machine. Besides, the
 host may give the processor to others for a while, which the system counts as stolen time.
 """
 
@@ -22,7 +22,7 @@ def loop_times(count: int = 100) -> list[float]:
 
 
 def disturbance(times: Sequence[float]) -> float:
-    """How much longer than the fastest of :func:`loop_times` half of them took; 1 at best."""
+    """Median over minimum of :func:`loop_times`; 1 at best."""
     return median(times) / min(times)
 
 

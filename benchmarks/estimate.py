@@ -23,7 +23,7 @@ _REPEATS = 5
 
 
 def time_estimate(tell: Callable[[str], None]) -> list[Measured]:
-    """Time reading and estimating bags of a made-up arm with two joints; shortest of several times.
+    """Time reading and estimating bags of a synthetic arm with two joints; shortest of several.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a tick of the node graph costs, beside the bare exchange of the same messages."""
+"""What a tick of the node graph costs, compared with the bare exchange of the same messages."""
 
 from __future__ import annotations
 
@@ -39,18 +39,18 @@ DURATION = 10.0
 RATIO_LIMIT = 1.4
 """Largest cost of a tick of the graph without the plant, in ticks of the bare exchange.
 
-The step of the plant is the physics that is simulated. A real rig has none, nor has a faster graph
-a cheaper one.
+The step of the plant simulates the physics. A real rig does not need it, and a faster graph would
+not make it cheaper.
 """
 SPEED_LIMITS: Mapping[Processes, float] = {"separate": 2.5, "composed": 8.0}
 """Smallest speed, times real time."""
-_PATIENCE = 60.0
+_PATIENCE = 60.0  # s, longest wait for the bare exchange
 _PARAMETERS = "parameters.yaml"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Round:
-    """An experiment and the bare exchange around it, which so met the same machine."""
+    """An experiment, and the bare exchanges before and after it, so that both met the same load."""
 
     bare: float
     """Wall time of a bare exchange, mean of before and after the experiment, s."""
@@ -63,7 +63,7 @@ class Round:
     loops: Sequence[float]
     """Wall times of a loop of plain Python, s."""
     stolen: float
-    """Time for which the host took a processor away, in processors."""
+    """Number of processors that the host took away, on average."""
 
     @property
     def ratio(self) -> float:
@@ -221,7 +221,7 @@ def graph_tick(processes: Processes) -> Experiment:
         config = ExperimentConfig(duration=DURATION, processes=processes)
         summary = run_experiment(config, Path(folder) / "out").summary
     lost = sum(trial.lost for trial in summary.trials)
-    # Whether any are lost is measured here, and no reason to measure nothing.
+    # Lost samples are a figure of their own, and no reason to give up.
     if not (summary.valid or lost):
         raise GraphError(f"the experiment is not valid: {summary.faults[0]}")
     return Experiment(
@@ -233,10 +233,10 @@ def graph_tick(processes: Processes) -> Experiment:
 
 @contextmanager
 def _timed_steps() -> Iterator[list[int]]:
-    """Have each step of a simulated rig in this process take down its wall time, ns.
+    """Record the wall time of each step of a simulated rig in this process, ns.
 
-    In a loop of its own a step finds the caches as it left them, and meets another moment of the
-    machine: neither is what has to be left out of a tick.
+    In a loop of their own, steps would find warm caches and another load of the machine, so their
+    time would not be the one to be subtracted from that of a tick.
     """
     plain = SimulatedRig.step
     took: list[int] = []

@@ -73,7 +73,7 @@ def _case(joints: int, seconds: float, tell: Callable[[str], None]) -> list[Meas
 
 
 def _compile(joints: int) -> None:
-    """Have everything compiled that depends on the number of joints, so that no run has to."""
+    """Compile everything that depends on the number of joints, so that no run has to."""
     parameters = node_parameters(load_config(None, {"joints": joints}), None)
     TrialSequencer(parameters.controller, lambda _: None)
     SimulatedRig(parameters.simulator)

@@ -1,8 +1,8 @@
-"""The bare exchange of messages that an experiment in lockstep consists of, and nothing else.
+"""The bare exchange of the messages of an experiment in lockstep, and nothing else.
 
-Three nodes pass on the four streams of the contract, in its message types, as bytes that were made
-beforehand: no plant, no law, no decoding, no bag. What a tick takes here is the floor under what a
-tick of the node graph can take on this machine at this moment.
+Three nodes exchange the four streams of the contract, in its message types, as bytes that were made
+beforehand: no plant, no law, no decoding, no bag. The time of a tick here is the lower bound for a
+tick of the node graph on this machine at this moment.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _TYPES: Final[Mapping[str, type[Any]]] = {
 
 
 class _Bare(Node):
-    """Has publishers and subscriptions of raw bytes for some of the streams."""
+    """Base of the nodes: publishers and subscriptions of raw bytes for the streams."""
 
     def __init__(self, name: str, **kwargs: Any) -> None:
         super().__init__(name, **kwargs)
@@ -59,7 +59,7 @@ class _Bare(Node):
 
 
 class PingNode(_Bare):
-    """Has the place of the simulator: two messages out, one command back, then the next two."""
+    """Takes the place of the simulator: two messages out, one command back, then the next two."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(PING, **kwargs)
@@ -108,7 +108,7 @@ class PingNode(_Bare):
 
 
 class PongNode(_Bare):
-    """Has the place of the controller: answers each pair of messages with another."""
+    """Takes the place of the controller: answers each pair of messages with another."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(PONG, **kwargs)
@@ -116,14 +116,14 @@ class PongNode(_Bare):
         self._streams = [self.stream(topic) for topic in (topics.COMMANDS, topics.PERTURBATION)]
         for topic in (topics.JOINT_STATES, topics.TORQUE_SENSORS):
             self.listen(topic, self._on_message)
-        # As the controller, which wants to know whether anything is still recorded.
+        # As in the controller, which monitors whether samples are still recorded.
         self.create_subscription(UInt64, topics.RECEIVED, lambda _: None, qos.LATCHED)
         self._ready = self.create_publisher(UInt64, READY, qos.LATCHED)
         self._start = steady_timer(self, 0.02, self._begin)
 
     def _begin(self) -> None:
-        # Both the first node and the recorder listen to commands, the latter to perturbations too.
-        # What is published before they are known is lost, and nobody asks for it again.
+        # Ping and tap listen to commands, tap to perturbations, too. Messages published before the
+        # subscriptions are known would be lost for good.
         if [publisher.get_subscription_count() for publisher, _ in self._streams] == [2, 1]:
             self.destroy_timer(self._start)
             self._ready.publish(UInt64(data=1))
@@ -136,7 +136,7 @@ class PongNode(_Bare):
 
 
 class TapNode(_Bare):
-    """Has the place of the recorder: hears everything, and acknowledges it."""
+    """Takes the place of the recorder: hears everything, and acknowledges it."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(TAP, **kwargs)

@@ -23,7 +23,7 @@ DURATION = 10.0
 
 
 def time_start(tell: Callable[[str], None]) -> list[Measured]:
-    """Measure `armimp run` without and with a cache of compiled code; takes two to three minutes.
+    """Measure `armimp run` without and with cached machine code; takes two to three minutes.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How fast the study runs: plant and law in one lane and in many, estimates, and all of it."""
+"""How fast the study runs: plant and law in one lane and in many, estimates, and the whole."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def _shortened(rig: NodeParameters, duration: float) -> NodeParameters:
 
 
 def _per_trial(rigs: Sequence[NodeParameters], duration: float, *, threads: int = 1) -> float:
-    """Time for a trial of full length and one core, s."""
+    """Time of one core for a trial of full length, s."""
     short = [_shortened(rig, duration) for rig in rigs]
     simulated = (_SETTLE + duration + _REST) * len(rigs[0].controller.joints) * len(rigs)
     return _shortest(lambda: run_offline(short), threads) / simulated * TRIAL
@@ -109,7 +109,7 @@ def _per_estimate(base: ExperimentConfig, condition: Condition) -> float:
 
 
 def _shortest(work: Callable[[], object], threads: int) -> float:
-    """Shortest time of several in which that many threads each do the work once, s."""
+    """Shortest of several times in which each of the threads does the work once, s."""
     times = []
     for _ in range(_REPEATS):
         workers = [threading.Thread(target=work) for _ in range(threads)]

@@ -42,7 +42,7 @@ class TickParts:
 
 
 class _Loop:
-    """Rig, controller and recorder, which hand the bytes of their messages to one another."""
+    """Rig, controller and recorder, which pass the bytes of their messages to one another."""
 
     def __init__(self, config: ExperimentConfig, directory: Path) -> None:
         parameters = node_parameters(config, directory)
@@ -66,7 +66,7 @@ class _Loop:
         self.command = (0.0,) * len(names)
 
     def tick(self) -> tuple[int, int, int, int]:
-        """Go through one tick; the time that plant, law, codecs and recording took, ns."""
+        """Run one tick; return the times of plant, law, codecs and recording, ns."""
         rig, experiment = self.rig, self.experiment
         t0 = perf_counter_ns()
         rig.step(self.command)
@@ -92,13 +92,13 @@ class _Loop:
 
 
 def tick_parts(config: ExperimentConfig, ticks: int = 4000) -> TickParts:
-    """Go through the beginning of an experiment without ROS and see where the time goes.
+    """Run the beginning of an experiment without ROS, and time the parts of its ticks.
 
     Parameters
     ----------
     config : ExperimentConfig
     ticks : int
-        Of the first perturbation, to be measured.
+        Number of ticks of the first perturbation that are measured.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The person pushes, too: an estimator that ignores the loop is biased, more data do not help.
+"""Voluntary torque biases an estimator that ignores the closed loop, and more data do not help.
 
 .venv/bin/python examples/03_voluntary_torque.py
 """
@@ -14,7 +14,7 @@ configs = [
     for seed in range(24)
 ]
 
-# Experiments of one duration run side by side, eight of them at little more than the price of one.
+# Experiments of one duration run side by side, eight of them in little more time than one.
 experiments = simulate(configs)
 results = [experiment.identify(["direct", "lpm_full"]) for experiment in experiments]
 true = experiments[0].truth.B[0, 0]

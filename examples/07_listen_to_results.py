@@ -1,4 +1,4 @@
-"""A node of one's own in the graph: it listens to what the estimator publishes.
+"""A node of your own in the graph: it listens to what the estimator publishes.
 
 ROS_DOMAIN_ID=7 .venv/bin/python examples/07_listen_to_results.py &
 .venv/bin/armimp run --duration 10 --domain-id 7

@@ -1,4 +1,4 @@
-"""An estimator of one's own beside those that exist, on simulated records or on bags.
+"""An estimator of your own beside the existing ones, on simulated records or on bags.
 
 .venv/bin/python examples/08_own_estimator.py
 .venv/bin/python examples/08_own_estimator.py results/example/bags/*
@@ -23,7 +23,7 @@ from armimp_estimation.trial import TrialData
 
 @dataclass(frozen=True, kw_only=True)
 class WelchShifted:
-    """The paper's estimator with torques put forward by half a sample (docs/theory.md, 4)."""
+    """The paper's estimator with torques advanced by half a sample (docs/theory.md, 4)."""
 
     name: str = "welch_shifted"
 

@@ -2,9 +2,9 @@
 
 .venv/bin/python examples/09_prototype_a_law.py
 
-The law holds joints by a PD controller, and adds what the torque transducer of a held joint reads,
-so that the arm has less effect on it. That helps a little; the coupling through the robot's own
-inertia remains. A law that is worth it moves into the controller: see docs/extending.md.
+The law locks joints by a PD controller, and feeds the torque reading of a locked joint forward, so
+that the arm has less effect on it. That helps a little; the coupling through the robot's own
+inertia remains. A law that proves useful moves into the controller: see docs/extending.md.
 """
 
 import numpy as np
@@ -32,7 +32,7 @@ class Law:
     def command(
         self, theta: NDArray[np.float64], tau_h: NDArray[np.float64], joint: int
     ) -> NDArray[np.float64]:
-        """Torques (n,), N·m, from encoders (rad) and transducers (N·m); joint 0-based yields."""
+        """Torques (n,), N·m, from angles (rad) and torques (N·m); `joint`, from 0, is compliant."""
         stiffness, damping = self.law.role(joint)[[STIFFNESS, DAMPING]]
         velocity = (theta - self.before) / PERIOD
         self.before = theta.copy()

@@ -1,1 +1,1 @@
-"""Monte Carlo studies of our own that answer one question each; run from the checkout."""
+"""Monte Carlo studies that answer one question each; run from the checkout."""

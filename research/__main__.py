@@ -22,15 +22,15 @@ STUDIES = {
     "coverage": "whether the standard errors of M, B and K are honest",
     "limits": "how far the estimators are from the accuracy that noise allows",
     "controller": "what the choice of the controller's parameters does to accuracy",
-    "decomposition": "what decomposition buys: direct, decomposed and all joints at once",
-    "truth": "whether what is valid is true, on recordings of a rig that is not ours",
-    "rigs": "the same on rigs and arms of which all is drawn at random",
-    "ideal": "whether each check leaves ideal runs alone",
-    "distortion": "whether a multisine shows arms that bend or change over time",
-    "efficiency": "what each kind of perturbation tells, and the time of a person",
+    "decomposition": "what decomposition gains: direct, decomposed and all joints at once",
+    "truth": "whether valid results are true, on recordings of an independent rig",
+    "rigs": "the same on rigs and arms that are drawn at random",
+    "ideal": "whether checks refuse ideal runs",
+    "distortion": "whether a multisine reveals arms that are nonlinear or change over time",
+    "efficiency": "how close errors come to the Cramér-Rao bound for each kind of perturbation",
     "growth": "accuracy, time and record length from two to seven joints",
 }
-"""What each module of this package finds out; a new one is a module with `investigate`."""
+"""Question of each study; a new study is a module of this name with `investigate`."""
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 _NAMES = "; ".join(f"{name}: {what}" for name, what in STUDIES.items()) + "."
@@ -45,7 +45,7 @@ def study(
     ] = None,
     workers: Annotated[int | None, typer.Option(help="Threads; default: one per core.")] = None,
     only: Annotated[
-        str, typer.Option(help="Cases of truth (a pattern) or ideal (friction=3) to run.")
+        str, typer.Option(help="Cases of truth, rigs, efficiency, distortion or ideal to run.")
     ] = "",
     json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> int:

@@ -1,4 +1,4 @@
-"""Ankle records of a person: M, B, K and a reflex from arrays, and whether intervals hold.
+"""Ankle records of a person: M, B, K and a reflex from arrays, and whether their errors are honest.
 
 ``python -m research.ankle RECORD.npz...`` estimates each record as a whole and by quarters. A
 record has ``angle`` (rad) and ``torque`` (N·m, applied to the foot) under random position
@@ -6,8 +6,8 @@ perturbation, and ``rate`` (Hz). Public ones of that kind, of a healthy subject,
 ``stiffnessID/experimental_data.mat`` of github.com/reklab/reklab_public (GPL-2); their torque is
 that on the device, so ``--reverse`` turns it.
 
-The rig holds the angle, whatever the person does, so the angle is the input and nothing is in a
-loop: ``direct`` is unbiased. Its scatter between quarters over its stated error is to be about 1.
+The rig imposes the angle, whatever the person does, so the angle is the input and there is no
+feedback: ``direct`` is unbiased. Its scatter between quarters should be about its stated error.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def reflex_of(angle: FloatArray, torque: FloatArray, rate: float) -> ModelFit:
 
 
 def honesty(parts: list[ModelFit], name: str) -> float:
-    """Scatter of a parameter between parts over its stated error."""
+    """Return the scatter of a parameter between parts over its stated error."""
     values = np.array([one.parameters[name].values[0] for one in parts])
     errors = np.array([one.parameters[name].errors[0] for one in parts])
     return float(np.std(values, ddof=1) / np.sqrt(np.mean(errors**2)))

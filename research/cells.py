@@ -1,4 +1,4 @@
-"""Errors of M, B and K over all seeds of an estimator in a condition, and the runs behind them."""
+"""Errors of M, B and K of an estimator in a condition over all seeds, and the runs behind them."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from research.decomposition_trials import in_blocks, in_threads
 
 FloatArray = NDArray[np.float64]
 Levels: TypeAlias = tuple[int, int, int]
-"""Of friction, resolution and perturbation."""
+"""Levels of friction, resolution and perturbation."""
 Run: TypeAlias = tuple[float, str, FloatArray, FloatArray]
-"""Voluntary torque (N·m rms), name of the estimator, its errors and what they are compared with,
-both relative, of shape (3, n, n)."""
+"""Voluntary torque (N·m rms), name of the estimator, its errors, and what these are compared with;
+both are relative, of shape (3, n, n)."""
 Runs: TypeAlias = tuple[Levels, float, str, FloatArray, FloatArray]
-"""The same of all seeds, of shape (runs, 3, n, n), after the levels."""
+"""Levels, and then the same as in `Run` for all seeds, of shape (runs, 3, n, n)."""
 
 LETTERS: Final = ("M", "B", "K")
 
@@ -46,11 +46,11 @@ class Plan:
 
     @property
     def segment(self) -> int:
-        """Samples of the segments of averaged spectra in every run."""
+        """Length of the segments of averaged spectra in every run, samples."""
         return segment_for_samples(round(self.base.duration * RATE))
 
     def at(self, levels: Levels) -> ExperimentConfig:
-        """Base at these levels."""
+        """Return the base at these levels."""
         names = ("friction", "resolution", "perturbation")
         return self.base.model_copy(update=dict(zip(names, levels, strict=True)))
 
@@ -69,7 +69,7 @@ class Plan:
 
         Parameters
         ----------
-        work : simulates and estimates some seeds of one base, with all torques and estimators
+        work : simulates and estimates seeds of one base, with all voluntary torques and estimators
         workers : number of threads; None: one per core
 
         Returns
@@ -138,7 +138,7 @@ class ErrorCell:
 
     @property
     def condition(self) -> dict[str, Any]:
-        """Which it is, in words of the files."""
+        """Columns of the files that identify the cell."""
         friction, resolution, perturbation = self.levels
         return {
             "friction": friction,

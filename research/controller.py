@@ -1,8 +1,8 @@
-"""What a law costs in chatter and in accuracy.
+"""Cost of a control law in chatter and in accuracy.
 
-Three numbers of the law with an observer are varied, each alone around the defaults: how fast the
-observer follows torques that nobody knows, the gain Γ, and the natural frequency of locked joints.
-Time-delay estimation stands beside them. All settings get the same perturbations.
+Three parameters of the law with an observer are varied, one at a time around the defaults: how fast
+the observer follows unknown torques, the gain Γ, and the natural frequency of locked joints.
+Time-delay estimation serves as the reference. All settings get the same perturbations.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ PARAMETERS: Final[Mapping[str, str]] = {
     GAMMA: "Γ (rad/s)",
     LOCK: "ω of locked joints (rad/s)",
 }
-"""What is varied, and how it is called."""
+"""Parameters that are varied, and their labels."""
 REFERENCE: Final = "tde"
 _ERRORS = ("M", "B", "K")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ControllerPlan:
-    """What is simulated."""
+    """The simulations to run."""
 
     base: ExperimentConfig = field(
         default_factory=lambda: ExperimentConfig(
@@ -57,7 +57,7 @@ class ControllerPlan:
         (3, 3, 1),
         (3, 3, 3),
     )
-    """Of friction, resolution and perturbation."""
+    """Levels of friction, resolution and perturbation."""
     values: Mapping[str, tuple[float, ...]] = field(
         default_factory=lambda: {
             WALK: (0.1, 0.3, 1.0, 3.0),
@@ -65,17 +65,17 @@ class ControllerPlan:
             LOCK: (60.0, 90.0, 120.0, 180.0),
         }
     )
-    """What the parameters are set to."""
+    """Values of the parameters."""
 
 
 def settings(plan: ControllerPlan) -> list[tuple[str, float]]:
-    """Parameter and value of each setting; the reference comes first."""
+    """Return parameter and value of each setting; the reference comes first."""
     varied = [(name, value) for name, values in plan.values.items() for value in values]
     return [(REFERENCE, 0.0), *varied]
 
 
 def changed(base: ExperimentConfig, setting: tuple[str, float]) -> ExperimentConfig:
-    """The configuration of a setting.
+    """Return the configuration of a setting.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def changed(base: ExperimentConfig, setting: tuple[str, float]) -> ExperimentCon
 
 
 def measure(experiment: SimulatedExperiment) -> dict[str, float]:
-    """Chatter, motion of locked joints and accuracy of one experiment; errors in %."""
+    """Return chatter, motion of locked joints and accuracy of one experiment; errors in %."""
     found = experiment.identify(experiment.config.estimators)
     records, truth = experiment.records, experiment.truth
     commands = [one.command for one in records if one.command is not None]
@@ -128,7 +128,7 @@ def measure(experiment: SimulatedExperiment) -> dict[str, float]:
 
 
 def worst(rows: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """The worst of each value over the seeds."""
+    """Return the worst of each value over the seeds."""
     floors = ("_vaf", "_coherence")
     return {
         name: (min if name.endswith(floors) else max)(row[name] for row in rows) for name in rows[0]
@@ -136,7 +136,7 @@ def worst(rows: Sequence[Mapping[str, float]]) -> dict[str, float]:
 
 
 def run_controller(plan: ControllerPlan, workers: int | None = None) -> list[dict[str, Any]]:
-    """Simulate and estimate all of a plan; a row for each setting and level.
+    """Simulate and estimate all of a plan; return a row for each setting and level.
 
     A setting that the stability check refuses, or whose runs the safety limiter stops, has a row
     with the reason and without values.
@@ -170,7 +170,7 @@ def _cell(
 
 
 def _steps(signals: Sequence[FloatArray]) -> float:
-    """Change from tick to tick, rms."""
+    """Rms change from tick to tick."""
     return float(np.sqrt(np.mean([np.mean(np.diff(one, axis=1) ** 2) for one in signals])))
 
 

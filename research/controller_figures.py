@@ -17,12 +17,12 @@ _ROWS: Final = (
 def controller_figure(
     rows: Sequence[Mapping[str, Any]], names: Mapping[str, str], reference: str
 ) -> Any:
-    """What each setting costs in accuracy, over the chatter of its commands.
+    """Draw the accuracy of each setting over the chatter of its commands.
 
     Parameters
     ----------
     rows : of all settings that ran
-    names : of the parameters, for people
+    names : labels of the parameters
     reference : parameter of the setting that stands in every panel
     """
     from matplotlib.figure import Figure

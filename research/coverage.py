@@ -19,7 +19,7 @@ from research.writing import present
 
 @dataclass(frozen=True, kw_only=True)
 class CoveragePlan(Plan):
-    """What is simulated."""
+    """The simulations to run."""
 
     levels: tuple[Levels, ...] = ((1, 1, 2), (3, 3, 3), (0, 3, 1), (3, 3, 1))
     seeds: str = "0:200"

@@ -12,7 +12,7 @@ from research.writing import COLOURS, MARKERS, WIDTH
 
 
 def coverage_figure(cells: Sequence[Cell]) -> Any:
-    """Shares of all estimators; and of the first one, stated over true errors.
+    """Draw the shares of all estimators, and stated over true errors of the first one.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How often intervals hold the truth: shares, their uncertainty, and errors against stated ones."""
+"""How often intervals hold the truth, how certain that is, and actual against stated errors."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ class Share:
 
     @classmethod
     def of(cls, held: BoolArray) -> Share:
-        """From whether each interval holds the truth, shape (runs, parameters).
+        """Return the share of intervals that hold the truth, from booleans (runs, parameters).
 
         The interval is that of a binomial share by Wilson, "Probable inference, the law of
         succession, and statistical inference", J. Am. Stat. Assoc. 22, 1927. Errors of the
-        parameters of one run are correlated, runs are independent: so the number of intervals is
-        replaced by the number of independent ones that would make the share scatter as it does from
-        run to run; never more than there are, and the number of runs where nothing scatters.
+        parameters of one run are correlated, runs are independent. So the number of intervals is
+        replaced by the number of independent ones whose share would scatter as it does from run to
+        run; at most the number of all intervals, and that of runs if all or none hold the truth.
         """
         runs, value = len(held), float(held.mean())
         spread = float(np.var(held.mean(axis=1))) / runs
@@ -51,13 +51,13 @@ class Share:
         weight = QUANTILE**2 / independent
         middle = (value + 0.5 * weight) / (1.0 + weight)
         half = float(np.sqrt(weight * (certain + 0.25 * weight))) / (1.0 + weight)
-        # Of none or all, rounding may put the share itself outside.
+        # If none or all do, rounding may put the share itself outside.
         lower, upper = np.clip((middle - half, middle + half), 0.0, 1.0)
         return cls(value=value, lower=min(value, float(lower)), upper=max(value, float(upper)))
 
     @property
     def verdict(self) -> str:
-        """Where it lies: within the target, outside of it, or outside by no more than chance."""
+        """Whether the share lies within the target, outside, or outside by no more than chance."""
         lowest, highest = TARGET
         if self.value < lowest:
             return "below" if self.upper < lowest else "below, within chance"
@@ -88,17 +88,17 @@ class Cell(ErrorCell):
 
     @property
     def pooled(self) -> Share:
-        """Of all elements of M, B and K."""
+        """Share for all elements of M, B and K."""
         return Share.of(self.held.reshape(self.runs, -1))
 
     @property
     def by_letter(self) -> tuple[Share, ...]:
-        """Of the elements of M, of B, and of K."""
+        """Shares for the elements of M, of B, and of K."""
         return tuple(Share.of(self.held[:, i].reshape(self.runs, -1)) for i in range(3))
 
     @property
     def by_element(self) -> dict[str, Share]:
-        """Of each element, as M11."""
+        """Share for each element, as M11."""
         shares = (Share.of(column[:, None]) for column in self.held.reshape(self.runs, -1).T)
         return dict(zip(self.elements, shares, strict=True))
 
@@ -110,7 +110,7 @@ class Cell(ErrorCell):
 
     @property
     def honesty(self) -> FloatArray:
-        """Claimed over rms errors, each rms over the elements of M, of B and of K, (3,)."""
+        """Stated over actual errors, both rms over the elements of M, of B and of K, (3,)."""
         true = np.sqrt(np.mean(self.errors**2, axis=(0, 2, 3)))
         ratio: FloatArray = np.sqrt(np.mean(self.claimed**2, axis=(1, 2))) / true
         return ratio

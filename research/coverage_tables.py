@@ -1,4 +1,4 @@
-"""What the investigation of coverage says on the terminal."""
+"""Output of the investigation of coverage on the terminal."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from research.writing import print_table
 
 
 def in_words(cells: Sequence[Cell]) -> list[str]:
-    """One sentence for each estimator: which conditions lie outside the target."""
+    """Return one sentence for each estimator: which conditions lie outside the target."""
     lower, upper = (100.0 * limit for limit in TARGET)
     sentences = []
     for name in dict.fromkeys(cell.estimator for cell in cells):
@@ -35,14 +35,14 @@ def in_words(cells: Sequence[Cell]) -> list[str]:
 
 
 def where(cell: Cell) -> str:
-    """Levels and voluntary torque, in short."""
+    """Name the levels and the voluntary torque of a cell."""
     friction, resolution, perturbation = cell.levels
     torque = f"{cell.voluntary:g} N·m rms" if cell.voluntary else "relaxed"
     return f"friction {friction}, resolution {resolution}, perturbation {perturbation}, {torque}"
 
 
 def print_cells(cells: Sequence[Cell]) -> None:
-    """Pooled shares with bias, spread and standard errors; then shares of all elements."""
+    """Print pooled shares with bias, spread and standard errors; then shares of all elements."""
     common = ("estimator", "N·m rms", "levels")
     nominal = f"{100.0 * NOMINAL:g} %"
     print_table(

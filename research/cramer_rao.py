@@ -1,9 +1,9 @@
-"""The accuracy of M, B and K that noise of the sensors allows: the Cramér-Rao bound.
+"""The accuracy of M, B and K that the noise of the sensors allows: the Cramér-Rao bound.
 
 At each bin of the Fourier transform of a trial the sensors read ``θ + w_θ`` and
 ``Z θ + d + w_τ``, with the unknown motion θ, the impedance ``Z = M s² + B s + K``, the voluntary
-torque d, and noise w. With θ as a nuisance parameter at every bin, all there is to know of M, B and
-K is in the error ``e = τ - Z θ`` of the equation of motion, whose covariance is
+torque d, and noise w. With θ as a nuisance parameter at every bin, all information about M, B and K
+is in the error ``e = τ - Z θ`` of the equation of motion, whose covariance is
 
     Σ = N (σ_τ² I + σ_θ² Z Z*) + S_dd I ,
 
@@ -18,21 +18,21 @@ Identification: A Frequency Domain Approach*, 2nd ed., section 9).
 
 What is assumed:
 
-- The bound is conditional on the motion which there was. Robot, controller and friction shape that
-  motion and enter in no other way: the torque transducers sit between the robot and the arm.
-- Of that motion only what answers the perturbation counts. What the ends of a record leak into its
-  transform is no motion: where perturbations are weak it is most of what is there, and with it M
-  and B would seem to be known better, in some trials by 40 %.
+- The bound is conditional on the actual motion. Robot, controller and friction shape that motion
+  and enter in no other way: the torque transducers sit between the robot and the arm.
+- Only the part of that motion that responds to the perturbation counts. Leakage from the ends of a
+  record is no motion: where perturbations are weak it is most of the transform, and with it M and B
+  would seem to be known better, in some trials by 40 %.
 - Noise is white, circular normal, independent between bins, channels and trials, and its variance
   is known. Rounding to counts of q has the variance q²/12. It is neither normal nor, where a signal
   stays within a few counts, white.
 - Voluntary torque is normal noise of a known spectrum, independent between joints. Through the loop
-  it moves the arm, too. Estimators that go by the perturbation learn nothing from that part of the
-  motion, so it has to be left out; a motion simulated without voluntary torque has none of it.
-  (With it, the bound would be that of someone who knows the robot, and who tells Z from how it
-  changes the covariance of the readings. The part of sensor noise that goes through the loop is
-  taken for motion; it is tiny.)
-- Ends of the record are known, nothing outside the band is used, and torques are read on time.
+  it moves the arm, too. Estimators with the perturbation as instrument learn nothing from that part
+  of the motion, so it has to be left out; a motion simulated without voluntary torque has none.
+  (With it, the bound would be that of an estimator that knows the robot, and infers Z from the
+  covariance of the readings. The part of sensor noise that goes through the loop is taken for
+  motion; it is tiny.)
+- The ends of the record are known, nothing outside the band is used, and torques are read on time.
 """
 
 from collections.abc import Sequence
@@ -50,7 +50,7 @@ from armimp_estimation.spectra import BAND
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Of the normalised information, beyond which its inverse is rounding.
+# Condition number of the normalised information beyond which its inverse is rounding error.
 _WORST_CONDITION = 1e12
 
 
@@ -76,7 +76,7 @@ class SensorNoise:
 
     @classmethod
     def of_rounding(cls, *, angle: float, torque: float) -> "SensorNoise":
-        """That of readings rounded to counts q (rad, N·m): uniform within one, ``q/sqrt(12)``."""
+        """Noise of readings rounded to counts q (rad, N·m): uniform within one, ``q/sqrt(12)``."""
         return cls(angle=angle / float(np.sqrt(12.0)), torque=torque / float(np.sqrt(12.0)))
 
 
@@ -84,19 +84,19 @@ def motion_in_band(
     records: Sequence[TrialRecord],
     band: tuple[float, float] = BAND,
 ) -> tuple[FloatArray, ComplexArray]:
-    """Fourier transforms of the angles of some trials, as far as they answer the perturbation.
+    """Return Fourier transforms of the angles of trials, as far as they respond to perturbation.
 
     Parameters
     ----------
     records : sequence of TrialRecord
-        Of equal rate, one for each joint.
+        Records of equal rate, one for each joint.
     band : tuple of float
         Lowest and highest frequency, Hz.
 
     Returns
     -------
     f : (n_freq,) NDArray
-        Those that all perturbations have, Hz.
+        Frequencies that all perturbations have, Hz.
     motion : (trials, n, n_freq) NDArray
         ``Σ_t θ(t) exp(-jωt)``, rad.
 
@@ -121,7 +121,7 @@ def error_covariance(
     noise: SensorNoise,
     disturbance: FloatArray | None = None,
 ) -> ComplexArray:
-    """Covariance Σ of the Fourier transform of ``τ - Z θ``.
+    """Return the covariance Σ of the Fourier transform of ``τ - Z θ``.
 
     Parameters
     ----------
@@ -129,11 +129,11 @@ def error_covariance(
     f : (n_freq,) NDArray
         Hz.
     samples : int
-        N of each trial.
+        Length N of each trial.
     noise : SensorNoise
     disturbance : (n_freq,) NDArray, optional
-        Power of the voluntary torque of each joint for each sample, (N·m)²: its mean over all
-        frequencies, negative ones as well, is the variance.
+        Two-sided power spectrum of the voluntary torque of each joint for each sample, (N·m)²; its
+        mean over all frequencies, negative ones as well, is the variance.
 
     Returns
     -------
@@ -152,7 +152,7 @@ def error_covariance(
 
 
 def cramer_rao_bound(f: FloatArray, motion: ComplexArray, covariance: ComplexArray) -> FloatArray:
-    """Smallest standard deviations that unbiased estimates of M, B and K can have.
+    """Return the smallest standard deviations that unbiased estimates of M, B and K can have.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def cramer_rao_bound(f: FloatArray, motion: ComplexArray, covariance: ComplexArr
     motion : (trials, n, n_freq) NDArray
         Fourier transforms of the angles, rad.
     covariance : (n_freq, n, n) NDArray
-        From :func:`error_covariance`; if it is 0 everywhere, so is the bound.
+        As from :func:`error_covariance`; if it is 0 everywhere, so is the bound.
 
     Returns
     -------
@@ -171,7 +171,7 @@ def cramer_rao_bound(f: FloatArray, motion: ComplexArray, covariance: ComplexArr
     Raises
     ------
     DataError
-        If it is singular at some frequencies, or the motion does not tell the parameters apart.
+        If it is singular at some frequencies, or the motion cannot separate the parameters.
     """
     n = motion.shape[1]
     if not covariance.any():
@@ -186,7 +186,7 @@ def cramer_rao_bound(f: FloatArray, motion: ComplexArray, covariance: ComplexArr
     products = np.einsum("taf,tbf->fab", np.conj(slopes), slopes)
     information = 2.0 * np.real(np.einsum("fil,fab->ialb", precision, products))
     information = information.reshape(3 * n * n, 3 * n * n)
-    # Of equal size before it is inverted: those of M and K differ by ω⁴.
+    # Scaled to a unit diagonal before the inversion: information on M and K differs by ω⁴.
     size = np.sqrt(np.diagonal(information))
     if not (size > 0.0).all():
         raise DataError("a joint does not move; there is no information about it")

@@ -1,7 +1,7 @@
-"""What decomposition buys: voluntary torque and coupled inputs, with equal recording time.
+"""Benefit of the decomposition under voluntary torque and coupled inputs, at equal recording time.
 
 Every estimator gets n trials of the same length from every seed. ``mimo`` gets trials of its own,
-in which all joints are perturbed at once, with the peaks that they have one by one.
+in which all joints are perturbed at once, with the same peaks as one by one.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class DecompositionPlan:
-    """What is simulated."""
+    """The simulations to run."""
 
     base: ExperimentConfig = field(
         default_factory=lambda: ExperimentConfig(arm_sim={"substeps": 20})
@@ -49,16 +49,16 @@ class DecompositionPlan:
     seeds: str = "0:32"
     """As for :func:`armimp_bringup.study.parse_seeds`."""
     voluntary: tuple[float, ...] = (0.0, 0.1, 0.3, 1.0)
-    """Rms of the voluntary torque, N·m; the first is what the others are compared with."""
+    """Rms of the voluntary torque, N·m; the first is the reference of the others."""
     correlations: tuple[float, ...] = (0.0, 0.5, 0.8, 0.9, 0.95)
-    """Of the perturbations when all joints are perturbed at once."""
+    """Correlations of the perturbations when all joints are perturbed at once."""
     coupled_at: float = 0.3
     """Voluntary torque of the runs with correlated perturbations, N·m rms."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Task:
-    """Runs that are simulated side by side; a correlation of None is joint by joint."""
+    """Runs that are simulated side by side; without a correlation they are joint by joint."""
 
     base: ExperimentConfig
     seeds: tuple[int, ...]

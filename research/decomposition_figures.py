@@ -19,7 +19,7 @@ LOOKS: Final[dict[str, Any]] = {
 
 
 def decomposition_figures(cells: Sequence[Cell], voluntary: float) -> dict[str, Any]:
-    """Figures by name.
+    """Return the figures by name.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def decomposition_figures(cells: Sequence[Cell], voluntary: float) -> dict[str, 
 
 
 def _voluntary_figure(cells: Sequence[Cell], voluntary: float) -> Any:
-    """Bias and spread: of Z over frequency, and of K over the voluntary torque."""
+    """Draw bias and spread: of Z over frequency, and of K over the voluntary torque."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(WIDTH, 4.6), layout="constrained")
@@ -74,21 +74,21 @@ def _voluntary_figure(cells: Sequence[Cell], voluntary: float) -> Any:
 
 
 def _octaves(bias: Any, spread: Any, cell: Cell, look: Mapping[str, Any]) -> None:
-    """Errors of Z by octave, rms over the elements and over real and imaginary parts."""
+    """Draw errors of Z by octave, rms over the elements and over real and imaginary parts."""
     shift = cell.octaves_shift
     limits = np.array(OCTAVES)[-1 - cell.octaves.bias.shape[-1] :]
     centres = np.sqrt(limits[:-1] * limits[1:])
     over = (0, 1, 2)
     if shift is not None:
         bias.plot(centres, 100.0 * root_mean_square(shift.bias, over), **look)
-        # What chance alone would leave of a bias.
+        # Bias that chance alone would leave.
         chance = 100.0 * root_mean_square(shift.uncertainty, over)
         bias.plot(centres, chance, color=look["color"], linestyle=":", linewidth=0.8)
     spread.plot(centres, 100.0 * root_mean_square(cell.octaves.spread, over), **look)
 
 
 def _coupling_figure(coupled: Sequence[Cell], alone: Sequence[Cell]) -> Any:
-    """What correlated perturbations do to ``mimo``."""
+    """Draw the effect of correlated perturbations on ``mimo``."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(WIDTH, 2.5), layout="constrained")

@@ -35,27 +35,27 @@ class Outcome:
     correlation: float | None
     estimator: str
     seed: int
-    """Which; without correlated inputs None."""
+    """Which run it is; the correlation is None for trials joint by joint."""
     errors: FloatArray
     """(3, n, n) of M, B and K, relative to ``sqrt(|X_ii X_jj|)``."""
     standard_errors: FloatArray
-    """Likewise, those that the estimator itself states."""
+    """(3, n, n) that the estimator itself states, on the same scale."""
     octaves: NDArray[np.complex128]
     """(n, n, octaves) of Z, relative to each true value."""
     estimate: ImpedanceEstimate
     truth: FloatArray
-    """Of Z and of M, B and K."""
+    """Estimate of Z, and true M, B and K, (3, n, n)."""
     coherence: float
     inflation: float
     condition: float
-    """Of the inputs: band means of the largest coherence and inflation of variance, and the worst
-    condition number; NaN joint by joint."""
+    """Coupling of the inputs: band means of the largest coherence and variance inflation, and the
+    worst condition number; NaN joint by joint."""
 
     @classmethod
     def of(
         cls, experiment: SimulatedExperiment, run: Run, voluntary: float, correlation: float | None
     ) -> Outcome:
-        """What is kept of a run."""
+        """Return what is kept of a run."""
         true = matrices(experiment.truth)
         errors_ = np.stack((run.fit.M_se, run.fit.B_se, run.fit.K_se))
         coherence, inflation, condition = np.nan, np.nan, np.nan
@@ -81,11 +81,11 @@ class Outcome:
         )
 
     def errors_weighted_as(self, other: Outcome) -> FloatArray:
-        """Errors of M, B and K with the variances, and so the weights, of another outcome."""
+        """Errors of M, B and K if fitted with the variances, and so weights, of another outcome."""
         ours, given = self.estimate, other.estimate
-        # Estimates leave out where motion doesn't stand out, each of its own.
+        # Each estimate leaves out frequencies at which motion doesn't exceed the noise.
         ours, given = _common(ours, given), _common(given, ours)
-        # Without what the noise is worked out from anew.
+        # Without the fields from which the fit would recompute the noise.
         alike = replace(
             ours,
             variance=given.variance,
@@ -100,9 +100,9 @@ class Outcome:
 
 
 def _common(estimate: ImpedanceEstimate, other: ImpedanceEstimate) -> ImpedanceEstimate:
-    """An estimate at those of its frequencies that another one has, too.
+    """Restrict an estimate to the frequencies that another one has, too.
 
-    Those on either side of a gap count as neighbours.
+    Frequencies on either side of a gap count as neighbours.
     """
     kept = np.isin(estimate.f, other.f)
     cut: dict[str, Any] = {
@@ -124,11 +124,11 @@ class Cell:
     total: Mean
     """Errors of M, B and K."""
     shift: Mean | None
-    """What the voluntary torque adds to them, run by run: errors minus those with the same seed,
-    and so the same perturbation, without it, but equal weights; None without such runs."""
+    """What voluntary torque adds to them, run by run: errors minus those without it at the same
+    seed, and so with the same perturbation, and with equal weights; None without such runs."""
     reweighted: Mean | None
-    """What it adds by the weights of the fit alone, which go to where it is weak: of the runs
-    without it, errors with the weights of those with it minus their own."""
+    """What it adds through the weights of the fit alone, which shift to where it is weak: errors of
+    the runs without it, fitted with the weights of the runs with it, minus their own errors."""
     octaves: Mean
     octaves_shift: Mean | None
     """Likewise for Z, with real and imaginary parts stacked as first axis."""
@@ -137,7 +137,7 @@ class Cell:
     coherence: float
     inflation: float
     condition: float
-    """Means of those of :class:`Outcome`; worst condition."""
+    """Means of those of :class:`Outcome`; the worst for the condition number."""
 
     @property
     def biased(self) -> bool:
@@ -147,11 +147,11 @@ class Cell:
 
     @classmethod
     def of(cls, outcomes: Sequence[Outcome], reference: Sequence[Outcome] | None) -> Cell:
-        """From the outcomes of all seeds, and those without voluntary torque, in equal order."""
+        """Combine outcomes of all seeds with those without voluntary torque, in the same order."""
         errors = np.array([one.errors for one in outcomes])
         known = [np.isfinite(one.octaves[0, 0]) for one in (*outcomes, *(reference or ()))]
-        told = np.all(known, axis=0)
-        octaves = np.array([_parts(one, told) for one in outcomes])
+        covered = np.all(known, axis=0)
+        octaves = np.array([_parts(one, covered) for one in outcomes])
         shift, reweighted, octaves_shift = None, None, None
         if reference is not None:
             alike = np.array(
@@ -159,7 +159,7 @@ class Cell:
             )
             shift = Mean.of(errors - alike)
             reweighted = Mean.of(alike - np.array([one.errors for one in reference]))
-            octaves_shift = Mean.of(octaves - np.array([_parts(one, told) for one in reference]))
+            octaves_shift = Mean.of(octaves - np.array([_parts(one, covered) for one in reference]))
         first = outcomes[0]
         return cls(
             voluntary=first.voluntary,
@@ -196,9 +196,9 @@ class Cell:
         }
 
 
-def _parts(outcome: Outcome, told: BoolArray) -> FloatArray:
-    """Real and imaginary parts of the errors of Z in octaves that are told; (2, n, n, octaves)."""
-    octaves = outcome.octaves[..., told]
+def _parts(outcome: Outcome, covered: BoolArray) -> FloatArray:
+    """Real and imaginary parts of the errors of Z in `covered` octaves; (2, n, n, octaves)."""
+    octaves = outcome.octaves[..., covered]
     return np.stack((octaves.real, octaves.imag))
 
 

@@ -35,7 +35,7 @@ class Mean:
 
     @classmethod
     def of(cls, errors: FloatArray) -> Mean:
-        """From errors of shape (N, ...).
+        """Return the mean of errors of shape (N, ...).
 
         Raises
         ------
@@ -65,7 +65,7 @@ class Mean:
     def critical(self) -> float:
         """|z| that the largest of all elements exceeds by chance with probability ``LEVEL``.
 
-        By Student's distribution with N - 1 degrees of freedom, and the inequality of Bonferroni.
+        By Student's distribution with N - 1 degrees of freedom and Bonferroni's inequality.
         """
         return critical_z(self.runs, self.bias.size)
 
@@ -76,15 +76,15 @@ class Mean:
 
 
 def critical_z(runs: int, tests: int) -> float:
-    """As :attr:`Mean.critical`, for so many runs and tests."""
+    """As :attr:`Mean.critical`, for a number of runs and of tests."""
     return float(stats.t.ppf(1.0 - LEVEL / (2.0 * tests), runs - 1))
 
 
 def octave_errors(estimate: ImpedanceEstimate, truth: MBK) -> ComplexArray:
-    """Error of each element of Z relative to its true size, averaged over each octave.
+    """Return errors of each element of Z relative to its true size, averaged over each octave.
 
-    Estimators differ in the number of their frequencies; octaves are the same for all. One that
-    holds no frequency of the estimate gives NaN.
+    Estimators differ in the number of their frequencies; octaves are the same for all. An octave
+    that holds no frequency of the estimate gives NaN.
 
     Returns
     -------

@@ -19,7 +19,7 @@ LETTERS: Final = ("M", "B", "K")
 
 
 def cell_rows(cells: Sequence[Cell]) -> list[dict[str, Any]]:
-    """A row for each element of M, B and K of each cell."""
+    """Return a row for each element of M, B and K of each cell."""
     return [
         {
             "estimator": cell.estimator,
@@ -44,7 +44,7 @@ def cell_rows(cells: Sequence[Cell]) -> list[dict[str, Any]]:
 
 
 def print_cells(cells: Sequence[Cell]) -> None:
-    """Print bias and spread of all estimators, and what coupled inputs do to ``mimo``."""
+    """Print bias and spread of all estimators, and the effect of coupled inputs on ``mimo``."""
     many = cells[0].total.runs
     rows = []
     for cell in cells:
@@ -116,6 +116,6 @@ def print_cells(cells: Sequence[Cell]) -> None:
 
 
 def _largest(values: FloatArray) -> float:
-    """The value that is farthest from 0."""
+    """Return the value that is farthest from 0."""
     flat = values.ravel()
     return float(flat[np.argmax(np.abs(flat))])

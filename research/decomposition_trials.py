@@ -38,13 +38,13 @@ Work = TypeVar("Work")
 Result = TypeVar("Result")
 
 ESTIMATOR: Final = "lpm_full"
-"""The one that studies of verdicts ask."""
+"""Estimator of the studies of verdicts."""
 JOINT_BY_JOINT: Final = ("direct", "welch_siso", "welch_full", ESTIMATOR)
 MIMO: Final = "mimo"
 ESTIMATORS: Final = (*JOINT_BY_JOINT, MIMO)
 
-# Far beyond what happens. The default limits are made for one joint that yields: when all seven do,
-# every joint is moved by the others too, commands saturate and the last joint gets too fast.
+# Far beyond what happens. The default limits are made for one compliant joint: if all seven are,
+# the others move every joint, too, commands saturate and the last joint gets too fast.
 _LIMITS_FOR_ALL_AT_ONCE: Final[dict[str, JsonValue]] = {
     "safety.position_limit": [10.0],
     "safety.velocity_limit": [1000.0],
@@ -56,7 +56,7 @@ _LIMITS_FOR_ALL_AT_ONCE: Final[dict[str, JsonValue]] = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
-    """What one estimator found in one experiment."""
+    """Result of one estimator from one experiment."""
 
     estimator: str
     seed: int
@@ -68,15 +68,15 @@ class Run:
     seconds: float
     """Wall time from the records to the fit, s."""
     coupling: InputCoupling | None = None
-    """Of the inputs; of the estimator ``mimo`` only."""
+    """Coupling of the inputs; for the estimator ``mimo`` only."""
 
 
 def all_at_once(
     configs: Sequence[ExperimentConfig], correlation: float = 0.0
 ) -> list[SimulatedExperiment]:
-    """Experiments of the same length, n trials in each of which all joints are perturbed.
+    """Simulate experiments of n trials of the same length that perturb all joints at once.
 
-    The safety limiter leaves them alone.
+    The limits of the safety limiter are too wide to act on them.
 
     Parameters
     ----------
@@ -105,14 +105,14 @@ def all_at_once(
 
 
 def input_mixing(peak: Sequence[float], correlation: float) -> FloatArray:
-    """Matrix that makes correlated perturbations out of independent ones, and keeps their power.
+    """Return the matrix that correlates independent perturbations, and keeps their power.
 
-    With P = diag(peak), and the Cholesky factor L of the matrix of the correlations, ``P L P⁻¹``.
+    It is ``P L P⁻¹``, with P = diag(peak) and the Cholesky factor L of the correlation matrix.
 
     Parameters
     ----------
-    peak : (n,) of the perturbations, N·m
-    correlation : of any two of them
+    peak : (n,) peaks of the perturbations, N·m
+    correlation : that of any two of them
 
     Raises
     ------
@@ -150,7 +150,7 @@ def estimate(
         begun = time.perf_counter()
         coupling = None
         if name == MIMO:
-            # How bad the coupling may get is what is to be found out.
+            # No coupling is refused, as its effect is what the study measures.
             found = estimate_mimo(experiment.records, segment, largest_condition=np.inf)
             impedance, coupling = found.impedance, found.coupling
         else:
@@ -184,7 +184,7 @@ def with_voluntary(
 def in_threads(
     work: Callable[[Work], Result], tasks: Sequence[Work], workers: int | None
 ) -> Iterator[Result]:
-    """Results of the tasks in their order; most of the time is spent without the GIL."""
+    """Yield the results of the tasks in their order; most of the time is spent without the GIL."""
 
     def numbered(task: tuple[int, Work]) -> tuple[int, Result]:
         return task[0], work(task[1])
@@ -203,7 +203,7 @@ def in_threads(
 
 
 def in_blocks(runs: Sequence[Work]) -> list[tuple[Work, ...]]:
-    """Runs in groups that the compiled loop does at the price of one."""
+    """Split runs into groups that take the compiled loop no longer than one run."""
     starts = range(0, len(runs), WIDTH)
     return [tuple(itertools.islice(runs, start, start + WIDTH)) for start in starts]
 
@@ -211,7 +211,7 @@ def in_blocks(runs: Sequence[Work]) -> list[tuple[Work, ...]]:
 def identified(
     configs: Sequence[ExperimentConfig], workers: int | None
 ) -> Iterator[tuple[SimulatedExperiment, Identification]]:
-    """Simulated experiments in their order, each with what `ESTIMATOR` finds and the verdict."""
+    """Yield simulated experiments in their order, each with the result of `ESTIMATOR`."""
 
     def work(
         block: tuple[ExperimentConfig, ...],
@@ -222,9 +222,9 @@ def identified(
 
 
 def scales(truth: FloatArray) -> FloatArray:
-    """What errors of an element of M, B or K are measured by: ``sqrt(|X_ii X_jj|)``.
+    """Return the scale of errors of each element of M, B or K: ``sqrt(|X_ii X_jj|)``.
 
-    Small elements off the diagonal would have large relative errors that hardly matter.
+    Relative to themselves, small elements off the diagonal have large errors that hardly matter.
 
     Parameters
     ----------
@@ -251,7 +251,7 @@ def run_together(
     trials: int = 1,
     mixing: Sequence[FloatArray] | None = None,
 ) -> list[list[TrialRecord]]:
-    """Run, side by side, trials in which every joint yields and is perturbed at once.
+    """Run, side by side, trials in which every joint is compliant and perturbed at once.
 
     The perturbation of each joint in the first trial is that of its own trial in
     :func:`armimp_bringup.offline.run_offline`; those of further trials are independent of them.
@@ -259,14 +259,14 @@ def run_together(
     Parameters
     ----------
     experiments : as for :func:`armimp_bringup.offline.run_offline`
-    trials : how many, one after the other
-    mixing : for each of them, if given, an (n, n) matrix that makes τ_Δ out of these perturbations;
-        off its diagonal it couples the inputs
+    trials : their number, one after the other
+    mixing : for each experiment, if given, an (n, n) matrix that makes τ_Δ out of these
+        perturbations; off its diagonal it couples the inputs
 
     Returns
     -------
     list of list of TrialRecord
-        For each of them, its trials in order.
+        For each experiment, its trials in order.
     """
     laws = [one.controller for one in experiments]
     n = len(laws[0].joints)

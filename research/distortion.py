@@ -1,4 +1,4 @@
-"""Whether a multisine tells arms that bend or change over time from those that do neither.
+"""Whether a multisine distinguishes nonlinear or time-varying arms from linear, constant ones.
 
 Runs of the project's own rig at levels 3/3/3 with a multisine, flat or optimal: a constant linear
 arm, one with a cubic spring that changes the shoulder's stiffness by 5 % from rest to the rms
@@ -31,7 +31,7 @@ CODES = {
 Rig: TypeAlias = Literal["paper", "realistic"]
 RMS_ANGLE = 0.045
 CUBIC = 0.05 / (3.0 * RMS_ANGLE**2)
-"""Of K c x³, whose slope is 3 K c x², 1/rad²."""
+"""Coefficient c of the torque K c x³, whose slope is 3 K c x², 1/rad²."""
 ARMS: dict[str, tuple[Rig, Mapping[str, JsonValue], ProblemCode | None]] = {
     "linear": ("paper", {}, None),
     "cubic": ("paper", {"muscle.cubic": CUBIC}, ProblemCode.DEPENDS_ON_AMPLITUDE),

@@ -1,7 +1,7 @@
-"""How much each kind of perturbation tells: errors over the Cramér-Rao bound, and their intervals.
+"""Efficiency of each kind of perturbation: errors over the Cramér-Rao bound, and their intervals.
 
-The shoulder's column after 150 s and the elbow's after 90 s, the times after which a person who
-does 0.3 N·m beside shall be known to 2 %.
+The shoulder's column is estimated from 150 s and the elbow's from 90 s, the times after which an
+arm with voluntary torque of 0.3 N·m is to be known to 2 %.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from research.options import InvestigationOptions
 from research.writing import print_table, to_json, write_tables
 
 TIMES: Final = (150.0, 90.0)
-"""Of the trials that give the columns of shoulder and elbow, s."""
+"""Lengths of the trials that give the columns of shoulder and elbow, s."""
 _BAND: Final = (0.122, 15.0)
 
 
@@ -47,15 +47,15 @@ class Case:
     """Rms of the voluntary torque, N·m."""
     levels: Levels = (3, 3, 3)
     law: str = "default"
-    """Of what differs from the default law or sensors, see `LAWS`."""
+    """Name of the overrides of the controller, see `LAWS`."""
 
     @property
     def name(self) -> str:
-        """As `--only` takes it."""
+        """Name of the case, for `--only`."""
         return f"{self.kind} {self.voluntary:g} {'/'.join(map(str, self.levels))} {self.law}"
 
     def config(self, duration: float) -> ExperimentConfig:
-        """Everything but seed and voluntary torque, with the plant in steps of 0.05 ms."""
+        """Configuration without seed and voluntary torque; the plant takes steps of 0.05 ms."""
         levels = dict(zip(("friction", "resolution", "perturbation"), self.levels, strict=True))
         law: dict[str, Any] = {} if self.law == "default" else LAWS[self.law]
         values = {"perturbation_kind": self.kind, "duration": duration, **levels}
@@ -67,7 +67,7 @@ class Case:
 LAWS: Final[dict[str, Any]] = {
     "slow": {"law": {"gamma": 30.0}, "target": {"lock_frequency": 30.0}},
 }
-"""Overrides of the controller."""
+"""Overrides of the controller by name."""
 KINDS: Final[tuple[PerturbationKind, ...]] = ("noise", "multisine", "optimal")
 CASES: Final = (
     *(Case(kind=kind, voluntary=torque) for torque in (0.3, 0.0) for kind in KINDS),
@@ -86,21 +86,21 @@ class Column:
     """One column of M, B and K from trials of one length; first axis: runs."""
 
     errors: FloatArray
-    """(runs, 3, n), as those that follow relative to ``sqrt(|X_ii X_jj|)``."""
+    """(runs, 3, n), relative to ``sqrt(|X_ii X_jj|)`` like standard errors and bound."""
     stated: FloatArray
-    """Standard errors, (runs, 3, n)."""
+    """Stated standard errors, (runs, 3, n)."""
     bound: FloatArray
-    """(3, n)."""
+    """Cramér-Rao bound, (3, n)."""
     angles: FloatArray
-    """Rms of the perturbed joint, rad; (runs,)."""
+    """Rms angle of the perturbed joint, rad; (runs,)."""
     valid: NDArray[np.bool_]
-    """(runs,)."""
+    """Verdict on each run, (runs,)."""
 
 
 def column_of(
     case: Case, k: int, seconds: float, seeds: Sequence[int], workers: int | None
 ) -> Column:
-    """Column k, 0-based, from trials of so many seconds; the bound is that of the first seeds."""
+    """Estimate column k, 0-based, from trials of `seconds`; the first seeds give the bound."""
     blocks = in_blocks(seeds)
     config = case.config(seconds)
 
@@ -137,7 +137,7 @@ def column_of(
 
 
 def measure(case: Case, seeds: Sequence[int], workers: int | None) -> dict[str, Any]:
-    """Errors of a case over all seeds, in % of ``sqrt(|X_ii X_jj|)``."""
+    """Return errors of a case over all seeds, in % of ``sqrt(|X_ii X_jj|)``."""
     columns = [column_of(case, k, s, seeds, workers) for k, s in enumerate(TIMES)]
     valid = np.all([one.valid for one in columns], axis=0)
     row: dict[str, Any] = {"case": case.name, "runs": len(seeds), "valid": int(np.sum(valid))}
@@ -161,7 +161,7 @@ def investigate(options: InvestigationOptions) -> int:
     Raises
     ------
     ArmimpError
-        If no case has the name, nothing can be simulated, or a file can't be written.
+        If no case has such a name, nothing can be simulated, or a file can't be written.
     """
     seeds = parse_seeds(options.seeds or "0:32")
     chosen = [one for one in CASES if fnmatch.fnmatch(one.name, f"*{options.only}*")]

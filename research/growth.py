@@ -1,7 +1,7 @@
-"""What more joints cost: accuracy, transfer functions, time, and the length of record needed.
+"""Cost of more joints: accuracy, transfer functions, time, and the length of record needed.
 
-Every method gets n trials of the same length from every seed; ``mimo`` has all joints perturbed in
-each of them.
+Every method gets n trials of the same length from every seed; those for ``mimo`` perturb all joints
+in each.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ JOINT_BY_JOINT: Final = ("welch_siso", "lpm_full")
 
 @dataclass(frozen=True, kw_only=True)
 class GrowthPlan:
-    """What is simulated."""
+    """The simulations to run."""
 
     base: ExperimentConfig = field(
         default_factory=lambda: ExperimentConfig(arm_sim={"substeps": 10})
@@ -83,7 +83,7 @@ def run_growth(plan: GrowthPlan, workers: int | None = None) -> list[Cell]:
     """
     seeds = parse_seeds(plan.seeds)
     tasks = []
-    # The largest first, so that no thread is left with it at the end.
+    # The largest come first, so that no thread is left with one at the end.
     for joints in sorted(plan.joints, reverse=True):
         base = plan.base.model_copy(update={"joints": joints})
         configs = [one for rms in plan.voluntary for one in with_voluntary(base, rms, seeds)]
@@ -145,7 +145,7 @@ def investigate(options: InvestigationOptions, plan: GrowthPlan | None = None) -
 
 
 def _outcomes(experiment: SimulatedExperiment, names: Sequence[str]) -> Iterator[Outcome]:
-    """Of whole trials and of their first halves, by the same segments."""
+    """Yield outcomes of whole trials and of their first halves, with segments of equal length."""
     samples = experiment.records[0].samples
     segment = segment_for_samples(samples)
     for length in (samples, samples // 2):
@@ -185,7 +185,7 @@ def _print(cells: Sequence[Cell], plan: GrowthPlan) -> None:
 
 
 def _shortened(experiment: SimulatedExperiment, samples: int) -> SimulatedExperiment:
-    """The same as if each trial had ended after so many samples."""
+    """Return the experiment as if each trial had ended after this many samples."""
     records = tuple(
         replace(
             one,

@@ -13,12 +13,12 @@ _LINES: Final[tuple[Any, ...]] = ("-", "--", ":", "-.")
 
 
 def growth_figure(cells: Sequence[Cell], target: float) -> Any:
-    """Accuracy, recording and computing over the number of joints.
+    """Draw accuracy, time of recording and time of computing over the number of joints.
 
     Parameters
     ----------
     cells : all of the investigation
-    target : spread that the recording is needed for
+    target : spread for which the recording is needed
     """
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D

@@ -22,10 +22,10 @@ from research.decomposition_trials import (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Outcome:
-    """What is kept of a run: which it is, errors of (M, B, K), VAF (%), wall time (s).
+    """What is kept of a run: its identity, errors of (M, B, K), VAF (%), wall time (s).
 
-    ``voluntary`` is the torque, N·m rms.
-    ``errors`` are relative to ``sqrt(|X_ii X_jj|)``, ``relative`` to each element itself.
+    ``voluntary`` is the voluntary torque, N·m rms.
+    ``errors`` are relative to ``sqrt(|X_ii X_jj|)``, ``relative`` ones to each element itself.
     """
 
     joints: int
@@ -39,7 +39,7 @@ class Outcome:
 
     @classmethod
     def of(cls, experiment: SimulatedExperiment, run: Run) -> Outcome:
-        """From one run."""
+        """Return the outcome of one run."""
         true = matrices(experiment.truth)
         errors = matrices(run.fit.mbk) - true
         return cls(
@@ -65,7 +65,7 @@ class Cell:
     """Length of each of the n trials, s."""
     vaf: float
     worst_vaf: float
-    """Mean and smallest of all elements and seeds, %."""
+    """Mean and smallest VAF of all elements and seeds, %."""
     bias: FloatArray
     spread: FloatArray
     """(3,) of M, B and K, rms over the elements, relative to ``sqrt(|X_ii X_jj|)``."""
@@ -74,19 +74,19 @@ class Cell:
     worst_relative: FloatArray
     """(3,) the same relative to each element itself."""
     exponent: FloatArray
-    """(3,) by which the spread falls with the length of the record, from the first half of each
-    trial to the whole; 0.5 where errors are noise that averages out."""
+    """(3,) exponent with which the spread falls with the length of the record, from the first half
+    of each trial to the whole; 0.5 if errors are noise that averages out."""
     needed: float
-    """Length of all n trials together at which the spread of M, B and K is at the target, s, if it
-    falls with the square root of the length. A bias does not fall."""
+    """Length of all n trials together at which the spread of M, B and K reaches the target, s, if
+    it falls with the square root of the length. A bias does not fall."""
     responses: int
-    """Transfer functions that are estimated together."""
+    """Number of transfer functions that are estimated together."""
     seconds: float
     """Median wall time of an estimate, s."""
 
     @classmethod
     def of(cls, whole: Sequence[Outcome], half: Sequence[Outcome], target: float) -> Cell:
-        """From the outcomes of all seeds for whole trials and for their first halves."""
+        """Combine the outcomes of all seeds for whole trials and for their first halves."""
         first = whole[0]
         n, duration = first.joints, first.samples / RATE
         errors = np.array([one.errors for one in whole])

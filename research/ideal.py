@@ -1,7 +1,7 @@
-"""Verdicts on ideal runs of the project's own rig, which each check has to leave alone.
+"""Verdicts on ideal runs of the project's own rig, none of which a check should refuse.
 
-Prints false refusals, the largest value of each measure, and the coverage of the 95 % intervals of
-M, B and K, over the 48 conditions of the study.
+Prints false refusals, the largest lack of fit and imbalance of gain, and the coverage of the 95 %
+intervals of M, B and K, over the 48 conditions of the study.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""A rig that shares nothing with the project's own, to judge the estimator's verdicts.
+"""A rig that shares no code with the project's own, to judge the estimator's verdicts.
 
 Arm and robot are one linear state-space model, integrated exactly over 20 steps in each control
 period, with forces that are held over a step (friction of the robot, reflex, muscle that depends
-on amplitude or time). The controller is a plain PD law on differentiated encoder readings that
-knows nothing of the torque. Each class of mismatch is an option of :class:`Mismatch`.
+on amplitude or time). The controller is a plain PD law on differentiated encoder readings and does
+not use the torque. Each class of mismatch is an option of :class:`Mismatch`.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from scipy.signal import butter, sosfilt
 FloatArray = NDArray[np.float64]
 
 SUBSTEPS = 20
+# Of the arm: kg·m², N·m·s/rad, N·m/rad; inertia of the robot, kg·m²; posture, rad.
 INERTIA = np.array([[0.187, 0.084, 0.008], [0.079, 0.060, 0.006], [0.008, 0.006, 0.005]])
 DAMPING = np.array([[0.651, 0.239, 0.03], [0.236, 0.407, 0.04], [0.03, 0.04, 0.09]])
 STIFFNESS = np.array([[7.967, 3.187, 0.4], [1.663, 6.901, 0.6], [0.3, 0.5, 1.8]])
@@ -31,32 +32,32 @@ POSTURE = np.array([1.1, 1.35, 0.2])
 PUSH = (2.5, 1.5, 0.3)
 """Standard deviations of the perturbations, N·m."""
 RATCHET = 120.0
-"""Poles of the cogging, for each radian."""
+"""Periods of the cogging per turn."""
 BRISTLE = 1e-4
-"""By which bristles between transducers and arm bend, rad."""
+"""Largest deflection of the bristles between transducers and arm, rad."""
 NAMES = ("shoulder", "elbow", "wrist")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mismatch:
-    """What is not as the estimator would like it; times in s, SI units."""
+    """How rig, arm and recording deviate from the ideal; SI units, times in s."""
 
     joints: int = 2
     """How many of shoulder, elbow and wrist."""
     robot: float = 1.0
     """Inertia of the robot, times the value above."""
     waveform: str = "noise"
-    """Of the perturbation: see :func:`_perturbation`."""
+    """Waveform of the perturbation: see :func:`_perturbation`."""
     rate: float = 1000.0
     duration: float = 50.0
     level: float = 1.0
-    """Of the perturbation: 1 gives standard deviations of 2.5, 1.5 and 0.3 N·m."""
+    """Size of the perturbation: 1 gives standard deviations of 2.5, 1.5 and 0.3 N·m."""
     inertia: float = 1.0
     damping: float = 1.0
     stiffness: float = 1.0
-    """Of the arm, times the values above."""
+    """Properties of the arm, times the values above."""
     torque_delay: float = 0.0
-    """Of torque readings against the instant just before the update."""
+    """Delay of torque readings against the instant just before the update."""
     after: bool = False
     mean: bool = False
     low_pass: float = 0.0
@@ -64,17 +65,17 @@ class Mismatch:
     angle_low_pass: float = 0.0
     command_delay: float = 0.0
     drive_lag: float = 0.0
-    """Time constant with which torques of the drives follow their commands."""
+    """Time constant with which the torques of the drives follow their commands."""
     torque_noise: float = 0.003
     angle_step: float = 6.136e-5
     torque_step: float = 0.01
     friction: float = 0.15
     stick: float = 0.02
-    """Speed at which friction reaches three quarters of its size, rad/s: less lets joints rest."""
+    """Speed at which friction reaches three quarters of its size, rad/s; small: joints can rest."""
     bristle: float = 0.0
-    """Stiffness of joints that friction holds, N·m/rad (LuGre); 0: friction of speed alone."""
+    """Stiffness of joints that friction holds, N·m/rad (LuGre); 0: friction by speed alone."""
     cogging: float = 0.0
-    """Torque of the motors' poles on the robot, N·m."""
+    """Amplitude of the cogging torque of the motors, N·m."""
     viscosity: float = 0.1
     lock: float = 150.0
     """Natural frequency of locked joints, rad/s (at most a sixth of the rate)."""
@@ -87,7 +88,7 @@ class Mismatch:
     reflex_spread: float = 0.0
     """Share of each joint's reflex that acts on the others, as of muscles over two joints."""
     reflex_length: float = 0.0
-    """Of the reflex by angle over that by speed, 1/s."""
+    """Gain of the reflex to angle over that to speed, 1/s."""
     short_range: float = 0.0
     """Additional stiffness within 5 mrad of a yielding element, N·m/rad."""
     relaxing: float = 0.0
@@ -95,27 +96,25 @@ class Mismatch:
     relaxation: float = 0.3
     """Its time constant."""
     cubic: float = 0.0
-    """Share by which stiffness falls at 50 mrad."""
+    """Share by which the secant stiffness falls at 50 mrad."""
     one_sided: float = 0.0
-    """Share by which stiffness differs between both directions."""
+    """Share by which stiffness differs between the two directions."""
     startled: float = 0.0
-    """Share by which stiffness is larger at the begin of the trial, a fifteenth of which it
-    takes to fall."""
+    """Share by which stiffness is larger at first; its time constant is 1/15 of the trial."""
     waxing: float = 0.0
     """Share by which stiffness grows over the trial."""
     rubbing: float = 0.0
-    """Friction between the transducers and the arm, at each joint, N·m; its bristles bend by 0.1
-    mrad."""
+    """Friction between transducers and arm at each joint, N·m; its bristles bend by 0.1 mrad."""
     tremor: float = 0.0
     voluntary: float = 0.0
     rhythm: float = 0.0
-    """Rms of slow torque of the person, of a tremor and of a rhythm of one a second, N·m."""
+    """Rms of a tremor, of slow voluntary torque, and of a rhythm of 1 Hz, N·m."""
     synchronous: bool = False
-    """Whether the voluntary torque repeats itself every 10 s, as a multisine does."""
+    """Whether these torques repeat themselves every 10 s, as a multisine does."""
     leaning: float = 0.0
     """Torque that the person builds up over the trial, so that the posture drifts, N·m."""
     cutoff: float = 20.0
-    """Of the perturbation, Hz."""
+    """Cut-off of the perturbation, Hz."""
     asymmetry: float = 0.0
     """Share by which the stiffness grows above the diagonal, and falls below it."""
     preload: float = 0.0
@@ -125,11 +124,11 @@ class Mismatch:
     scale: float = 0.0
     """Declared standard error of the encoders' scale."""
     readings: Callable[[Recording], Recording] | None = field(default=None, compare=False)
-    """What is done to the arrays afterwards."""
+    """Change made to the recorded arrays afterwards."""
 
     @property
     def simulated(self) -> Mismatch:
-        """What of it is in the simulation."""
+        """The part of it that affects the simulation."""
         return replace(self, readings=None, calibrated=True, scale=0.0)
 
 
@@ -185,6 +184,7 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0913, PLR091
     mean,
     torque_pole,
 ):
+    """Run the loop; return angles, commands, torques before updates, and filtered ones by step."""
     n = len(perturbation)
     ticks = perturbation.shape[1]
     position = np.zeros((n, ticks))
@@ -402,9 +402,9 @@ def _simulated(mismatch: Mismatch, seed: int) -> tuple[Recording, ...]:
 
 
 def simulate(mismatch: Mismatch, seed: int) -> list[Recording]:
-    """Run one trial for each joint, and do to the arrays what is to be done afterwards.
+    """Run one trial for each joint, and apply the change of the readings to its arrays.
 
-    Mismatches that differ in that alone, one after the other, share a simulation.
+    Successive mismatches that differ in nothing else share a simulation.
     """
     found = _simulated(mismatch.simulated, seed)
     change = mismatch.readings
@@ -412,12 +412,12 @@ def simulate(mismatch: Mismatch, seed: int) -> list[Recording]:
 
 
 def _perturbation(mismatch: Mismatch, ticks: int, rng: np.random.Generator) -> FloatArray:
-    """Perturbation of any size, (ticks,).
+    """Return a perturbation of arbitrary size, (ticks,).
 
     "noise" up to the cut-off; "multisine", which repeats itself every 10 s, with all lines up to
     20 Hz; a number of "sines", from 0.15 Hz up to the cut-off, that never repeat themselves;
-    a "chirp" from 0.1 Hz to the cut-off and back every 20 s; "binary" noise that changes sign at
-    chance times of 50 ms at least.
+    a "chirp" from 0.1 Hz to the cut-off and back every 20 s; "binary" noise, whose sign is drawn
+    anew every 50 ms.
     """
     t = np.arange(ticks) / mismatch.rate
     kind, _, number = mismatch.waveform.partition(" ")
@@ -441,6 +441,7 @@ def _perturbation(mismatch: Mismatch, ticks: int, rng: np.random.Generator) -> F
 
 
 def _readings(mismatch: Mismatch, before: FloatArray, fine: FloatArray, step: float) -> Any:
+    """Torque readings (n, ticks) from torques before each update, and filtered ones by step."""
     late = round(mismatch.torque_delay / step)
     places = np.arange(before.shape[1]) * SUBSTEPS
     if mismatch.mean:
@@ -565,7 +566,7 @@ def write_bag(
 
 
 def changed(**change: Callable[[Any], Any]) -> Callable[[Recording], Recording]:
-    """Return what changes arrays of a recording, by name."""
+    """Return a function that changes the named arrays of a recording."""
 
     def change_all(recording: Recording) -> Recording:
         arrays: dict[str, Any] = {name: f(getattr(recording, name)) for name, f in change.items()}

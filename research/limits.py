@@ -30,7 +30,7 @@ from research.writing import present
 
 @dataclass(frozen=True, kw_only=True)
 class LimitsPlan(Plan):
-    """What is simulated."""
+    """The simulations to run."""
 
     levels: tuple[Levels, ...] = (
         *((0, 1, 3), (1, 1, 2), (3, 1, 3)),
@@ -41,7 +41,7 @@ class LimitsPlan(Plan):
 
 
 def power_spectrum(config: VoluntaryParameters, f: FloatArray) -> FloatArray:
-    """Power of each sample of d by frequency; its mean over all frequencies is the variance.
+    """Return the power spectrum of voluntary torque d; its mean over all frequencies is var(d).
 
     Parameters
     ----------
@@ -68,8 +68,8 @@ def bound_of(
 
     Parameters
     ----------
-    experiment : whose sensors and voluntary torque make the noise
-    quiet : the same with a relaxed arm, whose motion is used; see
+    experiment : its sensors and voluntary torque are the noise
+    quiet : the same with a relaxed arm; its motion is used, see
         :mod:`research.cramer_rao`
     band : lowest and highest frequency, Hz
 

@@ -16,7 +16,7 @@ _APART = 0.27
 
 
 def limits_figure(cells: Sequence[Cell]) -> Any:
-    """Errors over the bound of all elements, one panel for each voluntary torque.
+    """Draw errors over the bound for all elements, one panel for each voluntary torque.
 
     Parameters
     ----------

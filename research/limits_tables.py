@@ -1,4 +1,4 @@
-"""What the investigation of limits says on the terminal."""
+"""Output of the investigation of limits on the terminal."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from research.writing import print_table
 
 
 def in_words(cells: Sequence[Cell]) -> list[str]:
-    """One sentence for each estimator and voluntary torque: smallest and largest ratio."""
+    """Return one sentence for each estimator and voluntary torque: smallest and largest ratio."""
     sentences = []
     for name, torque in dict.fromkeys((cell.estimator, cell.voluntary) for cell in cells):
         limited = [
@@ -36,7 +36,7 @@ def in_words(cells: Sequence[Cell]) -> list[str]:
 
 
 def print_cells(cells: Sequence[Cell]) -> None:
-    """Bounds of all conditions, then ratios of all estimators, element by element."""
+    """Print the bounds of all conditions, then ratios of all estimators, element by element."""
     elements = cells[0].elements
     first = [cell for cell in cells if cell.estimator == cells[0].estimator]
     print_table(

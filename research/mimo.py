@@ -2,8 +2,8 @@
 
 The decomposition takes one trial for each joint; this takes trials in which every joint is
 compliant and has a perturbation of its own. With the n perturbations x, ``G_xy = G_xx H^T`` gives
-both responses, ``R^T = G_xx⁻¹ G_xθ`` and ``T^T = G_xx⁻¹ G_xτ``. It needs inputs that are not alike:
-what they have in common in a finite record cannot be told apart, and adds to the variance.
+both responses, ``R^T = G_xx⁻¹ G_xθ`` and ``T^T = G_xx⁻¹ G_xτ``. Inputs must not be coherent: their
+common part in a finite record can be attributed to neither, and adds to the variance.
 """
 
 from collections.abc import Sequence
@@ -29,13 +29,13 @@ class InputCoupling:
     f: FloatArray
     """Frequencies, Hz; shape (n_freq,)."""
     coherence: FloatArray
-    """Ordinary coherence of each pair; 1 on the diagonal. That of independent perturbations is one
-    over the number of averages, on the mean; shape (n, n, n_freq)."""
+    """Ordinary coherence of each pair; 1 on the diagonal. For independent perturbations its mean is
+    one over the number of averages; shape (n, n, n_freq)."""
     condition: FloatArray
     """Condition number of the matrix of their spectra, each scaled to power 1; shape (n_freq,)."""
     inflation: FloatArray
     """Factor by which coupling raises the variance of the responses to each perturbation, ``1/(1 -
-    γ²)`` with its multiple coherence with the others; shape (n, n_freq)."""
+    γ²)`` with the multiple coherence γ² of it with the others; shape (n, n_freq)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,7 +47,7 @@ class MimoEstimate:
 
 
 def input_coupling(f: FloatArray, spectra: ComplexArray) -> InputCoupling:
-    """Coupling of inputs from the matrix of their spectra, shape (n, n, n_freq).
+    """Return the coupling of inputs from the matrix of their spectra, shape (n, n, n_freq).
 
     Raises
     ------
@@ -84,10 +84,10 @@ def estimate_mimo(
     Parameters
     ----------
     records : sequence of TrialRecord
-        One or several trials of one arm. Which of the joints a record names as the perturbed one
-        does not matter.
+        One or several trials of one arm. It does not matter which joint a record names as the
+        perturbed one.
     segment : int
-        Samples of the segments.
+        Length of the segments, samples.
     largest_condition : float
         Largest condition number of the input spectra, see :class:`InputCoupling`.
 

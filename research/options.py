@@ -1,4 +1,4 @@
-"""What every investigation is told."""
+"""Options that every investigation gets."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Verdicts on rigs and arms of which all is drawn at random, each with one class of mismatch.
+"""Verdicts on rigs and arms that are drawn at random, each with one class of mismatch.
 
-The classes are those of :mod:`research.truth`; what a class leaves as usual is drawn: rate, arm,
-robot, sensors, law, friction, perturbation and what the person does.
+The classes are those of :mod:`research.truth`; everything that a class leaves at its default is
+drawn: rate, arm, robot, sensors, law, friction, perturbation and voluntary torque.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from research.truth import Outcome, cases, judge, names_like, outcome, tabulate
 
 
 def drawn(name: str, seed: int) -> Mismatch:
-    """Mismatch of a class on a rig with an arm that are drawn by a seed."""
+    """Return the mismatch of a class on a rig and an arm that are drawn by a seed."""
     mismatch = cases()[name][1]
     rng = np.random.default_rng([seed, len(name)])
 
@@ -50,7 +50,7 @@ def drawn(name: str, seed: int) -> Mismatch:
     if rng.random() < 0.6:
         found["voluntary"] = about(0.03, 0.5)
     if mismatch.readings is not None:
-        # What is done to the arrays is meant for the usual ones.
+        # Changes of the arrays are made for the default rate and duration.
         del found["rate"], found["duration"]
     usual = Mismatch()
     own = {
@@ -64,7 +64,7 @@ def _outcome(name: str, seed: int) -> Outcome:
 
 
 def investigate(options: InvestigationOptions) -> int:
-    """As :func:`research.truth.investigate`, of one class for each seed."""
+    """As :func:`research.truth.investigate`, with one class for each seed."""
     seeds = parse_seeds(options.seeds or "0:300")
     names = names_like(options.only)
     chosen = [names[int(np.random.default_rng([7, seed]).integers(len(names)))] for seed in seeds]

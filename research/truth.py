@@ -1,4 +1,4 @@
-"""Verdicts on recordings of a rig that is not the project's: valid and wrong, refused and right."""
+"""Verdicts on recordings of an independent rig: false acceptances, and false refusals."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def _drift(slope: float) -> Change:
 
 
 def _backlash(gap: float) -> Change:
-    """Play of a given width: readings follow once it is used up."""
+    """Play of a given width: readings follow only once it is taken up."""
 
     def follow(values: FloatArray) -> FloatArray:
         rows = []
@@ -103,12 +103,12 @@ def _backlash(gap: float) -> Change:
 
 
 def _uneven(share: float) -> Change:
-    """A transducer that shows more in one direction."""
+    """A transducer that shows more torque in one direction, by a share."""
     return lambda torque: torque + share * np.maximum(torque, 0.0)
 
 
 def _yielding(share: float) -> Change:
-    """One that shows less, by a share at the peak."""
+    """A compressive transducer that shows less torque, by a share at the peak."""
 
     def compress(torque: FloatArray) -> FloatArray:
         peak = np.max(np.abs(torque), axis=1, keepdims=True)
@@ -118,7 +118,7 @@ def _yielding(share: float) -> Change:
 
 
 def _dead(zone: float, *, less: bool) -> Change:
-    """Small torques read 0, and larger ones are shown as they are, or less by as much."""
+    """Dead zone: torques within it read 0; larger ones read as they are, or `less` by the zone."""
 
     def cut(torque: FloatArray) -> FloatArray:
         beyond = np.maximum(np.abs(torque) - zone, 0.0)
@@ -128,7 +128,7 @@ def _dead(zone: float, *, less: bool) -> Change:
 
 
 def _lost(share: float, kind: str) -> Change:
-    """Single readings that read 0, or the value before, or jump to either side."""
+    """Single readings that are 0, repeat the value before, or jump by 2 N·m to either side."""
 
     def lose(torque: FloatArray) -> FloatArray:
         rng = np.random.default_rng(7)
@@ -158,7 +158,7 @@ def _slower(rate: float) -> Change:
 
 
 def _uneven_counts(share: float, counts: int) -> Change:
-    """Encoder whose steps of 61.36 µrad lie off by a share of one, the same each few counts."""
+    """Encoder whose 61.36 µrad steps are off by up to a share of one, with a period of `counts`."""
     step = Mismatch().angle_step
     off = share * np.random.default_rng(11).uniform(-1.0, 1.0, counts)
 
@@ -226,17 +226,17 @@ def _mixed(share: float) -> Change:
 
 
 def _of_first(change: Change) -> Change:
-    """A change of the first joint's channel alone."""
+    """Apply a change to the channel of the first joint alone."""
     return lambda values: np.concatenate((change(values[:1]), values[1:]))
 
 
 def _bent(size: float, poles: float) -> Change:
-    """Encoder whose scale is not round: errors of a size, with a number of periods each turn."""
+    """Encoder with an eccentric scale: sinusoidal errors with a number of periods per turn."""
     return lambda angle: angle + size * np.sin(poles * angle + 0.4)
 
 
 def _sampled(at: Callable[[FloatArray], FloatArray]) -> Change:
-    """Readings at other samples than they say, interpolated between those there are."""
+    """Readings at other instants than their stamps say, interpolated between the samples."""
 
     def resample(values: FloatArray) -> FloatArray:
         k = np.arange(values.shape[1], dtype=np.float64)
@@ -263,7 +263,7 @@ def _smoothed(cutoff: float) -> Change:
 
 
 def _swinging(resonance: float) -> Change:
-    """Readings of a sensor whose mount swings at a frequency in Hz, hardly damped."""
+    """Readings of a sensor whose mount has a resonance, Hz, with a damping ratio of 0.05."""
     turning = 2.0 * np.pi * resonance
     numerator, denominator = bilinear([turning**2], [1.0, 0.1 * turning, turning**2], fs=1000.0)
 
@@ -275,7 +275,7 @@ def _swinging(resonance: float) -> Change:
 
 
 def _unsteady(share: float) -> Change:
-    """Instants of the readings that jitter, by a share of a period."""
+    """Readings at instants that jitter, with a standard deviation of a share of a period."""
     return _sampled(lambda k: k + share * np.random.default_rng(9).standard_normal(k.size))
 
 
@@ -291,7 +291,7 @@ def _late_row(row: int, samples: float) -> Change:
 
 
 def _resampled(rate: float) -> Callable[[Recording], Recording]:
-    """A recording that somebody interpolated to another rate."""
+    """A recording that was interpolated to another rate."""
 
     def resample(recording: Recording) -> Recording:
         size = int(recording.stamps.size * rate / 1000.0) - 1
@@ -310,7 +310,7 @@ def _resampled(rate: float) -> Callable[[Recording], Recording]:
 
 
 def _cable(stiffness: float) -> Callable[[Recording], Recording]:
-    """Torques with those of a cable, N·m/rad, which bends with the joint beside the robot."""
+    """Torques that include those of a cable, N·m/rad, which bends with the joint."""
 
     def load(recording: Recording) -> Recording:
         bent = recording.position - recording.position[:, :1]
@@ -320,7 +320,7 @@ def _cable(stiffness: float) -> Callable[[Recording], Recording]:
 
 
 def _efficiency(loss: float) -> Callable[[Recording], Recording]:
-    """Torques behind a transmission that takes a share of them while it drives the arm."""
+    """Torques behind a transmission that loses a share of them while it drives the arm."""
 
     def lose(recording: Recording) -> Recording:
         drives = recording.torque * np.gradient(recording.position, axis=1) > 0.0
@@ -344,9 +344,9 @@ def _first_lost(recording: Recording) -> Recording:
 
 
 def _computed(share: float) -> Callable[[Recording], Recording]:
-    """Torque that is not measured: commands less a model of the robot with a share of its inertia.
+    """Torque that is not measured, but computed from commands and a model of the robot.
 
-    Its accelerations are smoothed.
+    The model has a share of the robot's inertia; angles are smoothed before their derivatives.
     """
     low_pass = butter(2, 40.0, fs=1000.0, output="sos")
 
@@ -368,11 +368,11 @@ def _shifted(by: int) -> Callable[[Recording], Recording]:
 LIMIT = 3.5
 """Standard errors by which a valid element may be off."""
 NOISE, RIGHT, MUST = "noise", "right", ""
-"""Noise must come out valid; what is right may; other classes may be valid only if right."""
+"""A class of noise must be valid; one that is right may be; others only if the result is right."""
 
 
 def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 (a table)
-    """Everything that is tried: kind and mismatch by name (class, magnitude)."""
+    """All classes that are tried: kind and mismatch by name (class, magnitude)."""
     found: dict[str, tuple[str, Mismatch]] = {"ideal": (NOISE, Mismatch())}
 
     def add(kind: str, name: str, *variants: tuple[str, dict[str, Any]]) -> None:
@@ -396,7 +396,7 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         add(MUST, "torque late", (f"{late:g} ms", {"torque_delay": late * MILLI}))
     for low in (0.2, 0.5, 1.0, 3.0):
         add(MUST, "torque low-pass", (f"{low:g} ms", {"low_pass": low * MILLI}))
-        # A law that knows nothing of the filter bears 3 ms with soft locks alone.
+        # A law that knows nothing of the filter is stable with 3 ms only if locks are soft.
         lag = {"angle_low_pass": low * MILLI, "lock": min(150.0, 0.12 / (low * MILLI))}
         add(MUST, "angle low-pass", (f"{low:g} ms", lag))
     for cutoff in (0.016, 0.05, 0.16, 0.5):
@@ -510,7 +510,7 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
             loosely: dict[str, Any] = {"cuff": 1e4, "loose": gap, "voluntary": hiding}
             add(MUST, "loose cuff", (f"{gap:g} rad, {hiding:g} N·m", loosely))
     for gap in (3e-3, 1e-2, 2e-2):
-        # Beside all lines of a multisine, nothing but the lines themselves tells.
+        # A multisine with all lines leaves only these lines themselves to show the play.
         play: dict[str, Any] = {"cuff": 1e3, "loose": gap, "voluntary": 0.2, "duration": 30.0}
         add(MUST, "loose cuff, multisine", (f"{gap:g} rad", {"waveform": "multisine", **play}))
     for waveform, hiding in product(("noise", "multisine", "binary"), (0.5, 1.0)):
@@ -549,7 +549,7 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     for size in (0.5, 1.0):
         brief: dict[str, Any] = {"duration": 20.0, "voluntary": size, "level": 0.4}
         add(NOISE, "short trial", (f"{size:g} N·m", brief))
-    # Readings that lead where a law answers the steps of a coarse encoder.
+    # Readings lead where the law responds to the steps of a coarse encoder.
     coarse: dict[str, Any] = {"angle_step": 1.6e-4, "lock": 80.0, "level": 0.5}
     for size in (0.1, 0.5):
         add(NOISE, "leading readings", (f"{size:g} N·m", coarse | {"voluntary": size}))
@@ -560,12 +560,12 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         pushed: dict[str, Any] = {"waveform": "binary", "cutoff": 15.0, "friction": 1.5 * friction}
         add(MUST, "friction, binary", (f"{1.5 * friction:g} N·m", pushed | {"stick": 0.01}))
     for friction, step in ((0.5, 5e-4), (1.0, 6e-5), (1.0, 5e-4), (2.0, 6e-5)):
-        # Joints that rest: a law that knows nothing of friction, a coarse encoder.
+        # Joints come to rest, as the law knows nothing of friction and the encoder is coarse.
         sticky = {"friction": friction, "stick": 0.005 * friction, "angle_step": step}
         kind = NOISE if friction < 2.0 else MUST
         add(kind, "sticking", (f"{friction:g} N·m, {step:g} rad", sticky))
     for friction in (0.7, 1.0):
-        # What friction bends of the motion isn't independent of a person who moves beside.
+        # The distortion by friction isn't independent of voluntary motion at the same time.
         beside = {"friction": friction, "stick": 0.005, "voluntary": 0.3}
         add(NOISE, "sticking, voluntary", (f"{friction:g} N·m", beside))
     three = {"joints": 3}
@@ -575,7 +575,7 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         "three joints, gain of joint 2",
         ("0.9", three | {"readings": changed(torque=_row(1, 0.9))}),
     )
-    # Encoders so fine that commands hardly chatter: what jumps with them can't be seen.
+    # Encoders so fine that commands hardly chatter, so readings show no jumps along with them.
     fine = {"angle_step": 1e-5, "friction": 0.15, "stick": 4e-3, "voluntary": 0.05}
     for rate in (500.0, 1000.0, 2000.0):
         for joints in (1, 2, 3):
@@ -602,7 +602,7 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
             hidden = {"waveform": "multisine", "cubic": share, "voluntary": size}
             add(MUST, "bent, multisine", (f"{share:g}, {size:g} N·m", hidden))
     for waveform in ("sines 12", "sines 20", "sines 40", "chirp", "binary"):
-        # Much of the band has no perturbation, but leakage of it.
+        # In much of the band there is no perturbation except its leakage.
         for size in (0.0, 0.1, 0.3, 1.0):
             sparse: dict[str, Any] = {"waveform": waveform, "voluntary": size}
             add(RIGHT, waveform, (f"{size:g} N·m", sparse | {"cutoff": 15.0}))
@@ -683,7 +683,7 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         add(MUST, "instants jitter", (f"{share:g} periods", {"readings": both}))
     for size, poles in ((1e-3, 1.0), (5e-3, 1.0), (2e-4, 50.0), (1e-3, 50.0)):
         eccentric: dict[str, Any] = {"readings": changed(position=_bent(size, poles))}
-        # Whoever knows the size of such errors, but not where they are, declares this.
+        # A user who knows the size of such errors, but not their place, declares this.
         eccentric["scale"] = size * poles / np.sqrt(2.0)
         add(MUST, "encoder not round", (f"{size:g} rad, {poles:g}", eccentric))
     for factor in (0.8, 0.9, 1.1):
@@ -781,7 +781,7 @@ def _clip(share: float) -> Change:
 
 
 def streams_of(recordings: list[Recording]) -> Streams:
-    """Trials one after the other, as a bag has them once it is decoded."""
+    """Join trials one after the other into streams, as if decoded from a bag."""
     gap = 2_000_000_000
     stamps, shift = [], 0
     for one in recordings:
@@ -807,14 +807,14 @@ def streams_of(recordings: list[Recording]) -> Streams:
 def verdict_on(
     recordings: list[Recording], *, calibrated: bool = True, scale: float = 0.0
 ) -> Result:
-    """What the estimator says of trials without trial status, and with exact transducers or not.
+    """Estimate from trials without trial status; `calibrated` declares the transducers exact.
 
-    The standard error of the encoders' `scale` is declared where transducers are, or it isn't 0.
+    `scale`, the standard error of the encoders' scale, is declared if they are, or if it isn't 0.
     """
     trials = assemble_trials(streams_of(recordings), ())
     metadata = dict.fromkeys(CALIBRATION_KEYS, "0") if calibrated else {}
-    metadata.pop("linearity_uncertainty", None)  # which no laboratory knows to be nothing
-    # What other models would say is no part of the verdict on M, B and K.
+    metadata.pop("linearity_uncertainty", None)  # no laboratory knows it to be zero
+    # Other models of the arm are no part of the verdict on M, B and K.
     metadata["arm_model"] = '"mbk"'
     if calibrated or scale:
         metadata["angle_uncertainty"] = str(scale)
@@ -865,7 +865,7 @@ def outcomes_of(
 
 
 def judge(name: str, outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """Row of the table: one class at one magnitude, over all seeds."""
+    """Return a row of the table: one class at one magnitude, over all seeds."""
     kind = cases()[name][0]
     valid = sum(one[0] for one in outcomes)
     return {

@@ -1,4 +1,4 @@
-"""What all investigations leave behind: JSON, CSV, figures, and a table on the terminal."""
+"""Output of all investigations: JSON, CSV, figures, and a table on the terminal."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def present(
     rows: Sequence[Mapping[str, Any]],
     figures: Callable[[], Mapping[str, Any]],
 ) -> bool:
-    """Write tables and figures of an investigation, and its JSON to the terminal if that is wanted.
+    """Write tables and figures of an investigation, and print its JSON if that is requested.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def present(
     Returns
     -------
     bool
-        Whether the investigation is to be told in words and tables.
+        Whether words and tables are to be printed instead.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def write_figure(directory: Path, name: str, figure: Any) -> list[Path]:
         If a file can't be written.
     """
     paths = []
-    # The time of day would make every file another one.
+    # A creation date would make every file differ from the one before.
     for suffix, metadata in (("png", None), ("pdf", {"CreationDate": None})):
         path = directory / f"{name}.{suffix}"
         save = functools.partial(figure.savefig, dpi=_DPI, metadata=metadata)
@@ -107,7 +107,7 @@ def write_figure(directory: Path, name: str, figure: Any) -> list[Path]:
 
 
 def to_json(result: Mapping[str, Any]) -> str:
-    """JSON with null for what is not a finite number, which JSON has no word for."""
+    """Return JSON with null for numbers that are not finite, which JSON cannot express."""
     return json.dumps(_finite(result), indent=1, allow_nan=False)
 
 
@@ -157,7 +157,7 @@ def print_table(
         table.add_column(column, justify="right" if number else "left", no_wrap=True)
     for row in rows:
         table.add_row(*row)
-    # Wider than the terminal rather than with gaps.
+    # Rather wider than the terminal than truncated.
     wide = Measurement.get(out, out.options.update(max_width=1000), table).maximum
     out.width = max(out.width, wide)
     out.print(table)

@@ -1,8 +1,8 @@
 """Make the pictures of README and docs, and keep a digest of what they were made with.
 
-``make pictures`` makes those again whose sources have changed since; ``ARGS=coverage`` one of
-them, whatever its sources. ``tests/test_pages.py`` fails as long as one is out of date. Studies
-take up to an hour; only what draws their figures counts as their source, not all that they run.
+``make pictures`` remakes those whose sources have changed since; ``ARGS=coverage`` remakes one in
+any case. ``tests/test_pages.py`` fails as long as one is out of date. Studies take up to an hour;
+only the modules that draw their figures count as their sources, not all the code that they run.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ IMAGES = ROOT / "docs" / "images"
 DIGESTS = IMAGES / "digests.json"
 _ESTIMATION = "ros2_ws/src/armimp_estimation/armimp_estimation"
 _WIDTH, _HEIGHT = 1280, 1020
-"""Of the picture of a report, pixels."""
+"""Size of the picture of a report, pixels."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +38,7 @@ class Recipe:
     """Arguments of the study; none for the default run."""
 
     def digest(self) -> str:
-        """Digest of what the sources do, and of the default configuration."""
+        """Digest of the code of the sources, and of the study's arguments or the default run."""
         from armimp_bringup.config import ExperimentConfig
 
         made = hashlib.sha256(" ".join(self.study).encode())
@@ -89,7 +89,7 @@ RECIPES = {
 
 
 def _code(path: Path) -> bytes:
-    """What a module does: its syntax tree without docstrings, imports and types."""
+    """Return the syntax tree of a module without docstrings, imports and types."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     for node in ast.walk(tree):
         if isinstance(body := getattr(node, "body", None), list):
@@ -125,7 +125,7 @@ def _photograph(page: Path, picture: Path) -> None:
 
 
 def stored() -> dict[str, str]:
-    """Digests of what the pictures were made with, by name of the recipe."""
+    """Return the digests of what the pictures were made with, by name of the recipe."""
     found: dict[str, str] = json.loads(DIGESTS.read_text(encoding="utf-8"))
     return found
 

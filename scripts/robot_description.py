@@ -60,7 +60,7 @@ def _inertial(link: ET.Element, chain: PlanarChain, i: int) -> None:
     """Mass, centre and moments of a link about its centre: Izz = I - m·lg²."""
     moment, mass, centre = float(chain.moments[i]), float(chain.masses[i]), float(chain.centres[i])
     if mass == 0.0:
-        # Of the first link only the moment counts, but simulators want a mass. A thin rod of this
+        # Only the moment of the first link matters, but simulators want a mass. A thin rod of this
         # length and moment, I = m·l²/3, moves alike.
         centre = float(chain.lengths[i]) / 2
         mass = moment / (4 * centre**2 / 3)

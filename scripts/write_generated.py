@@ -1,4 +1,4 @@
-"""Write what follows from the code: parameter files, robot descriptions, tables of the pages."""
+"""Write the files generated from the code: parameters, robot descriptions, tables of pages."""
 
 from __future__ import annotations
 
@@ -54,14 +54,14 @@ _KEYS: dict[str, Sequence[type[BaseModel]]] = {
         *(ModelFit, ParameterFit, Timing, WallSummary, TorqueReading, OriginSummary),
     ),
 }
-"""Models by the heading of the page under which their keys are told, in the order of the tables."""
+"""Models by the heading of the page under which their keys are listed, in order of the tables."""
 _MOST_CHOICES = 20
-"""Of a key that are told."""
+"""Most values of an enumeration that are listed with a key."""
 
 
 def generated() -> dict[Path, str]:
     """Text of each file by its path below the root of the checkout."""
-    # The metadata and the directory of a run have no place in a default.
+    # Metadata and directory of a particular run have no place in a default.
     models: dict[str, BaseModel] = {
         **node_parameters(ExperimentConfig(), None).by_node(),
         ESTIMATOR_NODE: EstimatorParameters(),
@@ -127,7 +127,7 @@ def key_table(model: type[BaseModel]) -> str:
 
 
 def _choices(kind: Any) -> str:
-    """Name what an enumeration holds, if that is not too much."""
+    """List the values of an enumeration, unless there are too many."""
     if not (isinstance(kind, type) and issubclass(kind, enum.Enum)):
         return ""
     values = [f"`{member.value}`" for member in kind if member.value]
@@ -140,7 +140,7 @@ def parameter_table(model: BaseModel, *, given: bool) -> str:
     Parameters
     ----------
     model : parameters that are in force
-    given : whether somebody has to give the node those without a default
+    given : whether the user of the node has to set parameters without a default
     """
     kind, values = type(model), dict(flatten(model))
     optional = defaults(kind)
@@ -166,7 +166,7 @@ def _rounded(value: Any) -> Any:
 
 
 def _range(model: type[BaseModel], name: str) -> str:
-    """What a parameter may be, as its field says it."""
+    """Describe the permitted values of a parameter, from its field."""
     *groups, last = name.split(".")
     for group in groups:
         annotation = model.model_fields[group].annotation
@@ -174,7 +174,7 @@ def _range(model: type[BaseModel], name: str) -> str:
         model = annotation
     field = model.model_fields[last]
     kind: Any = field.annotation
-    # What the items of an array may be, the annotation of the item says.
+    # The permitted items of an array are in the annotation of the item.
     items = [kind, *get_args(kind)] if get_origin(kind) is tuple else [kind]
     choices = [one for item in items if get_origin(item) is Literal for one in get_args(item)]
     if isinstance(kind, type) and issubclass(kind, enum.Enum):

@@ -1,1 +1,1 @@
-"""Template of a driver: copy the package, replace the mock by the device, keep the rest."""
+"""Template of a driver: copy the package, replace the mock by your device, keep the rest."""

@@ -1,4 +1,4 @@
-"""From raw counts to radians and newton metres, and back; from the device's joints to one's own."""
+"""Conversion of raw counts to radians and newton metres and back, and of the order of joints."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Sensors:
 
     @property
     def count(self) -> float:
-        """What a count is at the joint, rad or N·m; 0 if joints differ."""
+        """Size of one count at the joint, rad or N·m; 0 if joints differ."""
         found = set((self._resolution / self._gear).tolist())
         return found.pop() if len(found) == 1 else 0.0
 
@@ -42,7 +42,7 @@ class Sensors:
         return tuple(values.tolist())
 
     def counts(self, values: Sequence[float]) -> tuple[int, ...]:
-        """Nearest counts (n,), without a wrap: what the sensors show."""
+        """Counts (n,) that the sensors show for these values, rounded but not wrapped."""
         steps = np.rint(np.array(values) * self._gear / self._resolution)
         return tuple((self._sign * steps + self._zero).astype(np.int64).tolist())
 
@@ -70,7 +70,7 @@ class Encoders(Sensors):
 
 
 class Drives:
-    """The drives, by joint: a drive has ``sign · τ / gear`` for a torque τ of its joint.
+    """The drives, by joint: the torque of a drive is ``sign · τ / gear`` for τ at its joint.
 
     ConfigurationError if there are not as many values as joints.
     """
@@ -117,5 +117,5 @@ class Wiring:
         return tuple(values[place] for place in self._from)
 
     def to_device(self, values: Sequence[Item]) -> tuple[Item, ...]:
-        """The other way round."""
+        """Values in the order of the device, from those in the order of the joints."""
         return tuple(values[place] for place in self._to)

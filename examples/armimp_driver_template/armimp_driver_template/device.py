@@ -1,4 +1,4 @@
-"""What the driver asks of a device: the only part that knows the bus."""
+"""Interface between driver and device; only a device knows the bus."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A device that is none: the simulated rig behind raw counts, with the faults of a real bus."""
+"""A mock device: the simulated rig behind raw counts, with the faults of a real bus."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from armimp_sim.simulator import SimulatedRig
 class MockDevice:
     """The rig of the study, sampled each millisecond, or after each command.
 
-    Commands act late by `latency` periods, frames get lost, encoders wrap, transducers have an
-    offset that drifts, a low-pass and a delay, and drives lag. Signs, gears and zeros of its
-    sensors and drives, and the order of its joints, are those that the driver is told.
+    Commands act `latency` periods late, frames get lost, encoders wrap, transducers have an offset
+    that drifts, a low-pass and a delay, and drives lag. Signs, gears and zeros of its sensors and
+    drives, and the order of its joints, are those in the parameters of the driver.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class MockDevice:
         self._options = parameters.mock
         joints = parameters.names_at_device()
         self.names = parameters.mock.names or joints
-        # The order of the joints of the rig, from the shoulder outwards, is that of the frames.
+        # The joints of the rig, from the shoulder outwards, have the order of the frames.
         self._wiring, n = Wiring(self.names, joints), len(joints)
         self._encoders = Sensors("encoder", parameters.encoder, n)
         self._transducers = Sensors("transducer", parameters.transducer, n)
@@ -81,13 +81,13 @@ class MockDevice:
                 self._pacer.wait(self._tick + 1)
             elif not self._commanded.acquire(timeout=timeout):
                 return None
-            # A command acts after those that are still on their way.
+            # A command acts after those that are still under way.
             self._queue.append(self._torque)
             self._rig.step(self._queue.popleft())
         self._tick += 1
         if self._random.random() < self._options.dropout:
             if not self.paced:
-                self._commanded.release()  # nobody will answer what nobody has heard
+                self._commanded.release()  # nobody answers a frame that was lost
             return None
         encoder = self._shown(self._encoders, self._rig.position)
         wrapped = tuple(count % (1 << BITS) for count in encoder)
@@ -106,7 +106,7 @@ class MockDevice:
     def _rig_parameters(self, parameters: DriverParameters) -> SimulatorParameters:
         options = parameters.mock
         rig = SimulatorParameters.preset(joints=len(parameters.joints), friction=options.friction)
-        # The counts round; where all joints have the same, the rig can do it.
+        # Counts round the readings; if they are equal for all joints, the rig can do it.
         sensors = SensorParameters(
             position=ReadingParameters(resolution=self._encoders.count),
             torque=ReadingParameters(

@@ -31,7 +31,7 @@ from armimp_driver_template.parameters import DriverParameters
 
 _FRAME_TIMEOUT, _PATIENCE = 0.002, 0.1
 """How long a frame is waited for (s): two periods on a bus, longer where commands set the pace."""
-_LOST_FRAMES = 5
+_LOST_FRAMES = 5  # in a row, after which the driver latches a fault
 _REPORT_PERIOD = 1.0
 """How often the state is reported (s)."""
 
@@ -72,7 +72,7 @@ class ExoDriver(ProtectedDriver[DriverParameters]):
         self.own(received, steady_timer(self, _REPORT_PERIOD, self.report))
         return TransitionCallbackReturn.SUCCESS
 
-    # Step 3: activation. Nobody is waited for in vain, and then the device sets the rhythm.
+    # Step 3: activation. The driver waits for the controller; then the device sets the pace.
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start the thread that listens to the device."""
@@ -87,8 +87,8 @@ class ExoDriver(ProtectedDriver[DriverParameters]):
         self._thread.start()
         return super().on_activate(state)
 
-    # Step 4: the rhythm. The device says when there is a sample; its counter makes the stamp, so
-    # that a frame which is lost leaves a gap that everybody can see.
+    # Step 4: the pace. The device says when there is a sample; its counter makes the stamp, so that
+    # a lost frame leaves a gap that everybody can see.
     def _listen(self) -> None:
         wake_up_exactly()
         timeout = _FRAME_TIMEOUT if self._device.paced else _PATIENCE
@@ -112,7 +112,7 @@ class ExoDriver(ProtectedDriver[DriverParameters]):
         with self._lock:
             self.check_sample(angles, periods=1 if self._device.paced else 0)
         while self._flow.full and self._running.is_set():
-            time.sleep(0.0005)  # in lockstep only: a recorder that is behind would lose samples
+            time.sleep(0.0005)  # in lockstep only, where a recorder that is behind loses samples
         if not self._device.paced:
             self._flow.count_sent()
         self.publish_sample(frame.counter * PERIOD_NS, angles, torques)
@@ -134,7 +134,7 @@ class ExoDriver(ProtectedDriver[DriverParameters]):
 
     # Step 7: faults. `DriverBase` has one latch for all of them; the drives learn of it here.
     def torque_was_taken(self) -> None:
-        """Tell the drives; in lockstep torque is an answer, and no sample has asked for one."""
+        """Tell the drives; not in lockstep, where torque only ever answers a sample."""
         if self._device.paced:
             super().torque_was_taken()
 
@@ -143,7 +143,7 @@ class ExoDriver(ProtectedDriver[DriverParameters]):
         """Keeps the thread of the device away from the protection."""
         return self._lock
 
-    # Step 8: reports, of a fault at once and then until the reset; of timing where it means much.
+    # Step 8: reports. A fault is reported at once and until the reset, timing if it is meaningful.
     def timing(self) -> TimingFigures | None:
         """Timing, where the device sets the pace."""
         return super().timing() if self._device.paced else None

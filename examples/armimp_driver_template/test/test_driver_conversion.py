@@ -1,4 +1,4 @@
-"""Counts into radians and newton metres, torques into those of drives, and back."""
+"""Conversion of counts to rad and N·m, of torques to those of the drives, and back."""
 
 import math
 from typing import Any

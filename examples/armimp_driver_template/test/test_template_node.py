@@ -18,9 +18,9 @@ PUSH, ZERO = (5.0, 0.0), (0.0, 0.0)
 
 
 class FailingDevice:
-    """Sends a frame for each answer until something goes wrong with it; keeps a clock of its own.
+    """Sends a frame for each answer until it fails, and keeps a clock of its own.
 
-    That goes on by what a silent device is told to wait: how busy the machine is decides nothing.
+    The clock advances by the timeouts of a silent device, so the machine's load does not matter.
     """
 
     paced = True
@@ -58,7 +58,7 @@ class FailingDevice:
 
 
 class World(ScriptedController):
-    """A driver with such a device, and somebody who answers each of its samples."""
+    """A driver with such a device, and a controller that answers each of its samples."""
 
     def __init__(self, node: Node, spinner: Spinner, device: FailingDevice) -> None:
         super().__init__(node, spinner)
@@ -97,7 +97,7 @@ def test_when_the_bus_takes_no_commands_expect_a_fault_and_a_node_that_lives(wor
     world.device.broken = True
     world.await_fault("no buffer space")
     world.device.broken = False
-    # It is told zero as soon as it listens again, and nothing else before a reset.
+    # It gets zero torque as soon as it listens again, and nothing else before a reset.
     count = len(world.device.sent)
     world.until(lambda: len(world.device.sent) > count + 20, "commands")
     assert {torque for _, torque in world.device.sent[count:]} == {ZERO}

@@ -1,4 +1,4 @@
-"""Recordings and results as notebooks want them: plain arrays, and four functions."""
+"""An interface for notebooks: recordings and results as plain arrays, and a few functions."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ class Recording:
     trials: tuple[TrialRecord, ...]
     """Perturbation (N·m), position (rad) and torque on the arm (N·m), of shape (n, N)."""
     known: Metadata = field(default_factory=Metadata)
-    """What is known beside these, such as how torques were read, and the arm that was simulated."""
+    """What else is known, such as how torques were read, and the arm that was simulated."""
     calibration: Calibration = field(default_factory=Calibration.undeclared)
-    """What is known of transducers and encoders; by default what is assumed of any, 1 % of gain and
-    of cross-talk, 1.5 % of angles; :func:`dataclasses.replace` declares another one."""
+    """Uncertainty of transducers and encoders; by default what is assumed of any: 1 % of gain and
+    of cross-talk, 1.5 % of angles. Use :func:`dataclasses.replace` to declare another one."""
     problems: tuple[Problem, ...] = ()
-    """What was wrong with the trials when they were read."""
+    """Problems of the trials that were found when they were read."""
 
     @property
     def truth(self) -> MBK | None:
-        """The arm that was simulated, if it was."""
+        """The simulated arm; None if that is not known."""
         return self.known.truth
 
     @classmethod
@@ -60,7 +60,7 @@ class Recording:
         Parameters
         ----------
         perturbation : sequence of array_like
-            Known random torque of each joint, N·m. The joint with the largest one was perturbed.
+            Known random torque of each joint, N·m; the largest variance marks the perturbed joint.
         position : sequence of array_like
             Joint angles, rad.
         torque : sequence of array_like
@@ -74,9 +74,9 @@ class Recording:
         timing : str
             When torques are read, relative to the update of the command at the same sample:
             ``before_update``, ``after_update``, ``mid_interval``, ``interval_mean`` or
-            ``simultaneous``; ``unknown`` leaves it to the records, with the errors that this has.
+            ``simultaneous``; ``unknown`` infers it from the records, with the errors of that.
         torque_delay : float
-            How late torques are read beside that, s.
+            Delay of the torque readings beyond that, s.
 
         Raises
         ------
@@ -132,7 +132,7 @@ class Recording:
 
 
 def _numbers(values: ArrayLike) -> FloatArray:
-    """The values as they are; samples that are masked are NaN."""
+    """Return the values as floats; masked samples become NaN."""
     found: Any = np.ma.asarray(values)
     if np.iscomplexobj(found):
         raise ValueError("they are complex")
@@ -163,11 +163,11 @@ class Result:
     impedance_valid: bool
     """Whether Z(f) and its variance can."""
     problems: tuple[str, ...]
-    """What speaks against the result, and what was found and put right."""
+    """What speaks against the result, and what was found and corrected."""
     models: dict[str, ModelFit] = field(default_factory=dict)
     """Models of the arm that were fitted beside M, B and K, with their values and errors."""
     model: str | None = None
-    """Of these the one that was asked for, or that the data support."""
+    """Name of the best of them that fits, and was requested or is resolved; None if none is."""
 
     def interval(
         self, matrix: Literal["M", "B", "K"], level: float = 0.95
@@ -178,7 +178,7 @@ class Result:
         ----------
         matrix : {"M", "B", "K"}
         level : float
-            Probability with which the interval holds the truth.
+            Probability with which the interval contains the true value.
 
         Returns
         -------
@@ -225,7 +225,7 @@ def read_bag(*bags: str | Path, rate: float | None = None) -> Recording:
     *bags : str or Path
         rosbag2 directories, ``.mcap`` or ``.db3`` files, or the directory of a run.
     rate : float, optional
-        Samples per second that the stamps must give, Hz; needed where that is unusual.
+        Sampling rate, Hz, with which the stamps must agree; needed only if it is unusual.
 
     Raises
     ------

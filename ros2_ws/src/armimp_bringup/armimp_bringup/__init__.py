@@ -2,5 +2,5 @@
 
 import os
 
-# Matrices are small here: threads of the linear algebra would only wait for one another.
+# Matrices are small here, so threads of the linear algebra would only wait for one another.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

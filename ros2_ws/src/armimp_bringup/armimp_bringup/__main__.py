@@ -1,4 +1,4 @@
-"""The command ``armimp`` as a process, which may be interrupted while it imports, too."""
+"""Entry point of the command ``armimp``; an interrupt during the imports is handled, too."""
 
 import os
 from typing import NoReturn

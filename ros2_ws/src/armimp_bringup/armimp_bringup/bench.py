@@ -1,4 +1,4 @@
-"""``armimp bench``: the speed of the graph and its jitter on this machine, and their frame."""
+"""``armimp bench``: speed and jitter of the graph on this machine, and the runner of benchmarks."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from armimp_estimation.summary import Summary
 
 DURATION = 10.0
 """Length of each trial, s."""
-_PRIORITY = 50
+_PRIORITY = 50  # of SCHED_FIFO
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +48,7 @@ class Measured:
 
 Tell = Callable[[str], None]
 Benchmark = Callable[[Tell], list[Measured]]
-"""Takes a function that is told what is being measured; gives the figures."""
+"""Takes a function that is told what is being measured; returns the figures."""
 
 
 def run_for_bench(tell: Tell = lambda _: None, **options: Any) -> Summary:
@@ -102,7 +102,7 @@ def speed(tell: Tell) -> list[Measured]:
 def jitter(tell: Tell) -> list[Measured]:
     """Measure the jitter of runs in real time, with and without precedence over other programs.
 
-    There is no target: what a machine must not exceed is a matter of the verdict of a run.
+    Jitter has no target: the verdict of a run decides how much of it is acceptable.
     """
     figures: list[Measured] = []
     for key, label, priority in (("ordinary", "ordinary", 0), ("fifo", "SCHED_FIFO", _PRIORITY)):
@@ -136,7 +136,7 @@ def jitter(tell: Tell) -> list[Measured]:
 
 
 BENCHMARKS: Mapping[str, Benchmark] = {"speed": speed, "jitter": jitter}
-"""What a user wants to know of a machine; those of the project itself are in ``benchmarks/``."""
+"""Benchmarks for users; those for the development of the project are in ``benchmarks/``."""
 
 
 def available_cores() -> int:
@@ -147,12 +147,12 @@ def available_cores() -> int:
 def bench(
     names: Sequence[str], *, as_json: bool, known: Mapping[str, Benchmark] | None = None
 ) -> int:
-    """Run benchmarks and print the figures; 0 if all ran and met their targets, else 1.
+    """Run benchmarks and print the figures; return 0 if all ran and met their targets, else 1.
 
     Parameters
     ----------
     names : of ``known``; none means all of them
-    as_json : whether to print a record of everything in the place of tables
+    as_json : whether to print a record of everything instead of tables
     known : by default :data:`BENCHMARKS`
 
     Raises

@@ -44,9 +44,9 @@ _TYPES: dict[str, Any] = {
     "array": list[str],
 }
 _OPEN_FILES = 64
-"""So many may be open at once in a process; a run of two joints has at most 26."""
+"""Number of open files that a process must be permitted; a run of two joints has at most 26."""
 _INTERRUPTED = 130
-"""What shells make of a program that SIGINT has ended; typer's own status for it, too."""
+"""Exit status that shells report for a program ended by SIGINT; typer uses it, too."""
 app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -81,18 +81,18 @@ _Config = Annotated[
 _DomainId = Annotated[
     int | None,
     typer.Option(
-        help="ROS domain, 0 to 100; by default one that is free, or ROS_DOMAIN_ID where nodes are "
-        "those of others."
+        help="ROS domain, 0 to 100; by default one that is free, or ROS_DOMAIN_ID if others have "
+        "started the nodes."
     ),
 ]
 
 
 def options_of(model: type[BaseModel], *names: str) -> Callable[[_FunctionT], _FunctionT]:
-    """Give a command an option for each of these fields of a model, by default for all.
+    """Give a command an option for each of the named fields of a model, by default for all.
 
-    Help, default and choices are those of the field; what has no type of an option is left out.
-    The command gets None for what is not given, so that a configuration file prevails over a
-    default.
+    Help, default and choices are those of the field; fields whose type no option can have are left
+    out. The command gets None for an option that is not given, so that the value of a configuration
+    file prevails over the default.
     """
     properties, described = model.model_json_schema()["properties"], descriptions(model)
     made = [_option(name, properties[name], described[name]) for name in names or properties]
@@ -122,7 +122,7 @@ def _option(name: str, schema: dict[str, Any], described: str) -> inspect.Parame
     choices = schema.get("enum", [])
     if kind is int and schema.get("maximum", 1e9) - schema.get("minimum", 0) <= _MOST_CHOICES:
         choices = range(schema["minimum"], schema["maximum"] + 1)
-    # A list takes one value each time that its option is given.
+    # The option of a list takes one value each time it is given.
     flag = name.removesuffix("s") if isinstance(default, list) else name
     shown: bool | str = False
     if isinstance(default, list):
@@ -239,7 +239,7 @@ def estimate(
             declared=declared,
         )
         display.close()
-        with stop_on_signals():  # too late, as there is a result
+        with stop_on_signals():  # too late to interrupt: there is a result
             for note in result.notes:
                 say(f"note: {note}")
             if out is not None:
@@ -373,14 +373,14 @@ def check_driver(
 def main(
     arguments: Sequence[str] | None = None, program: typer.Typer = app, name: str = "armimp"
 ) -> int:
-    """Run a command line; every error that a user can cause ends in one line."""
+    """Run a command line; every error that a user can cause is reported in one line."""
     try:
         _require_open_files()
         status = program(args=arguments, prog_name=name, standalone_mode=False)
     except TyperException as error:
         message = _complaint(error)
         if message.startswith("Usage: "):
-            # Asking for nothing shows the help, which has many lines.
+            # Without arguments typer shows the help, which has many lines.
             print(message, file=sys.stderr)
         else:
             say(f"armimp: {message}")
@@ -396,12 +396,12 @@ def main(
         if find_spec("rclpy") is None:
             say("armimp: this needs ROS, which is not installed: pip install 'armimp[ros]'")
             return 1
-        # So compiled modules put it when SIGINT comes while they are imported.
+        # Compiled modules raise an ImportError when SIGINT arrives during their import.
         if not isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
             raise
         status = _INTERRUPTED
     except BrokenPipeError:
-        # Whoever read the output has left, as `head` does.
+        # The reader of the output has closed it, as `head` does.
         sys.stderr.close()
         return 1
     except OSError as error:
@@ -421,12 +421,12 @@ def _complaint(error: TyperException) -> str:
 
 
 def tell_of_compiling() -> None:
-    """Name that phase on the display that is open."""
+    """Show on the open display that code is being compiled."""
     display().phase("compiling, once for this version")
 
 
 def _require_open_files() -> None:
-    """Raise the limit of open files as far as it must be; GraphError if that is not permitted."""
+    """Raise the limit of open files to the number needed; GraphError if that is not permitted."""
     limit, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     if 0 <= limit < _OPEN_FILES:
         if 0 <= most < _OPEN_FILES:
@@ -441,19 +441,19 @@ def _new_directory(what: str) -> Path:
 
 
 def program() -> NoReturn:
-    """Run the command line as a process of its own, and end it at once.
+    """Run the command line as a process of its own, and exit without finalising the interpreter.
 
-    The interpreter would need half a second to take apart what was imported.
+    Finalising would take half a second, as everything that was imported is torn down.
     """
     repair_streams()
-    # Without a home directory matplotlib keeps its cache elsewhere, and warns of that at length.
+    # Without a home directory matplotlib keeps its cache elsewhere, with a long warning.
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
     status = main()
     atexit._run_exitfuncs()
     try:
         sys.stdout.flush()
         sys.stderr.flush()
-    except (BrokenPipeError, ValueError):  # whoever read the output has left
+    except (BrokenPipeError, ValueError):  # the reader of the output has closed it
         status = status or 1
     except OSError as error:
         status = status or 1

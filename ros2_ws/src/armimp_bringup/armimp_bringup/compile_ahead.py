@@ -1,8 +1,8 @@
-"""Compiles plant and law side by side, for the first run of its kind on a machine.
+"""Compiles plant and law in parallel, for the first run of its kind on a machine.
 
-numba compiles one function at a time in a process, and the two take about as long as each other. So
-the plant is compiled by another process (``python -m armimp_bringup.compile_ahead PARAMETERS``),
-from whose cache this one and the nodes take it.
+numba compiles one function at a time in a process, and both take about equally long. So another
+process (``python -m armimp_bringup.compile_ahead PARAMETERS``) compiles the plant; this process and
+the nodes then take it from the cache.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from armimp_sim.plant import Plant, tick
 
 
 def compile_ahead(parameters: NodeParameters) -> None:
-    """Compile what a run of these parameters calls, unless this machine has compiled it before."""
+    """Compile what a run with these parameters calls, unless it is in the cache already."""
     rig, folder = parameters.simulator, cache_folder(tick)
     # All rigs of one name have the same types, and so the same machine code.
     name = f"{'ideal' if rig.ideal else 'real'}-{len(rig.joints)}{'-soft' if rig.soft else ''}"
@@ -31,7 +31,7 @@ def compile_ahead(parameters: NodeParameters) -> None:
         [sys.executable, "-m", __spec__.name, rig.model_dump_json()],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,  # what fails there is compiled, and fails, in a node
+        stderr=subprocess.DEVNULL,  # if it fails there, a node compiles it and shows the failure
         start_new_session=True,  # Ctrl-C is for the parent
     )
     try:
@@ -40,7 +40,7 @@ def compile_ahead(parameters: NodeParameters) -> None:
         law.signal(0, trial=1, ticks=1)
     finally:
         failed = plant.wait()
-    with suppress(OSError):  # as on a full disk: it is done again, which is quick
+    with suppress(OSError):  # as on a full disk: the next run comes here again, which is quick
         if not failed:
             mark.touch()
 

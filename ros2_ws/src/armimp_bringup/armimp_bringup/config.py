@@ -1,4 +1,4 @@
-"""What a user decides about an experiment, by file or options, and where its results go."""
+"""Configuration of an experiment by file or options, and the directory of its results."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _MOST_BYTES = 1 << 18
 
 
 def _share(value: object) -> object:
-    """Return a share that may be written in per cent, as 2%."""
+    """Return a share between 0 and 1 as a number; a text may give it in per cent, as 2%."""
     if not isinstance(value, str):
         return value
     percent = value.strip().endswith("%")
@@ -47,10 +47,10 @@ def _share(value: object) -> object:
 
 
 class ExperimentConfig(Schema):
-    """What a user decides; everything else has its default in the parameters of the nodes.
+    """Choices of a user; everything else has its default in the parameters of the nodes.
 
-    Each field but those of single nodes is an option of ``armimp run``, whose help is made of the
-    description.
+    Each field except the overrides of single nodes is an option of ``armimp run``; the docstring
+    of the field is the help of the option.
     """
 
     joints: Literal[1, 2, 3, 4, 5, 6, 7] = 2
@@ -65,8 +65,8 @@ class ExperimentConfig(Schema):
     5.4 N·m at the elbow."""
     perturbation_kind: PerturbationKind = "noise"
     """Kind of the perturbing torque: noise; multisine, periodic with the rms of that noise and half
-    its peak, which tells noise, distortion and change over time apart; or optimal, a multisine with
-    the peak of that noise at the frequencies that tell most."""
+    its peak, which separates noise, distortion and change over time; or optimal, a multisine with
+    the peak of that noise at the most informative frequencies."""
     rig: Literal["paper", "realistic"] = "paper"
     """Simulated rig: paper, or realistic, with drives, transducers, cuff and person as a good rig
     has them."""
@@ -74,8 +74,8 @@ class ExperimentConfig(Schema):
     """Internal model of the control law: observer, or tde, time-delay estimation with raw
     differences of the encoders, whose torques no drive can follow."""
     as_in_paper: bool = False
-    """Nothing that the paper does not have: time-delay estimation; locked joints without approach,
-    dither and stiffer target."""
+    """Use only what the paper has: time-delay estimation; locked joints without approach, dither
+    and stiffer target."""
     duration: float = Field(default=50.0, ge=2.0, le=9000.0)
     """Length of each trial, s; 2 to 9000."""
     seed: int = Field(default=1, ge=0, lt=2**63)
@@ -96,9 +96,9 @@ class ExperimentConfig(Schema):
         lt=1.0,
         json_schema_extra={"type": "string"},  # of the option
     )
-    """End a trial once the relative standard errors of M, B, K are below: 2% or 0.02; 0: never."""
+    """End a trial once relative standard errors of M, B, K are below this: 2% or 0.02; 0: never."""
     torque_delay: float | None = Field(default=None, ge=0.0, le=0.1)
-    """How late torque readings are, s, for the estimates to correct; by default as simulated."""
+    """Delay of torque readings, s, which the estimates correct; by default as simulated."""
     arm_sim: Overrides = Field(default_factory=dict)
     """Parameters of arm_sim to override."""
     imbic_controller: Overrides = Field(default_factory=dict)
@@ -109,7 +109,7 @@ class ExperimentConfig(Schema):
     @field_validator("*", mode="before")
     @classmethod
     def _no_truth(cls, value: object, info: ValidationInfo) -> object:
-        """Keep a truth value from being taken for the number 0 or 1."""
+        """Refuse a truth value, which would be taken for the number 0 or 1."""
         if (
             isinstance(value, bool)
             and cls.model_fields[str(info.field_name)].annotation is not bool
@@ -130,34 +130,34 @@ class ExperimentConfig(Schema):
     @model_validator(mode="before")
     @classmethod
     def _separate_in_realtime(cls, values: Any) -> Any:
-        """Keep an estimator from holding up a controller in the same process."""
+        """Default to separate processes in real time: an estimator would delay the controller."""
         if isinstance(values, Mapping) and values.get("mode") == "realtime":
             return {"processes": "separate", **values}
         return values
 
 
 class Declared(Schema):
-    """What a user declares about a recording; it prevails over what the bags say, unless None."""
+    """Declarations of a user about a recording; unless None, they override what the bags say."""
 
     torque_timing: Literal["before", "after", "mid", "mean", "simultaneous"] | None = None
     """When torques are read: before, after, mid, mean or simultaneous; by default as recorded with
-    the bags, else found."""
+    the bags, else inferred."""
     torque_delay: float | None = Field(default=None, ge=-0.1, le=0.1)
-    """How late torque readings are beyond their timing, s, negative if early; by default as
-    recorded with the bags, else fitted."""
+    """Delay of torque readings beyond their timing, s, negative if early; by default as recorded
+    with the bags, else fitted."""
     torque_uncertainty: float | None = Field(default=None, ge=0.0, le=0.1)
     """Standard error of the timing of torque readings, s; by default 20 µs."""
     gain_uncertainty: float | None = Field(default=None, ge=0.0, le=1.0)
     """Standard error of the gain of each torque transducer, relative; by default as recorded with
     the bags, else 0.01."""
     cross_talk_uncertainty: float | None = Field(default=None, ge=0.0, le=1.0)
-    """Standard error of the share of another joint's torque that each shows; by default as recorded
-    with the bags, else 0.01."""
+    """Standard error of the share of another joint's torque that each transducer shows; by default
+    as recorded with the bags, else 0.01."""
     angle_uncertainty: float | None = Field(default=None, ge=0.0, le=1.0)
     """Standard error of the scale of each encoder at the posture, relative; by default as recorded
     with the bags, else 0.015."""
     linearity_uncertainty: float | None = Field(default=None, ge=0.0)
-    """Standard error of each torque by hysteresis and nonlinearity of its transducer, N·m; by
+    """Standard error of each torque due to hysteresis and nonlinearity of its transducer, N·m; by
     default as recorded with the bags, else what the records leave open."""
     model: Literal["auto", "mbk", "mbk_delay", "reflex", "cuff"] | None = None
     """Model of the arm to fit beside M, B and K: auto, mbk, mbk_delay, reflex or cuff; auto tries
@@ -167,7 +167,7 @@ class Declared(Schema):
 
 
 class CheckOptions(Schema):
-    """What a user asks of a check of a driver."""
+    """Options of a check of a driver."""
 
     joints: tuple[str, ...] = ("shoulder", "elbow")
     """Name of a joint, in the order of commands; repeat."""
@@ -179,11 +179,11 @@ class CheckOptions(Schema):
     """Length of the recording, s."""
     move: bool = False
     """Command torque; nobody may be in the rig."""
-    # A slip of the keyboard must not become a blow.
+    # A typing error must not lead to a dangerous torque.
     torque: float = Field(default=1.0, gt=0.0, le=20.0)
     """Torque of each push, N·m; at most 20."""
     most_motion: float = Field(default=0.3, gt=0.0, le=1.0)
-    """Motion of a joint beyond which torque is taken away, rad; at most 1."""
+    """Motion of a joint beyond which the torque is removed, rad; at most 1."""
 
     @field_validator("joints")
     @classmethod
@@ -199,7 +199,7 @@ def checked(model: type[ModelT], values: Mapping[str, Any]) -> ModelT:
     Raises
     ------
     ConfigurationError
-        If one does not exist or is wrong: one line that names it.
+        If there is no field of a name, or a value is wrong; one line names it.
     """
     check_names(map(str, values), model.model_fields)
     try:
@@ -209,7 +209,7 @@ def checked(model: type[ModelT], values: Mapping[str, Any]) -> ModelT:
 
 
 def load_config(path: Path | None, options: Mapping[str, Any]) -> ExperimentConfig:
-    """Read a YAML file, and let the given options prevail.
+    """Read a YAML file, and let the given options override it.
 
     Parameters
     ----------
@@ -221,7 +221,7 @@ def load_config(path: Path | None, options: Mapping[str, Any]) -> ExperimentConf
     Raises
     ------
     ConfigurationError
-        If the file can't be read, or a value is wrong: one line that names it.
+        If the file can't be read, or a value is wrong; one line names it.
     """
     given = {name: value for name, value in options.items() if value is not None}
     values = {**({} if path is None else _read(path)), **given}
@@ -240,7 +240,7 @@ def _read(path: Path) -> dict[str, Any]:
         raise ConfigurationError(f"{path}: {error.strerror}") from None
     except UnicodeDecodeError:
         raise ConfigurationError(f"{path}: is not a text file") from None
-    # The loader leaves errors of values such as the date 2026-13-01 to Python.
+    # For values such as the date 2026-13-01 the loader raises Python's own errors.
     except (yaml.YAMLError, ValueError, ArithmeticError, LookupError, AttributeError) as error:
         reason = " ".join(str(error).split())
         raise ConfigurationError(f"{path}: cannot be read as YAML: {reason:.300}") from None
@@ -250,7 +250,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def require_unused(directory: Path) -> None:
-    """Refuse an output directory with anything in it; there need not be one yet.
+    """Refuse an output directory that is not empty; it need not exist yet.
 
     Raises
     ------
@@ -267,7 +267,7 @@ def require_unused(directory: Path) -> None:
 
 
 def prepare_directory(directory: Path) -> None:
-    """Make the output directory; one with anything in it is refused.
+    """Make the output directory; one that is not empty is refused.
 
     Raises
     ------

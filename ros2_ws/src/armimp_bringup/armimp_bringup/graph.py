@@ -28,15 +28,15 @@ _OLD_RANGE, _DOMAIN = "ROS_LOCALHOST_ONLY", "ROS_DOMAIN_ID"
 OPEN = Path(__file__).with_name("fastdds.xml")
 """Profile of the middleware for any network."""
 LOOPBACK = Path(__file__).with_name("fastdds_loopback.xml")
-"""Profile with which other machines cannot reach it."""
+"""Profile of the middleware that keeps it out of reach of other machines."""
 LOWEST: Final = 1
 HIGHEST: Final = 100
 """Domain ids beyond 101 collide with ephemeral ports on Linux; 0 is everybody's default."""
 FAIR_SHARE: Final = HIGHEST // 2
-"""A user who occupies more domains than this keeps nobody else out."""
+"""A user who occupies more domains than this loses the exclusive right to them."""
 _FIRST_PORT: Final = 7400
 _PORTS: Final = 250
-"""The middleware binds the ports ``7400 + 250 d`` to ``+ 249`` in domain d, but never this one:"""
+"""Ports of a domain: the middleware binds ``7400 + 250 d`` to ``+ 249``, but never ``+ _CLAIM``."""
 _CLAIM: Final = 2
 
 
@@ -45,10 +45,10 @@ class DomainClaim(AbstractContextManager["DomainClaim"]):
 
     The claim is a UDP port of the domain that the middleware leaves free, bound on the loopback
     interface. So it is exclusive between all users, leaves nothing behind after a crash, and needs
-    no directory that can be written to; a lock file would belong to the user who made it first, who
-    could keep all others out. A domain is chosen in which no program of this machine has
-    a port. No user can keep the others out: if no domain is free, one is taken of a user who
-    occupies more than `FAIR_SHARE` of them.
+    no writable directory; a lock file would belong to the user who made it first, who could keep
+    all others out. The claim chooses a domain in which no program of this machine has a port. No
+    user can keep the others out: if no domain is free, one is taken from a user who occupies more
+    than `FAIR_SHARE` of them.
 
     Parameters
     ----------
@@ -130,11 +130,11 @@ def _occupied() -> dict[int, set[int]]:
 
 
 class GraphContext(AbstractContextManager["GraphContext"]):
-    """A ROS context of its own, out of reach and hearing of everything else.
+    """A ROS context that is isolated from everything else.
 
     It lives in a domain that no other experiment has, and other machines cannot reach it, unless
     the environment or the caller chooses otherwise. Child processes inherit all that by environment
-    variables, which are as they were after `close`.
+    variables, which `close` restores.
 
     The range of discovery that ROS calls ``LOCALHOST`` is not enough: it finds nobody on other
     machines, but its sockets are open to them.
@@ -160,7 +160,7 @@ class GraphContext(AbstractContextManager["GraphContext"]):
         try:
             self._join()
             if variables[_PROFILES] == str(LOOPBACK) and self._is_open():
-                # The middleware reads profiles once in each process, and had done so before.
+                # The middleware reads profiles once in each process, and has already done so.
                 self.context.try_shutdown()
                 _set_variables({_RANGE: "LOCALHOST"})
                 self.context = Context()
@@ -168,7 +168,7 @@ class GraphContext(AbstractContextManager["GraphContext"]):
                 _set_variables(variables)
         except RuntimeError as error:
             self.close()
-            # The errors of rclpy, as with security asked of a middleware that has none.
+            # Raised by rclpy, for example if security is requested of a middleware without it.
             raise GraphError(f"ROS cannot be started: {' '.join(str(error).split())}") from None
         except BaseException:
             self.close()
@@ -184,7 +184,7 @@ class GraphContext(AbstractContextManager["GraphContext"]):
         )
 
     def _is_open(self) -> bool:
-        """Whether other machines can reach this process; there are sockets only with a node."""
+        """Whether other machines can reach this process; sockets exist only with a node."""
         node = Node("armimp_socket_check", context=self.context, use_global_arguments=False)
         try:
             return bool(reachable_from_outside())
@@ -215,13 +215,13 @@ def _set_variables(variables: Mapping[str, str | None]) -> None:
 
 
 def _reach() -> dict[str, str | None]:
-    """Variables of the environment that say who can be heard and reached; None: not there."""
+    """Return the environment variables that say who can be heard and reached; None: unset."""
     reach, profiles = os.environ.get(_RANGE, "LOCALHOST"), os.environ.get(_PROFILES)
     if profiles is not None:
         return {_RANGE: reach, _PROFILES: profiles}
     if reach == "LOCALHOST":
-        # With this range, or the variable that was there before it, the middleware would put
-        # transports of its own in the place of those of the profile.
+        # With this range, or the older variable for it, the middleware would replace the transports
+        # of the profile by its own.
         return {_RANGE: "SYSTEM_DEFAULT", _PROFILES: str(LOOPBACK), _OLD_RANGE: None}
     return {_RANGE: reach, _PROFILES: str(OPEN)}
 

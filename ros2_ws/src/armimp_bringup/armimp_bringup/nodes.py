@@ -43,12 +43,12 @@ _SERVICES: Mapping[str, Any] = {
     "get_parameters": GetParameters,
     "set_parameters_atomically": SetParametersAtomically,
 }
-_TO_END = 5.0
-_TO_ANSWER = 10.0
+_TO_END = 5.0  # s, for processes to end after a signal
+_TO_ANSWER = 10.0  # s, for a node to answer a service call
 
 
 class AskedParameters(ServiceClients):
-    """The parameters that nodes are to have: given to them, and compared with those that they have.
+    """The parameters requested of nodes: sets them, and compares them with the active ones.
 
     Parameters
     ----------
@@ -65,8 +65,8 @@ class AskedParameters(ServiceClients):
     def __init__(
         self, node: Node, spinner: Spinner, models: Mapping[str, BaseModel], record: Path
     ) -> None:
-        # Made early: where nodes are processes, discovery goes on while they start. Those of rclpy
-        # block for a quarter of a second wherever discovery takes a moment.
+        # Made early, so that discovery goes on while processes of nodes start. Parameter clients of
+        # rclpy would block for a quarter of a second wherever discovery takes a moment.
         super().__init__(node, models, _SERVICES, spin_until=spinner.spin_until, timeout=_TO_ANSWER)
         self.asked = {name: as_parameters(model) for name, model in models.items()}
         self._record = record
@@ -114,12 +114,12 @@ class AskedParameters(ServiceClients):
 
 
 def _plain(value: Any) -> Any:
-    """Arrays of whatever kind as lists; None for a parameter that there is not."""
+    """Return arrays of any kind as lists, other values as they are; None: no such parameter."""
     return value if value is None or isinstance(value, bool | int | float | str) else list(value)
 
 
 class NodeGroup:
-    """Nodes of the graph, wherever they run; the methods here suit nodes of this process."""
+    """Nodes of the graph, wherever they run; the defaults here suit nodes of this process."""
 
     names: Sequence[str] = NODES
     """In the order of activation."""
@@ -137,7 +137,7 @@ class NodeGroup:
 
     @property
     def result(self) -> Result | None:
-        """What the estimator found, where it is in this process; else its files have it."""
+        """Result of an estimator in this process; None if it is elsewhere and its files have it."""
         return None
 
     def close(self) -> None:
@@ -181,7 +181,7 @@ class ComposedNodes(NodeGroup):
 
     @property
     def result(self) -> Result | None:
-        """What the estimator found."""
+        """Result of the estimator."""
         from armimp_estimation.node import ImpedanceEstimatorNode
 
         found = (one.result for one in self._nodes if isinstance(one, ImpedanceEstimatorNode))
@@ -244,7 +244,7 @@ class SeparateNodes(NodeGroup):
             raise GraphError(f"the nodes could not be started: {error}") from None
 
     def dead(self) -> Mapping[str, str]:
-        """Say which nodes died, how, and their last words."""
+        """Say which nodes died, how, and the last line of their output."""
         sentences: dict[str, str] = {}
         for name, process in self.processes.items():
             status = process.poll()
@@ -266,11 +266,11 @@ class SeparateNodes(NodeGroup):
         number = self.processes[name].pid
         with suppress(OSError):
             os.setpriority(os.PRIO_PROCESS, number, niceness)
-            # Each session may be a group of its own, within which alone that counts.
+            # Where each session is a scheduling group, the niceness above counts only within it.
             Path(f"/proc/{number}/autogroup").write_text(str(niceness), encoding="ascii")
 
     def crashed(self) -> list[str]:
-        """Say which nodes died by a signal from elsewhere, even at the very end."""
+        """Say which nodes were killed by a signal that was not ours, even at the very end."""
         ours = -signal.SIGINT
         return [
             sentence
@@ -301,10 +301,10 @@ class SeparateNodes(NodeGroup):
 
 
 class ExternalNodes(NodeGroup):
-    """Nodes whose processes belong to others; only their lifecycle is led from here.
+    """Nodes that others have started; this process controls their lifecycle only.
 
-    They get the parameters of the experiment over the graph, and are given back unconfigured, so
-    that the next experiment can use them. Their death shows by their heartbeat alone.
+    They get the parameters of the experiment over the graph, and are left unconfigured, so that the
+    next experiment can use them. Only their heartbeats show when they die.
 
     Parameters
     ----------
@@ -319,10 +319,10 @@ class ExternalNodes(NodeGroup):
         self._monitors = [HeartbeatMonitor(supervisor, name, lambda _: None) for name in self.names]
 
     def dead(self) -> Mapping[str, str]:
-        """Say which nodes were there, and are there no longer.
+        """Say which nodes have disappeared.
 
-        One that is only silent may be stalled, in a place where it can't be looked up; the
-        middleware declares it dead soon if it is.
+        A node that is only silent may be stalled where its process can't be looked up; if it is
+        dead, the middleware declares it so soon.
         """
         return {
             one.name: f"node {one.sentence}"
@@ -354,7 +354,7 @@ class ExternalNodes(NodeGroup):
             self._parameters.give(name)
 
     def retire(self, manager: LifecycleManager, name: str) -> None:
-        """Bring a node back to where the next experiment finds it.
+        """Bring a node back to the state in which the next experiment expects it.
 
         Raises
         ------
@@ -368,9 +368,9 @@ class ExternalNodes(NodeGroup):
 
 
 def _leave_to_driver(given: dict[str, list[Parameter]], known: set[str]) -> None:
-    """Keep from a driver what only the simulator has, and from the estimator a truth nobody knows.
+    """Drop parameters that only the simulator has, and metadata that nobody knows of a real rig.
 
-    A driver gets those parameters of the simulator that it has by the same name: the joints, and
+    A driver gets those parameters of the simulator that it has under the same name: the joints, and
     how time passes.
     """
     given[SIM_NODE] = [item for item in given[SIM_NODE] if item.name in known]

@@ -44,12 +44,12 @@ def _run_segment(
     noise: FloatArray,
     record: FloatArray,
 ) -> float:
-    """Run the ticks of a segment, and return the worst h·σ0|v|/g(v), NaN if a lane went astray.
+    """Run the ticks of a segment, and return the worst h·σ0|v|/g(v), NaN if a lane diverged.
 
     The rigs are as for :func:`armimp_sim.plant.tick`, laws (lanes,) and controllers (lanes,
     packed_size(n)) as for :func:`armimp_control.laws.law.packed_tick`. Perturbation and voluntary
-    torque are (ticks, lanes, n), noise (ticks or 1, lanes, 2, n), of which the last row holds on,
-    and the record (3, lanes, n, ticks): positions, torques, commands.
+    torque are (ticks, lanes, n), noise (ticks or 1, lanes, 2, n), whose last row is repeated, and
+    the record (3, lanes, n, ticks): positions, torques, commands.
     """
     position, torque = batch.position, batch.torque
     m, n = position.shape
@@ -76,7 +76,7 @@ def _run_segment(
 
 
 Signals = Callable[[Segment], tuple[FloatArray, int | None]]
-"""Gives τ_Δ (ticks, lanes, n) of a segment, N·m, and the joint that yields; None for all joints."""
+"""Returns τ_Δ (ticks, lanes, n) of a segment, N·m, and the joint that yields; None: all joints."""
 
 
 def _perturbations(
@@ -91,7 +91,7 @@ def _perturbations(
 
 
 def _tare(parameters: ControllerParameters, torque: FloatArray) -> tuple[float, ...]:
-    """Tare (n,) from the readings (n, ticks) of a rig at rest, N·m."""
+    """Return the tare (n,) from the readings (n, ticks) of a rig at rest, N·m."""
     found = parameters.tare.of(torque)
     if refusal := parameters.tare.refusal(found, parameters.joints):
         raise DataError(f"offline run: {refusal}")
@@ -115,7 +115,7 @@ def run_offline(
     Returns
     -------
     list of list of TrialRecord
-        Of each experiment, its trials in order.
+        For each experiment, its trials in order.
 
     Raises
     ------
@@ -158,7 +158,7 @@ def run_offline(
             packed,
             tau_delta,
             np.stack([stream.take(segment.ticks) for stream in streams], axis=1),
-            # An ideal rig has none in any tick.
+            # An ideal rig has no noise of the readings in any tick.
             np.stack([one.take(segment.ticks if plant.real else 1) for one in noises], axis=1),
             record,
         )
@@ -197,9 +197,9 @@ class SimulatedExperiment:
     """The records of one experiment, and the truth behind them."""
 
     config: ExperimentConfig
-    """With its seed."""
+    """Configuration, with the seed."""
     parameters: NodeParameters
-    """Of the nodes, as they follow from it."""
+    """Parameters of the nodes that follow from it."""
     records: tuple[TrialRecord, ...]
     """One for each trial."""
 
@@ -211,7 +211,7 @@ class SimulatedExperiment:
 
     @property
     def known(self) -> Metadata:
-        """What a bag of it would say beside the samples."""
+        """The metadata that a bag of it would hold beside the samples."""
         return Metadata.of(self.parameters.estimator.bag_metadata())
 
     def identify(self, estimators: Sequence[str | Estimator]) -> Identification:
@@ -234,12 +234,12 @@ def simulate(configs: Sequence[ExperimentConfig]) -> list[SimulatedExperiment]:
 
     Parameters
     ----------
-    configs : of one number of joints and duration
+    configs : all with the same number of joints and the same duration
 
     Raises
     ------
     ConfigurationError, DataError, IntegrationError
-        If a configuration does not make an experiment, or it cannot be simulated.
+        If a configuration makes no experiment, or the experiment cannot be simulated.
     """
     parameters = [node_parameters(one, None) for one in configs]
     trials = run_offline(parameters)

@@ -40,15 +40,15 @@ def estimate_bags(
     Parameters
     ----------
     bags : any bags that the reader takes, or directories of runs
-    estimators : names, or estimators of one's own; empty for the defaults
+    estimators : names, or `Estimator` objects; empty for the defaults
     namespace : namespace of the topics
     allow_gaps : use the intact parts of trials that lost samples
-    declared : what is known in the place of what the bags say
+    declared : overrides what the bags say
 
     Returns
     -------
     Result
-        With notes of what a user should know of the bags.
+        With notes on what a user should know about the bags.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def estimate_bags(
 
 
 def _metadata_of(declared: Declared) -> dict[str, str]:
-    """What was declared, as metadata of a bag."""
+    """Return what was declared, as metadata of a bag."""
     timing = declared.torque_timing
     told = {
         "torque_timing": None if timing is None else _TIMINGS[timing].value,
@@ -90,7 +90,7 @@ def _metadata_of(declared: Declared) -> dict[str, str]:
 
 
 def read_bags(bags: Sequence[Path], *, namespace: str | None = None) -> list[BagContent]:
-    """Read bags which belong to one experiment; those that a killed recorder left are finished.
+    """Read bags that belong to one experiment; those that a killed recorder left are completed.
 
     They may be given as :func:`armimp_estimation.bags.reader.find_bags` takes them. BagError if a
     bag can't be read, or is given twice; DataError if the joints differ between them, or the

@@ -48,14 +48,14 @@ from armimp_estimation.summary import SUMMARY_FILE, read_summary, write_summary
 
 PARAMETERS_FILE = "parameters.yaml"
 LOGS = "logs"
-_STALL = 30.0
-_PERIOD = 0.05
-_LONG = 60.0
+_STALL = 30.0  # s without news, after which an experiment has stalled
+_PERIOD = 0.05  # s, how often the state of an experiment is looked at
+_LONG = 60.0  # s, longest wait for a lifecycle transition
 _INTERRUPTED = problem(ProblemCode.INTERRUPTED)
 _NICE = {False: 5, True: -10}
-"""Niceness of the recorder in real time, by whether the others have precedence over everything.
+"""Niceness of the recorder in real time, by whether rig and controller have real-time priority.
 
-What it computes between trials must not take the processor from them; but other programs should not
+Its computations between trials must not take the processor from them, but other programs should not
 keep it from recording either.
 """
 
@@ -77,13 +77,13 @@ def run_experiment(
     directory : Path
         New directory for bags and results.
     domain_id : int, optional
-        ROS domain; by default a free one, or where nodes are external that of the environment.
+        ROS domain; by default a free one, or that of the environment if nodes are external.
     on_progress : callable
         Called a few times per second.
     on_phase : callable
         Called with each phase of each trial as it begins.
     interrupted : callable
-        Asked often; once true, the experiment ends in good order, as invalid.
+        Called often; once it returns true, the experiment ends in good order, as invalid.
 
     Returns
     -------
@@ -108,7 +108,7 @@ def run_experiment(
     if not external:
         compile_ahead(parameters)
     with GraphContext(external_domain(domain_id) if external else domain_id) as graph:
-        # Not before the domain is ours, so that nothing is left behind where it is not.
+        # Only once the domain is claimed, so that a failed claim leaves nothing behind.
         file = _prepare(directory, parameters)
         supervisor = Supervisor(graph, on_progress, on_phase=on_phase)
         supervisor.realtime = config.mode == "realtime"
@@ -225,7 +225,7 @@ class Supervisor(Node):
                 answered = values_of(status).get("tick")
                 if answered != self._answered:
                     self._answered, self.last_news = answered, time.monotonic()
-            # Up to an abort, but what comes after it is better than nothing.
+            # Figures from after the end count only if there are none from before it.
             if status.name == TimingFigures.STATUS_NAME and not (
                 self.finished and self.timing is not None
             ):
@@ -252,11 +252,11 @@ class Course:
 
     Parameters
     ----------
-    supervisor, spinner : who watches, and what runs the callbacks
+    supervisor, spinner : the node that watches, and the executor of its callbacks
     nodes : the nodes
-    interrupted : asked often; once true, the nodes are taken down
-    confirm : gives a sentence for each parameter that is not as it was asked for; called before the
-        nodes are activated and after the last trial, while none has torque
+    interrupted : called often; once it returns true, the nodes are taken down
+    confirm : returns a sentence for each parameter with another value than requested; called before
+        the nodes are activated and after the last trial, while none has torque
     """
 
     def __init__(
@@ -279,7 +279,7 @@ class Course:
         )
         self._configured: list[str] = []
         self._dead: set[str] = set()
-        self._awaited: str | None = None  # the only node whose death matters, at the end
+        self._awaited: str | None = None  # during shutdown, the only node whose death matters
         self._problems: list[Problem] = []
 
     def run(self, drive: Callable[[], None] = lambda: None) -> list[Problem]:
@@ -296,7 +296,7 @@ class Course:
         return self._problems
 
     def startup(self) -> bool:
-        """Configure and activate the nodes, if they are as they were asked to be."""
+        """Configure and activate the nodes; return False if parameters are not as requested."""
         self._manager.wait_for_nodes()
         self._nodes.prepare(self._manager)
         for name in self._nodes.names:
@@ -353,7 +353,7 @@ class Course:
         return [problem(ProblemCode.PARAMETERS_DIFFER, reason=one) for one in self._confirm()]
 
     def _check(self) -> None:
-        """Raise a GraphError if there is nothing to wait for any longer, or the user interrupts."""
+        """Raise a GraphError if a node that is waited for has died, or the user interrupts."""
         if self._awaited is None and self._interrupted():
             raise GraphError(_INTERRUPTED.sentence, _INTERRUPTED.code.value)
         dead = self._nodes.dead()
@@ -372,22 +372,22 @@ def settle(
     problems: Sequence[Problem],
     timing: Timing | None = None,
 ) -> Result:
-    """Bring together what the estimator stored and what the orchestrator saw.
+    """Merge the stored result of the estimator with what the orchestrator observed.
 
     Parameters
     ----------
     directory : Path
         Where the estimator stores its summary.
     estimator : EstimatorParameters
-        Parameters of the estimator, for a run of which it left no summary.
+        Parameters of the estimator, for a run without a summary of it.
     found : Result or None
-        What the estimator found, where it is in this process.
+        Result of an estimator in this process.
     problems : sequence of Problem
-        What the orchestrator saw go wrong.
+        Problems that the orchestrator observed.
     timing : Timing, optional
-        Timing up to the end of the experiment, of which the estimator did not see the last samples.
+        Timing up to the end of the experiment; the estimator does not see its last samples.
     """
-    finish_bags(directory)  # An estimator that was killed could not.
+    finish_bags(directory)  # a killed estimator could not
     path = directory / SUMMARY_FILE
     if not path.exists():
         metadata = estimator.bag_metadata()

@@ -24,7 +24,7 @@ from armimp_estimation.parameters import EstimatorParameters, TorqueParameters
 from armimp_sim.parameters import SimulatorParameters
 
 _LARGEST = 1e20
-"""Beyond any quantity here, whatever its unit; products of a few such numbers are still numbers."""
+"""Beyond any quantity here, whatever its unit; products of a few such numbers are still finite."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +63,7 @@ def node_parameters(config: ExperimentConfig, directory: Path | None) -> NodePar
         controller = _controller(config, simulator)
         estimator = _estimator(config, directory, simulator, controller)
     except (ArithmeticError, ValidationError, np.linalg.LinAlgError) as error:
-        # Each value is within its limits, but they do not go together.
+        # Each value is within its own limits, but their combination is impossible.
         reason = str(error.args[-1] if error.args else error).splitlines()[0]
         raise ConfigurationError(f"nothing can be computed with these values: {reason}") from None
     return NodeParameters(simulator=simulator, controller=controller, estimator=estimator)
@@ -108,7 +108,7 @@ def _controller(config: ExperimentConfig, simulator: SimulatorParameters) -> Con
 
 
 def _law(config: ExperimentConfig, overrides: Overrides) -> LawName:
-    """The preset of the law; with drives or transducers that are known to lag, the patient one."""
+    """Return the preset of the law; for an observer and a rig with a known lag, the patient one."""
     if config.as_in_paper:
         return "paper"
     of_rig = {f"known.{name}" for name in RigDynamics.model_fields}
@@ -143,10 +143,10 @@ def _estimator(
 
 
 def _known_of(simulator: SimulatorParameters) -> Overrides:
-    """What the controller knows of drives and transducers: all that is simulated of them."""
+    """Return what the controller knows of drives and transducers: all that is simulated."""
     torque, actuators = simulator.sensors.torque, simulator.actuators
     known: Overrides = {
-        # Commands that act a fraction of a period late are as bad as those of the next one.
+        # A delay by a fraction of a period is as bad as that by a whole one, so it is rounded up.
         "known.command_delay": math.ceil(actuators.delay * RATE - 1e-6),
         "known.actuator_lag": actuators.lag,
         "known.torque_delay": torque.delay,
@@ -158,7 +158,7 @@ def _known_of(simulator: SimulatorParameters) -> Overrides:
 
 
 def _time_of(config: ExperimentConfig) -> Overrides:
-    """Parameters of simulator and controller that say how time passes."""
+    """Return the parameters of simulator and controller that say how time passes."""
     if config.mode == "lockstep":
         if config.priority:
             raise ConfigurationError(
@@ -171,7 +171,7 @@ def _time_of(config: ExperimentConfig) -> Overrides:
 def bag_metadata(
     config: ExperimentConfig, simulator: SimulatorParameters, controller: ControllerParameters
 ) -> dict[str, str]:
-    """What is stored in every bag: configuration, truth, versions."""
+    """Return the metadata of every bag: configuration, truth, versions."""
     arm = simulator.arm
     described = {
         "experiment": config.model_dump(mode="json"),
@@ -188,7 +188,7 @@ def bag_metadata(
         "truth": json.dumps(truth),
         "torque_timing": json.dumps(simulator.sensors.sampling.value),
         "torque_uncertainty": "0",
-        # Whoever plants an error does not declare that there is none.
+        # Sensors with simulated calibration errors must not be declared exact.
         **(dict.fromkeys(CALIBRATION_KEYS, "0") if simulator.sensors.torque.calibrated else {}),
         **({"arm_model": json.dumps("cuff")} if simulator.cuff.stiffness else {}),
     }
@@ -210,7 +210,7 @@ def _overridden(base: ModelT, node: str, overrides: Overrides) -> ModelT:
 
 
 def _row_by_row(name: str, value: Any) -> Any:
-    """A matrix that is written as a list of its rows, as the flat list that parameters are."""
+    """Flatten a matrix written as a list of its rows, since parameters are flat lists."""
     if not isinstance(value, list) or not any(isinstance(row, list) for row in value):
         return value
     lengths = {len(row) if isinstance(row, list) else None for row in value}

@@ -1,4 +1,4 @@
-"""What becomes of a result on the command line: tables, figures, report, exit status."""
+"""Presentation of a result by the command line: tables, figures, report, exit status."""
 
 from __future__ import annotations
 
@@ -34,15 +34,14 @@ from armimp_estimation.summary import (
 
 _TOO_BUSY = (ProblemCode.SAMPLES_LATE, ProblemCode.COMMANDS_LATE, ProblemCode.LATENCY)
 _COUNTS = ("duplicated", "contradictory", "reordered", "late")
-_WORDS = ("", "element", "unit", "bag")
+_WORDS = ("", "element", "unit", "bag")  # names of columns that hold text
 
 
 class Stopwatch:
     """Wall times of a run, counted from the start of the process.
 
-    The trials last from the first sample of the first one to the last sample of the last one that
-    is perturbed. What is before are imports and the bringing up of the graph, what is after the
-    estimates and everything that is written.
+    The time of the trials reaches from the first to the last perturbed sample of all trials. The
+    time before covers imports and the start of the graph, the time after estimates and all output.
     """
 
     def __init__(self) -> None:
@@ -51,7 +50,7 @@ class Stopwatch:
         self._perturbing = False
 
     def note(self, phase: Phase) -> None:
-        """Take note that a phase of a trial begins."""
+        """Note that a phase of a trial begins."""
         if self._perturbing:
             self._last = time.monotonic()
         self._perturbing = phase is Phase.PERTURB
@@ -59,11 +58,11 @@ class Stopwatch:
             self._first = time.monotonic()
 
     def shown(self) -> None:
-        """Take note that M, B and K are on the screen."""
+        """Note that M, B and K are now on the screen."""
         self._shown = time.monotonic()
 
     def stop(self) -> WallSummary:
-        """Wall times until now; NaN without any sample."""
+        """Return the wall times until now; NaN without any sample."""
         return WallSummary(
             before=self._first - self._began,
             trials=self._last - self._first,
@@ -79,23 +78,23 @@ def present(
     as_json: bool,
     stopwatch: Stopwatch | None = None,
 ) -> int:
-    """Print a result, and draw and report it afterwards.
+    """Print a result, then write its figures and report.
 
     Parameters
     ----------
     result : Result
-        As it is stored. What of its curves and trials is not there is read from the directory.
+        As it is stored; without curves and trials, all of it is read from the directory.
     directory : Path or None
-        Where it is stored, and figures and report go; None if nowhere.
+        Where it is stored, and where figures and report go; None if nowhere.
     as_json : bool
         Whether to print the summary instead of tables.
     stopwatch : Stopwatch, optional
-        What has measured the run; its times become part of the summary.
+        The one that measured the run; its times become part of the summary.
 
     Returns
     -------
     int
-        The exit status that the result deserves.
+        Exit status: 0 if the result is valid and all of it could be written, else 1.
     """
     complete = True
     summary = result.summary.model_copy(update={"origin": OriginSummary.of(sys.argv)})
@@ -129,9 +128,9 @@ def present(
 
 
 def complaints(summary: Summary) -> list[str]:
-    """Return the problems of a result, each with what it does, in one line for each cause.
+    """Return the problems of a result with their consequence, in one line for each cause.
 
-    Notes spoil nothing; an error that concerns an estimator which decides nothing has only that
+    Notes have none; an error of an estimator that does not decide the verdict only has that
     estimate refused.
     """
     faults = summary.faults
@@ -247,7 +246,7 @@ def _quality_table(result: EstimatorSummary, summary: Summary) -> Table:
 
 def _trial_table(summary: Summary) -> Table:
     trials = summary.trials
-    # What is as it should be in all trials, as it mostly is, takes no room.
+    # A column is left out if it is as it should be in all trials, which is the rule.
     counts = {
         **{kind: [str(one.total(kind)) for one in trials] for kind in _COUNTS},
         "clipped": [str(one.clipped) for one in trials],
@@ -290,7 +289,7 @@ def _shown(value: float, spec: str) -> str:
 
 
 def _without_precision(summary: Summary) -> list[str]:
-    """Which trials lasted as planned, as their errors did not become as small as was asked for."""
+    """Name the trials that lasted as planned because their errors did not reach the target."""
     experiment = summary.config.get("experiment")
     bound = experiment.get("target_error") if isinstance(experiment, dict) else None
     if not isinstance(bound, float) or not bound:

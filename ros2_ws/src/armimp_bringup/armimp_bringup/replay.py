@@ -44,15 +44,15 @@ _CLASSES: dict[str, type[Any]] = {
 }
 _BATCH = 400
 """Messages under way at once: far less than the depth of the subscriptions."""
-_TIMEOUT = 10.0
+_TIMEOUT = 10.0  # s, longest wait for a batch to go through the graph
 _ON_THE_WAY = 0.2
-"""Messages of streams that are not waited for have arrived by then (s)."""
+"""Time for messages to arrive whose arrival the player cannot observe (s)."""
 _NEVER = 1_000_000
-"""Number of a trial that does not come."""
+"""Trial number that no trial has."""
 
 
 class BagPlayer(Node):
-    """Publishes recorded messages as they are, never more at once than readers can take."""
+    """Publishes recorded messages unchanged, never more at once than readers can take."""
 
     def __init__(self, graph: GraphContext, spinner: Spinner) -> None:
         super().__init__("armimp_player", context=graph.context, use_global_arguments=False)
@@ -61,14 +61,14 @@ class BagPlayer(Node):
             topic: self.create_publisher(kind, topic, qos.PROFILES[topic])
             for topic, kind in _CLASSES.items()
         }
-        # Hearing its own messages tells the player that the batch has gone through the graph.
+        # The player hears its own messages, which shows that a batch has gone through the graph.
         self._heard = 0
         self._expected = 0
         self._through: Future = Future()
         self._echo = subscribe_raw(self, topics.PERTURBATION, JointState, self._on_echo)
 
     def play(self, bag: BagContent, should_stop: Callable[[], bool]) -> None:
-        """Play one bag as fast as the graph takes it, and let a trial that was cut end there.
+        """Play one bag as fast as the graph takes it, and end a trial that the bag cuts off.
 
         Raises
         ------
@@ -77,7 +77,7 @@ class BagPlayer(Node):
         """
         messages, last = list(_with_statuses(bag)), bag.trials[-1].window
         if not last.ended and topics.COMMANDS in bag.topics:
-            while messages[-1][0] != topics.COMMANDS:  # of a sample that is not complete
+            while messages[-1][0] != topics.COMMANDS:  # these belong to an incomplete sample
                 messages.pop()
         for sent, (topic, message) in enumerate(messages, 1):
             self._senders[topic].publish(message)
@@ -90,7 +90,7 @@ class BagPlayer(Node):
         if not last.ended:
             self._spinner.spin_until(Future(), _ON_THE_WAY)
             self._senders[topics.TRIAL].publish(_status(Phase.REST, replace(last, trial=_NEVER), 0))
-            # Heard before there is a sample of the next bag, which the estimator would fetch first.
+            # It has to be handled before the next bag, whose samples the estimator fetches first.
             self._spinner.spin_until(Future(), _ON_THE_WAY)
 
     def finish(self, last: TrialWindow, trials: int) -> None:
@@ -110,7 +110,7 @@ class BagPlayer(Node):
 
 
 def _with_statuses(bag: BagContent) -> Iterator[tuple[str, bytes]]:
-    """Messages of the bag; where it has no trial statuses, with those that were inferred."""
+    """Yield the messages of a bag, with inferred trial statuses if it has none."""
     if topics.TRIAL in bag.topics:
         yield from ((topic, raw) for topic, _, raw in bag.messages() if topic in _CLASSES)
         return
@@ -157,11 +157,11 @@ def replay_bags(
     on_progress: Callable[[Progress], None] = lambda _: None,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> Result:
-    """Play bags into an estimator node and return what it finds.
+    """Play bags into an estimator node and return its result.
 
     Parameters
     ----------
-    bags : one trial for each joint among them
+    bags : together they hold one trial for each joint
     estimators : names; empty for the defaults
     directory : new directory for the results; None keeps no files
     allow_gaps : use the intact parts of trials that lost samples
@@ -192,7 +192,7 @@ def replay_bags(
         )
         parameters.bag_metadata()
         with GraphContext(domain_id) as graph:
-            # Not before the domain is ours, so that nothing is left behind where it is not.
+            # Only once the domain is claimed, so that a failed claim leaves nothing behind.
             prepare_directory(directory)
             parameter_file = directory / PARAMETERS_FILE
             parameter_file.write_text(

@@ -1,7 +1,7 @@
-"""What people see while they wait: complaints, named phases, progress, running results.
+"""Output for users while they wait: error messages, named phases, progress, running results.
 
-All of it goes to standard error. One :class:`Display` is open at a time; whatever has something to
-tell asks for it by :func:`display`.
+All of it goes to standard error. One :class:`Display` is open at a time; code that has something
+to show gets it from :func:`display`.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from armimp_common.topics import RATE
 
 _UNITS = ("kg·m²", "N·m·s/rad", "N·m/rad")
 _REFRESHES = 1.0
-"""Per second; each takes some milliseconds from nodes in this process."""
+"""Refreshes per second; each takes some milliseconds from the nodes in this process."""
 _BAR_WIDTH = 16
 _LONGEST = 1200
-"""Letters of a line: files of unknown origin may hold names of any length."""
+"""Longest line, characters: files of unknown origin may hold names of any length."""
 
 
 def repair_streams() -> None:
     """Make standard input, output and error usable, whatever the environment gave the process.
 
-    One that is closed leads to the null device, so that no other file takes its place. Letters that
-    the encoding of standard output does not have become question marks.
+    A closed stream is connected to the null device, so that no other file takes its number.
+    Characters that the encoding of standard output lacks become question marks.
     """
     for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
         try:
@@ -48,14 +48,14 @@ def repair_streams() -> None:
                 os.close(null)
         if getattr(sys, name) is None:
             setattr(sys, name, open(number, mode, encoding="utf-8", closefd=False))  # noqa: SIM115
-    with suppress(AttributeError):  # not a file of this interpreter's own
+    with suppress(AttributeError):  # somebody has replaced it by an object without this method
         sys.stdout.reconfigure(errors="replace")  # type: ignore[union-attr]
 
 
 def say(line: str) -> None:
-    """Print a line on standard error, which stays one line whatever the values it quotes hold.
+    """Print one line on standard error, with unprintable characters of quoted values escaped.
 
-    A terminal that is too narrow for it gets it broken between words.
+    A very long line is shortened in its middle; a narrow terminal gets it wrapped between words.
     """
     shown = "".join(
         letter if letter.isprintable() else letter.encode("unicode_escape").decode()
@@ -72,12 +72,12 @@ def say(line: str) -> None:
 class Display:
     """A bar, a named phase and running results at the bottom of the terminal.
 
-    It is gone without a trace when it is closed, so that nothing is painted over what is printed
-    afterwards. Where standard error is no terminal, only progress is told, a line for each step.
+    Closing it removes it from the terminal without a trace, so that nothing is drawn over what is
+    printed afterwards. If standard error is no terminal, only progress is printed, line by line.
     """
 
     present: Display | None = None
-    """The one that is open."""
+    """The display that is open, if any."""
 
     def __init__(self, console: Console | None = None) -> None:
         self._console = console if console is not None else Console(stderr=True)
@@ -86,7 +86,7 @@ class Display:
         self._phase_began = self._progress_began = time.monotonic()
         self._bar: tuple[str, int, int, str] | None = None
         self._lines: list[str] = []
-        self._told: int | None = None
+        self._announced: int | None = None
         self._live = Live(
             console=self._console,
             get_renderable=self._content,
@@ -97,13 +97,13 @@ class Display:
         )
 
     def phase(self, text: str) -> None:
-        """Name what goes on now, beside the bar if there is one."""
+        """Name the current activity, below the bar if there is one."""
         with self._lock:
             self._phase, self._phase_began = text, time.monotonic()
         self._refresh()
 
     def progress(self, done: int, total: int, *, things: str) -> None:
-        """Show how many things are done, and how long the others take.
+        """Show how many things are done, and how long the others will take.
 
         Parameters
         ----------
@@ -128,16 +128,16 @@ class Display:
         label = f"trial {snapshot.trial}/{snapshot.trials}  joint {snapshot.joint}"
         text = describe_trial(snapshot)
         with self._lock:
-            # Fewer are planned than at first where a trial ends early.
+            # The planned number falls when a trial is to end early.
             self._bar = label, snapshot.samples, snapshot.planned, text
             self._lines = [describe_coherence(snapshot), *describe_column(snapshot)]
             self._phase = ""
-        if not self._console.is_terminal and self._told != snapshot.trial:
-            self._told = snapshot.trial
+        if not self._console.is_terminal and self._announced != snapshot.trial:
+            self._announced = snapshot.trial
             self._console.print(f"{label}: {text}", highlight=False)
 
     def complete(self, text: str) -> None:
-        """Let the bar reach its end, and name what comes then."""
+        """Fill the bar, and name the activity that follows."""
         with self._lock:
             if self._bar is not None:
                 label, _, total, _ = self._bar
@@ -145,7 +145,7 @@ class Display:
         self.phase(text)
 
     def close(self) -> None:
-        """Leave the terminal to others, so that results can be printed."""
+        """Remove the display from the terminal, so that results can be printed."""
         if self._console.is_terminal:
             self._live.stop()
         if Display.present is self:
@@ -185,12 +185,12 @@ class Display:
 
 
 def display() -> Display:
-    """Return the display that is open; where none is, one that shows nothing."""
+    """Return the open display, or one that shows nothing if none is open."""
     return Display.present or Display(Console(quiet=True))
 
 
 def describe(done: int, total: int, seconds: float, *, things: str) -> str:
-    """Progress in words; the time left follows from what was done in these seconds."""
+    """Describe progress in words; the time left follows from the seconds taken so far."""
     parts = [f"{done} of {total} {things}"]
     if done == total:
         parts.append(f"took {duration(seconds)}")
@@ -200,7 +200,7 @@ def describe(done: int, total: int, seconds: float, *, things: str) -> str:
 
 
 def duration(seconds: float) -> str:
-    """A time as people say it: ``12 s``, ``3 min 20 s``, ``2 h 5 min``."""
+    """Write a time for people: ``12 s``, ``3 min 20 s``, ``2 h 5 min``."""
     whole = max(1, round(seconds))
     if whole < 60:
         return f"{whole} s"
@@ -210,7 +210,7 @@ def duration(seconds: float) -> str:
 
 
 def describe_trial(snapshot: Snapshot) -> str:
-    """How far a trial is, how fast it runs, and the time left of all trials."""
+    """Describe how far a trial is, how fast it runs, and the time left for all trials."""
     parts = [
         f"{snapshot.samples / RATE:.1f}/{snapshot.planned / RATE:.1f} s",
         f"{snapshot.rate / RATE:.1f}x",
@@ -223,7 +223,7 @@ def describe_trial(snapshot: Snapshot) -> str:
 
 
 def describe_coherence(snapshot: Snapshot) -> str:
-    """Running coherences of angle and torque; empty as long as there are none."""
+    """Running coherences of angle and torque; empty while there are none."""
     if snapshot.coherence_motion is None or snapshot.coherence_torque is None:
         return ""
     return f"coherence θ {snapshot.coherence_motion:.3f}  τ {snapshot.coherence_torque:.3f}"
@@ -232,7 +232,7 @@ def describe_coherence(snapshot: Snapshot) -> str:
 def describe_column(snapshot: Snapshot) -> list[str]:
     """Running M, B and K of the column that is measured, a line for each.
 
-    Standard errors are told only where the motion of the locked joints is accounted for.
+    Standard errors are shown only if the estimates account for the motion of the locked joints.
     """
     lines = []
     for letter, (values, errors), unit in zip("MBK", snapshot.column, _UNITS, strict=True):
@@ -250,7 +250,7 @@ def describe_column(snapshot: Snapshot) -> list[str]:
 
 
 def _with_digits(value: float, error: float, *, stated: bool) -> str:
-    """A value with as many digits as two of its standard error take, and that if it is stated."""
+    """Write value and error to two digits of the latter; if not `stated`, the value to one."""
     digits = 3
     if 0.0 < error < math.inf:
         digits = min(max(1 - math.floor(math.log10(error)), 0), 9)

@@ -1,4 +1,4 @@
-"""What was recorded of a driver, and what a check found, without ROS."""
+"""Data of a driver check, without ROS: the record of a driver, and the findings about it."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ Role = Literal["publisher", "subscriber"]
 _BASELINE = 50
 """Samples at rest that a push is compared with."""
 _GOING = 60
-"""Samples after a push within which its torque goes: 5 periods, 50 ms, and 5 periods more."""
+"""Samples after a push by which its torque has gone: 5 periods, 50 ms, and 5 periods more."""
 _SIGMAS = 5.0
 
 
 class Outcome(str, Enum):
     """How one check ended.
 
-    A check is not made where it does not apply, or was not asked for. It is inconclusive where it
-    was asked for and could not be finished, or where the machine may be to blame.
+    A check is not made if it does not apply, or was not requested. It is inconclusive if it was
+    requested but could not be finished, or if this machine may be the cause of what was found.
     """
 
     PASS = "pass"
@@ -40,8 +40,8 @@ class Finding:
 
     check: str  # such as ``joint_states: rate``
     outcome: Outcome
-    figure: str  # what was found, or why nothing could be
-    limit: str  # what is asked for
+    figure: str  # what was found, or why nothing could be found
+    limit: str  # what is required
 
 
 def with_outcome(findings: Iterable[Finding], outcome: Outcome) -> list[str]:
@@ -50,7 +50,7 @@ def with_outcome(findings: Iterable[Finding], outcome: Outcome) -> list[str]:
 
 
 class Message(NamedTuple):
-    """One message of a sensor stream; the arrays are as they came, of whatever length."""
+    """One message of a sensor stream; the arrays are as received, of whatever length."""
 
     arrival_ns: int  # on the monotonic clock
     stamp_ns: int
@@ -60,7 +60,7 @@ class Message(NamedTuple):
 
 
 class Endpoint(NamedTuple):
-    """A publisher or subscriber, as discovery tells of it."""
+    """A publisher or subscriber, as discovery reports it."""
 
     topic: str
     role: Role
@@ -71,7 +71,7 @@ class Endpoint(NamedTuple):
 
 
 class Call(NamedTuple):
-    """A call of a service, and what it answered; None if it did not."""
+    """A service call and its answer; `success` is None if there was no answer."""
 
     success: bool | None
     message: str = ""
@@ -79,40 +79,40 @@ class Call(NamedTuple):
 
 
 class Push(NamedTuple):
-    """What a constant torque on one joint did; see :func:`measure`."""
+    """Response to a constant torque on one joint; see :func:`measure`."""
 
     joint: int  # from 0
     torque: float  # N·m
-    moved: FloatArray  # mean change of each angle in its second half (n,), rad
-    still: FloatArray  # change of each angle that is no motion (n,), rad
-    delay: int | None  # samples until the reading of torque answered; None if it did not
-    change: float = 0.0  # by how much it then did, N·m
-    back: float = 0.0  # by how much the joint went back after the push, rad
+    moved: FloatArray  # mean change of each angle in the second half of the push (n,), rad
+    still: FloatArray  # largest change of each angle that counts as noise (n,), rad
+    delay: int | None  # samples until the torque reading responded; None if it did not
+    change: float = 0.0  # by how much the torque reading then changed, N·m
+    back: float = 0.0  # how far the joint returned after the push, rad
 
 
 class Ending(NamedTuple):
-    """What a driver did about a fault."""
+    """Response of a driver to a fault."""
 
     told: float | None = None  # s, from the last command, or the stop, to an ERROR; None: never
     ended: Push | None = None  # the push that the fault ended
-    again: Push | None = None  # commanded under torque before the reset: must not act
+    again: Push | None = None  # a push commanded before the reset, which must have no effect
     stop: Call | None = None
     reset: Call = Call(success=None)
 
 
 @dataclass(kw_only=True, eq=False)
 class Moves:
-    """What was done with torque, and how it ended."""
+    """Tests under torque, and how they ended."""
 
     pushes: list[Push] = field(default_factory=list)  # one for each joint
     stale: Ending | None = None  # commands that stopped under torque
     stop: Ending | None = None  # the emergency stop
     second: Ending | None = None  # a second publisher of commands
-    asked: bool = True  # whether torque was to be commanded
-    missing: str = ""  # why the moves, or the rest of them, were not made
-    astray: bool = False  # whether that is motion beyond its limit, or which cannot be read
-    fault: str = ""  # what the driver said when it stopped under commands
-    gap: float = 0.0  # s, longest time between two of those
+    asked: bool = True  # whether the user requested torque
+    missing: str = ""  # why the tests, or the rest of them, were not made
+    astray: bool = False  # whether the reason is motion beyond its limit, or unreadable angles
+    fault: str = ""  # message of the driver when it stopped although commands came
+    gap: float = 0.0  # s, longest time between two commands
     moved: float | None = None  # rad, how far a joint went; None if there was no torque
 
 
@@ -120,22 +120,22 @@ class Moves:
 class Record:
     """Everything known about a driver."""
 
-    joints: tuple[str, ...]  # that are expected, in the order of commands
+    joints: tuple[str, ...]  # expected names, in the order of commands
     endpoints: Sequence[Endpoint]  # without those of the checker
     streams: Mapping[str, Sequence[Message]]  # at rest, by topic
     moving: Mapping[str, Sequence[Message]] = field(default_factory=dict)  # under torque
-    malformed: Mapping[str, int] = field(default_factory=dict)  # that could not be decoded
+    malformed: Mapping[str, int] = field(default_factory=dict)  # messages that cannot be decoded
     services: frozenset[str] = frozenset()  # relative to the namespace
-    lifecycle: str | None = None  # how it was found; None if it is no lifecycle node
+    lifecycle: str | None = None  # state when found; None if it is no lifecycle node
     most: float = 0.0  # rad, how far a joint was allowed to go
     faults: Sequence[str] = ()  # of level ERROR before anything was commanded
     moves: Moves = field(default_factory=Moves)
 
 
 def readings(joints: Sequence[str], topic: str, messages: Sequence[Message | None]) -> FloatArray:
-    """Return the readings (n, N) of a stream by expected joint, of whole messages only.
+    """Return the readings (n, N) of a stream in the order of the expected joints.
 
-    A message is whole if it has the expected joints, in any order, and as many values.
+    Only whole messages count: those with the expected joints, in any order, and as many values.
     """
     columns: list[list[float]] = []
     for message in messages:
@@ -151,14 +151,14 @@ def readings(joints: Sequence[str], topic: str, messages: Sequence[Message | Non
 def measure(
     joint: int, torque: float, angles: FloatArray, torques: FloatArray, begin: int, end: int
 ) -> Push:
-    """See what a torque did.
+    """Measure the response to a constant torque on one joint.
 
     Parameters
     ----------
-    joint, torque : from 0; N·m
+    joint, torque : index from 0; N·m
     angles, torques : (n, N) readings at rest, under the torque and after it, rad and N·m
-    begin, end : numbers of the last ones at rest, which the first command of the torque answers,
-        and under the torque
+    begin, end : index of the last sample at rest, which the first command of the torque answers,
+        and of the last sample under the torque
     """
     before = slice(max(begin - _BASELINE, 0), begin + 1)
     own = angles[joint]
@@ -179,10 +179,10 @@ def measure(
 
 
 def _noise(values: FloatArray, rest: slice) -> FloatArray:
-    """Change (n,) of readings (n, N) that is no noise: five sigma at rest, and over one count."""
+    """Largest change (n,) of readings (n, N) taken for noise: 5 sigma at rest, or 1.5 counts."""
     changes = np.abs(np.diff(np.sort(values, axis=1), axis=1))
     count = np.array([np.min(row[row > 1e-9], initial=np.inf) for row in changes])
-    # Unquantised readings have steps of any size; those of noise are below five sigma anyway.
+    # Unquantised readings have steps of any size; those due to noise are below five sigma anyway.
     count = np.where(np.isfinite(count), count, 0.0)
     noise: FloatArray = np.maximum(_SIGMAS * np.std(values[:, rest], axis=1), 1.5 * count)
     return noise

@@ -1,4 +1,4 @@
-"""The course of a check: attaches to a driver, records it, pushes it, and gives it back.
+"""The course of a check: attach to a driver, record it, push its joints, and restore its state.
 
 Nothing is judged here.
 """
@@ -38,27 +38,28 @@ from armimp_common.realtime import RealtimeScheduling
 from armimp_common.topics import JOINT_STATES
 
 _PATIENCE, _LONG = 10.0, 60.0
-_LISTEN = 0.5
+"""Longest waits for a driver to appear, and for a lifecycle transition, s."""
+_LISTEN = 0.5  # s, pause in which messages that are under way arrive
 _SILENCE = 10.0
 """Without samples for this long, a driver has stopped sending them, s."""
 _REST, _HOLD = 200, 400
 """Samples at rest before a push, and those under torque."""
 _AGAIN = 200
-"""Samples of a push that must not act."""
+"""Samples of a push that must have no effect."""
 _SILENT = 250
-"""Samples for which commands stay away."""
+"""Samples that get no command, to test what a driver does without commands."""
 _STOPPING = 600
-"""Samples for which torque is commanded on after the call of the emergency stop, at most.
+"""Most samples for which torque is still commanded once the emergency stop is called.
 
-As long as it may take to answer, and those that are looked at after the answer.
+They cover the longest wait for its answer, and the samples that are evaluated after the answer.
 """
-_SETTLE = 100
+_SETTLE = 100  # samples of one step of settling, and those evaluated after a push
 _LEAVING = 0.3
-"""How long a driver may take to hear that a publisher has left, s."""
+"""How long a driver may take to notice that a publisher has left, s."""
 _STILL = 4e-4
 """An arm that moves less than this during 200 samples has settled, rad."""
-_LONGEST_SETTLING = 80
-_TOLD = 2.0
+_LONGEST_SETTLING = 80  # steps of settling before a push, at most
+_TOLD = 2.0  # s, longest wait for the report of a fault or the answer of a service
 
 _T = TypeVar("_T")
 
@@ -80,7 +81,7 @@ def probe(options: CheckOptions, domain_id: int | None) -> Record:
     with GraphContext(domain_id) as graph, stop_on_signals() as stopped:
         node = Conversation(graph, options.joints, options.namespace, stopped)
         scheduling = RealtimeScheduling()
-        # A collection of garbage at the wrong moment would keep commands back.
+        # Garbage collection at the wrong moment would delay commands.
         scheduling.take(0)
         try:
             return Checker(node, options).record()
@@ -94,8 +95,8 @@ class Checker:
 
     Parameters
     ----------
-    node : what talks with the driver
-    options : what the user asks for
+    node : the node that talks with the driver
+    options : those of the user
     """
 
     def __init__(self, node: Conversation, options: CheckOptions) -> None:
@@ -105,7 +106,7 @@ class Checker:
         self._known: frozenset[str] = frozenset()  # statuses that have the level ERROR anyway
 
     def record(self) -> Record:
-        """Record the driver at rest, then under torque if that is asked for and may be."""
+        """Record the driver at rest, then under torque if that is requested and permissible."""
         node, options = self._node, self._options
         self._manager = LifecycleManager(
             node,
@@ -119,7 +120,7 @@ class Checker:
             state = self._find()
         with self._active(state):
             node.wait(lambda: False, _LISTEN)
-            # Lines, as a display that refreshes itself would disturb what is measured here.
+            # Plain lines, as a display that refreshes itself would disturb the measurement.
             say(f"listening to the driver for {options.duration:g} s")
             first = node.samples
             node.wait(lambda: False, options.duration)
@@ -226,19 +227,19 @@ class Checker:
         return ""
 
     def _begin_to_answer(self, state: str | None) -> None:
-        """Answer every sample from now on; if possible also for the driver, from its first one."""
+        """Answer every sample from now on; if the driver can be reactivated, from its first one."""
         node, name = self._node, self._options.node
         again = state in ("unconfigured", "inactive")
         if again:
             self._manager.change(name, "deactivate")
-        # What piled up meanwhile must not be answered.
+        # Samples that have piled up meanwhile must not be answered.
         node.wait(lambda: False, _LISTEN)
         node.torque = node.zero
         if again:
             self._manager.change(name, "activate")
 
     def _leave(self, state: str | None) -> None:
-        """Reset a driver that stays active after the silence that begins now, which is a fault."""
+        """Stop commanding a driver that stays active, and reset the fault that this causes."""
         if state in (None, "active"):
             self._node.torque = None
             self._node.wait(lambda: False, _LISTEN)
@@ -247,7 +248,7 @@ class Checker:
     # --- under torque ----------------------------------------------------------------------------
 
     def move(self) -> Moves:
-        """Push each joint; then see how silence, a stop and a second publisher end a push."""
+        """Push each joint; then test silence, the emergency stop and a second publisher."""
         moves, guard, node = Moves(), self._guard, self._node
         node.guard = guard
         try:
@@ -263,11 +264,11 @@ class Checker:
         except _GivenUpError as error:
             moves.missing, moves.astray = str(error), bool(guard.objection)
         finally:
-            # However this ends, even by Ctrl-C, no torque that was commanded may stay.
+            # However this ends, even by Ctrl-C, no commanded torque may remain.
             node.let_go()
             node.guard = None
         if guard.objection:
-            # Zero torque may not be enough where a driver does something else than it is told.
+            # Zero torque may not be enough for a driver that does not do what it is commanded.
             node.call(topics.SIM_STOP_SERVICE, _TOLD)
         elif moves.missing:
             self._reset()
@@ -281,12 +282,12 @@ class Checker:
         say("calling the emergency stop")
         since = self._node.now()
         stop = self._node.call(topics.SIM_STOP_SERVICE, _TOLD, since)
-        return Moves(stop=Ending(told=self._told(since), stop=stop, reset=self._reset()))
+        return Moves(stop=Ending(told=self._time_to_fault(since), stop=stop, reset=self._reset()))
 
     def _watched(self, moves: Moves, act: Callable[[], tuple[_T, float]]) -> _T:
-        """Do something, and give up if the driver stopped in it without a reason.
+        """Make a test, and give up if the driver reported a fault that the test did not cause.
 
-        `act` returns until when (monotonic, s) the driver had none.
+        `act` returns its result, and until when (monotonic, s) the driver had no reason to stop.
         """
         node, seen = self._node, len(self._node.errors)
         found, until = act()
@@ -302,16 +303,16 @@ class Checker:
         return self._pushed(joint, _HOLD, (_SETTLE, self._node.zero)), math.inf
 
     def _pushed(self, joint: int, held: int, *then: Step) -> Push:
-        """Push a joint for some samples, and see what that has done until the script is over."""
+        """Push a joint for `held` samples, play the steps that follow, and measure the response."""
         start = self._play([(_REST, self._node.zero), (held, self._torque(joint)), *then])
         end = start + _REST + held
         return self._measured(joint, start, end, end)
 
     def _measured(self, joint: int, start: int, end: int, after: int) -> Push:
-        """See what a push did that begins with these samples at rest.
+        """Measure a push; the samples at rest before it begin with number `start`.
 
-        `end` is the number of the last sample under torque, `after` that of the first one after it:
-        what is between them is left out.
+        `end` is the number of the last sample under torque. Samples between it and number `after`
+        are left out.
         """
         angles, torques = (
             np.hstack([self._whole(topic, start, end), self._whole(topic, after, after + _SETTLE)])
@@ -324,16 +325,16 @@ class Checker:
         self._settle()
         ended = self._pushed(0, _HOLD, (_SILENT, None))
         since = self._node.silent_since
-        told = self._told(since)
-        # Torque that must not act, as no reset was granted yet.
+        told = self._time_to_fault(since)
+        # This torque must have no effect, as no reset was granted yet.
         again = self._pushed(0, _AGAIN, (_SETTLE, self._node.zero))
         return Ending(told=told, ended=ended, again=again, reset=self._reset()), since
 
     def _stop_under_torque(self) -> tuple[Ending, float]:
-        """Call the emergency stop, and command torque on; reset."""
+        """Call the emergency stop while torque is still commanded; reset."""
         node, torque = self._node, self._torque(0)
         self._settle()
-        # Torque is commanded on for some time, no longer, should the stop be a bad one.
+        # Torque is commanded for a limited time, in case the stop does not work.
         start = node.samples
         node.play([(_REST, node.zero), (_HOLD, torque), (_STOPPING, torque)])
         end = start + _REST + _HOLD
@@ -341,10 +342,10 @@ class Checker:
         self._require_calm()
         since, end = node.now(), node.samples
         stop = node.call(topics.SIM_STOP_SERVICE, _TOLD, since)
-        # A fault that is told later may be another one, such as that of a watchdog: commands can be
-        # held up. Torque has to go with the answer.
+        # Torque has to go with the answer. A fault that is reported later may be another one, such
+        # as that of a watchdog, since commands can be delayed.
         after = node.samples
-        told = self._told(since)
+        told = self._time_to_fault(since)
         self._wait(lambda: not node.playing and node.samples >= after + _SETTLE)
         self._require_calm()
         ended = self._measured(0, start, end, after)
@@ -352,12 +353,12 @@ class Checker:
         return Ending(told=told, ended=ended, again=again, stop=stop, reset=self._reset()), since
 
     def _intrude(self) -> tuple[Ending, float]:
-        """Have somebody else command zero torque, too; reset."""
+        """Have a second publisher command zero torque, too; reset."""
         self._settle()
         since = self._node.now()
         with self._node.intruder(_TOLD):
-            told = self._told(since)
-        # Until the driver knows that the other one has left.
+            told = self._time_to_fault(since)
+        # Until the driver knows that the second publisher has left.
         self._node.wait(lambda: False, _LEAVING)
         return Ending(told=told, reset=self._reset()), since
 
@@ -376,7 +377,7 @@ class Checker:
                 return
 
     def _whole(self, topic: str, first: int, end: int) -> FloatArray:
-        """Return the readings (n, N) of these samples, all of which have to be whole."""
+        """Return the readings (n, N) of these samples; all their messages have to be whole."""
         part = self._node.kept[topic][first:end]
         values = readings(self._joints, topic, part)
         if values.shape[1] != len(part):
@@ -405,8 +406,8 @@ class Checker:
         if self._guard.objection:
             raise _GivenUpError(self._guard.objection)
 
-    def _told(self, since: float) -> float | None:
-        """Return how long after a moment the driver reported a fault, s."""
+    def _time_to_fault(self, since: float) -> float | None:
+        """Wait for a fault to be reported; return how long after `since` it was, s."""
         node = self._node
 
         def after() -> list[float]:
@@ -421,7 +422,7 @@ class Checker:
 
 
 def _decoded(node: Conversation, first: dict[str, int]) -> dict[str, list[Message]]:
-    """Messages of streams from those with these numbers on, without what cannot be decoded."""
+    """Return the messages of each stream from a number on, without those that can't be decoded."""
     return {
         topic: [one for one in node.kept[topic][number:] if one is not None]
         for topic, number in first.items()

@@ -61,7 +61,7 @@ def ask(options: CheckOptions, domain: int) -> None:
     """
     if not sys.stdin.isatty():
         raise ConfigurationError("--move: there is nobody to ask; --yes says that it is safe")
-    # What is printed on standard output may be JSON for somebody.
+    # Not on standard output, which may have to be JSON.
     print(
         f"--move lets {options.node} (ROS domain {domain}) push each joint"
         f" ({', '.join(options.joints)}) with {options.torque:g} N·m, again and again, for about a"
@@ -93,14 +93,14 @@ def report(
 
 
 def print_findings(findings: Sequence[Finding], told: Mapping[str, Any]) -> None:
-    """Print a table of all findings, and the outcome, of which the report has the numbers."""
+    """Print a table of all findings, and the outcome with the counts of the report `told`."""
     out = Console(soft_wrap=True)
     table = Table(box=SIMPLE_HEAD)
     for column in ("check", "", "found", "limit"):
         table.add_column(column)
     for finding in findings:
         colour = _COLOURS[finding.outcome]
-        # What a driver has put into its messages is no markup.
+        # Text from the messages of a driver must not be taken for markup.
         cells = (escape(text) for text in (finding.figure, finding.limit))
         table.add_row(escape(finding.check), f"[{colour}]{finding.outcome.value}[/]", *cells)
     out.print(table)

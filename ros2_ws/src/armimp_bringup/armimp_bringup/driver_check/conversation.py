@@ -34,7 +34,7 @@ from armimp_common.status import Level, to_ns
 from armimp_common.topics import JOINT_STATES, NS_PER_S
 
 _NODE = "armimp_check_driver"
-_FAREWELLS = 5
+_FAREWELLS = 5  # zero commands sent when torque is let go
 _TAKEN = "torque taken away"
 Torque: TypeAlias = "tuple[float, ...]"
 Step: TypeAlias = "tuple[int, Torque | None]"
@@ -54,7 +54,7 @@ class Error(NamedTuple):
 
 
 class MotionGuard:
-    """The checker's own limit of motion, asked at every sample while torque may be commanded.
+    """The checker's own limit of motion, applied to every sample while torque may be commanded.
 
     Each joint may go as far as ``most``, rad, from where it was at the first sample.
     """
@@ -82,13 +82,13 @@ class MotionGuard:
 
 
 class Answering:
-    """Keeps what a driver sends, and answers each sample with the torque that is set.
+    """Keeps the messages of a driver, and answers each sample with the torque that is set.
 
     Parameters
     ----------
     joints : names, in the order of commands
     publish : sends a command
-    now_ns, sleep : a monotonic clock, ns, and the way to let it go on, s
+    now_ns, sleep : a monotonic clock, ns, and the function that waits by it, s
     """
 
     def __init__(
@@ -102,11 +102,11 @@ class Answering:
         self._publish, self.now_ns, self._sleep = publish, now_ns, sleep
         self.guard: MotionGuard | None = None  # when it objects, zero torque is the answer
         self.zero: Torque = (0.0,) * len(joints)
-        self.torque: Torque | None = None  # answer to each sample, beside a script
+        self.torque: Torque | None = None  # answer to each sample outside of a script
         self.samples = 0  # complete samples that came
         # Monotonic times (s) of the last command, and of the last one before a silence.
         self.last_sent = self.silent_since = 0.0
-        self.gap = 0.0  # s, longest time between two commands that was not meant to be longer
+        self.gap = 0.0  # s, longest time between two commands, without intended silences
         self.kept: dict[str, list[Message | None]] = {topic: [] for topic in SENSOR_TOPICS}
         self._script: deque[Step] = deque()
 
@@ -143,7 +143,7 @@ class Answering:
         self.last_sent = now
 
     def let_go(self) -> None:
-        """Command zero torque now, several times, instead of whatever else was to be done."""
+        """Drop the script, and command zero torque now, several times."""
         self._script.clear()
         for _ in range(_FAREWELLS):
             self._publish(self.zero)
@@ -156,8 +156,8 @@ class Answering:
         guard = self.guard
         if guard is not None and topic == JOINT_STATES and not guard.allows(message):
             self._script.clear()
-        # A sample is complete with the second of its two messages, in either order. Stamps are what
-        # is to be judged, so they are not asked.
+        # A sample is complete with the second of its two messages, in either order. Stamps are not
+        # used to pair them, as they are still to be judged.
         complete = min(map(len, self.kept.values()))
         if complete > self.samples:
             self.samples = complete
@@ -195,13 +195,13 @@ class Conversation(Node, Answering):
 
     def listen(self) -> None:
         """Subscribe to the sensor streams, with the reliability that is offered, and command."""
-        # Not before: a driver that is in use takes a second publisher for a fault.
+        # Not earlier: a driver that is in use takes a second publisher for a fault.
         self._commands = CommandPublisher(self, topics.COMMANDS, len(self.zero))
         for topic in SENSOR_TOPICS:
             offered = self.get_publishers_info_by_topic(str(self.resolve_topic_name(topic)))
             kinds = {info.qos_profile.reliability for info in offered}
             profile = copy(qos.SAMPLE)
-            # A reader that asks for more than is offered hears nothing at all.
+            # A subscriber that requests more than is offered receives nothing at all.
             if ReliabilityPolicy.BEST_EFFORT in kinds:
                 profile.reliability = ReliabilityPolicy.BEST_EFFORT
             self._sensors.append(
@@ -210,7 +210,7 @@ class Conversation(Node, Answering):
 
     @contextmanager
     def intruder(self, patience: float) -> Iterator[None]:
-        """Have a second publisher of commands, which has sent one of zero torque."""
+        """Provide a second publisher of commands, which sends one command of zero torque."""
         second = CommandPublisher(self, topics.COMMANDS, len(self.zero))
         heard = self._commands.publisher.get_subscription_count()
         try:
@@ -245,7 +245,7 @@ class Conversation(Node, Answering):
 
     def safety_services(self) -> frozenset[str]:
         """Return the safety services that are there."""
-        # Lists of the graph would hold the clients of this node, too.
+        # The graph's lists of services would hold the clients of this node, too.
         clients = self._triggers.items()
         return frozenset(name for name, client in clients if client.service_is_ready())
 
@@ -277,7 +277,7 @@ class Conversation(Node, Answering):
     def check(self) -> None:
         """Raise an InterruptionError if the user wants to end.
 
-        It is raised between two callbacks, and once only: torque must still be ended.
+        It is raised between two callbacks, and once only, since torque must still be ended then.
         """
         if self._stopped():
             self._interrupted = None

@@ -1,4 +1,4 @@
-"""Rules of section 10 of docs/interfaces.md that a driver is judged by."""
+"""Rules by which a driver is judged, from section 10 of docs/interfaces.md."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from armimp_common.realtime import LATE_NS
 from armimp_common.topics import COMMANDS, JOINT_STATES, NS_PER_S, PERIOD_NS, RATE, VALUE_FIELD
 
 # Limits that the interfaces page does not state are chosen.
-_LEAST = 100  # samples without which nothing is judged
+_LEAST = 100  # fewest samples that a stream must have
 _JUMP = 0.1  # rad in one period, so 100 rad/s: chosen
 _CLOCK = 2e-4  # relative error of the mean step of stamps, which the estimator allows
 _RATE_ERROR = 0.005  # relative error of the rate by the wall clock: chosen
 _LATE = LATE_NS / NS_PER_S
 _LATE_SHARE = 0.01  # as in a valid run
 
-_USUAL = 0.35  # share of the usual motion that counts as one: chosen
+_USUAL = 0.35  # tolerance when motion is compared with the usual one, as a share of it: chosen
 _REACTION = 3  # periods from a command to its first effect: chosen
-_REGULAR = 0.004  # s; between commands; up to that no driver has a reason to stop: 5 periods are
+_REGULAR = 0.004  # s between commands that give no driver a reason to stop: 5 periods would
 _ANSWER = 0.5  # s; for the answer of a service: chosen
 _TOLD = 1.5  # s; until a fault is on /diagnostics, where it is repeated every second
 _LARGER = "try a larger --torque"
@@ -44,11 +44,11 @@ _GONE_LIMIT = "torque gone within 60 ms, as after a command of none"
 _LATCH_LIMIT = "no torque before the reset, whatever is commanded"
 
 _RANGES = {"position": ("rad", 4.0 * math.pi, "degrees?"), "effort": ("N·m", 500.0, "N·mm?")}
-"""Unit of readings, what none exceeds (two turns; chosen), and what they are if one does."""
+"""Unit of readings, their bound (two turns; chosen), and the likely unit if one exceeds it."""
 
 
 def judge(record: Record) -> list[Finding]:
-    """Judge a driver by what was recorded of it."""
+    """Judge a driver by its record."""
     return [
         *_judge_contract(record),
         *(found for topic in SENSOR_TOPICS for found in _judge_content(record, topic)),
@@ -58,7 +58,7 @@ def judge(record: Record) -> list[Finding]:
 
 
 def _judged(check: str, good: bool | None, figure: str, limit: str) -> Finding:
-    """Return a finding that is good, or not; None if that can't be told."""
+    """Return the finding of a check that passed, or failed; inconclusive if `good` is None."""
     outcomes = {True: Outcome.PASS, False: Outcome.FAIL, None: Outcome.INCONCLUSIVE}
     return Finding(check, outcomes[good], figure, limit)
 
@@ -76,7 +76,7 @@ def _judge_contract(record: Record) -> Iterator[Finding]:
         yield Finding("lifecycle", Outcome.NOT_CHECKED, figure, limit)
     else:
         yield _judged("lifecycle", True, f"was {record.lifecycle}", limit)
-    # Whoever says so: armimp run takes it for a problem of the run.
+    # No matter which node reports it: armimp run takes any ERROR for a problem of the run.
     fault = record.faults[0] if record.faults else "none"
     limit = f"no status ERROR on {topics.DIAGNOSTICS}"
     yield _judged("no fault at rest", not record.faults, fault, limit)
@@ -95,7 +95,7 @@ def _judge_topic(record: Record, topic: str, role: str) -> Iterator[Finding]:
     transient = any(end.transient for end in found)
     yield _judged(
         f"{topic}: quality of service",
-        # A reader that asks for more than volatile refuses the publishers of this project.
+        # A transient-local subscriber would refuse the volatile publishers of this project.
         reliable and not (role == "subscriber" and transient),
         f"{'reliable' if reliable else 'best effort'}, "
         f"{'transient local' if transient else 'volatile'}",
@@ -128,7 +128,7 @@ def _judge_values(record: Record, topic: str, messages: Sequence[Message]) -> It
     unit, bound, hint = _RANGES[VALUE_FIELD[topic]]
     still = readings(record.joints, topic, messages)
     moving = readings(record.joints, topic, record.moving.get(topic, ()))
-    # Of numbers in the wrong place at least that can be said.
+    # Numbers in the wrong place can at least be tested for being finite.
     misplaced = [] if still.size else [v for m in messages for v in (*m.position, *m.effort)]
     numbers = np.hstack([still.ravel(), misplaced, moving.ravel()])
     bad = int(np.sum(~np.isfinite(numbers)))
@@ -177,10 +177,10 @@ def _judge_stamps(topic: str, messages: Sequence[Message]) -> Iterator[Finding]:
 
 
 def _judge_pace(topic: str, messages: Sequence[Message]) -> Iterator[Finding]:
-    """Judge arrivals against a regular beat with their own mean rate.
+    """Judge arrivals against a regular grid with their own mean rate.
 
-    Its period is that between the medians of the first and of the last tenth of arrivals, and it is
-    laid through the median of all, so that a message that was held up does not move it.
+    The period of the grid follows from the medians of the first and of the last tenth of arrivals,
+    and its offset is the median of all, so that a single delayed message does not move it.
     """
     arrivals_ns = np.array([message.arrival_ns for message in messages], dtype=np.int64)
     since = (arrivals_ns - arrivals_ns[0]) / NS_PER_S
@@ -195,7 +195,7 @@ def _judge_pace(topic: str, messages: Sequence[Message]) -> Iterator[Finding]:
     share = float(np.mean(delay > _LATE))
     figure = f"{100 * share:.3g} %; worst {1e3 * float(np.max(delay)):.3g} ms"
     limit = f"≤ {100 * _LATE_SHARE:g} % arrive more than {1e3 * _LATE:g} ms late"
-    # Other work on this machine spoils it as well as a driver does.
+    # Other work on this machine causes jitter as well as a driver does, so no driver fails here.
     yield _judged(f"{topic}: jitter", share <= _LATE_SHARE or None, figure, limit)
 
 
@@ -215,7 +215,7 @@ def _judge_pairs(record: Record) -> Finding:
 
 
 def _judge_moves(record: Record) -> Iterator[Finding]:
-    """Judge the answers to torque, to its absence, and to the emergency stop."""
+    """Judge the responses to torque, silence, emergency stop and a second publisher."""
     moves = record.moves
     check, limit = "torque: motion", f"≤ {record.most:g} rad from where each joint was"
     if moves.moved is None:
@@ -246,7 +246,7 @@ def _judge_moves(record: Record) -> Iterator[Finding]:
 
 
 def _missing(record: Record, check: str, limit: str) -> Finding:
-    """Return the finding for something that was not done: why, and whether it was asked for."""
+    """Return the finding for a test that was not done: inconclusive if torque was requested."""
     moves = record.moves
     in_vain = moves.asked and moves.missing
     outcome = Outcome.INCONCLUSIVE if in_vain else Outcome.NOT_CHECKED
@@ -294,10 +294,10 @@ def _judge_pushes(record: Record) -> Iterator[Finding]:
 
 
 def _mixed_up(record: Record, ways: FloatArray) -> tuple[list[str], list[str]]:
-    """What is mixed up among the joints, and which of them did not move, though nothing else did.
+    """Return sentences about joints that are mixed up, and the joints whose push moved no joint.
 
-    A passive rig cannot turn two torques into motion that does no work. `ways` are −1 for joints
-    that turn against their torque.
+    On a passive rig torques do work, so the responses of two joints to both their pushes have a
+    positive determinant. `ways` are −1 for joints that turn against their torque.
     """
     pushes = record.moves.pushes
     order = [push.joint for push in pushes]
@@ -329,7 +329,7 @@ def _judge_answer(ending: Ending) -> Finding:
 
 
 def _judge_ending(record: Record, of: str, ending: Ending | None) -> Iterator[Finding]:
-    """Judge whether a fault was told, latched and reset."""
+    """Judge whether a fault was reported, latched and reset."""
     check, limit = f"{of}: told", f"status ERROR on {topics.DIAGNOSTICS} within {_TOLD:g} s"
     if ending is None:
         yield _missing(record, check, limit)
@@ -339,7 +339,7 @@ def _judge_ending(record: Record, of: str, ending: Ending | None) -> Iterator[Fi
     if ending.told is not None:
         yield _judged(check, ending.told <= _TOLD, f"after {ending.told:.3f} s", limit)
     elif record.faults:
-        # That would go on, whatever the driver has to say.
+        # Statuses that were in ERROR before do not count, so this fault may be among them.
         yield _judged(check, None, f"there was a fault before: {record.faults[0]}", limit)
     else:
         yield _judged(check, False, "none", limit)
@@ -354,7 +354,7 @@ def _judge_ending(record: Record, of: str, ending: Ending | None) -> Iterator[Fi
 
 
 def _judge_end(record: Record, of: str, ended: Push) -> Finding:
-    """Compare how the joint went back with a push that a command of zero ended."""
+    """Compare the return of the joint with that after a push that a zero command ended."""
     usual, check = record.moves.pushes[ended.joint], f"{of}: torque"
     if abs(usual.back) <= usual.still[usual.joint]:
         return _judged(check, None, f"no effect: {_LARGER}", _GONE_LIMIT)
@@ -364,7 +364,7 @@ def _judge_end(record: Record, of: str, ended: Push) -> Finding:
 
 
 def _judge_latch(record: Record, of: str, ending: Ending) -> Finding:
-    """Compare a push that must not act with the first one of the same joint."""
+    """Compare a push that must have no effect with the first push of the same joint."""
     again, check = ending.again, f"{of}: latched"
     if again is None:
         return Finding(check, Outcome.NOT_CHECKED, "no torque was there: --move", _LATCH_LIMIT)

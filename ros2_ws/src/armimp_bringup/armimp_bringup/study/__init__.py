@@ -1,4 +1,4 @@
-"""What a study is made of: conditions, their results, and the files of these."""
+"""Parts of a study: conditions, their results, and the files of the results."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def select_conditions(only: Sequence[str], seeds: str) -> tuple[Condition, ...]:
     Parameters
     ----------
     only : sequence of str
-        Selections such as ``friction=0+3,resolution=0``; their union is taken. None: all 48
+        Selections such as ``friction=0+3,resolution=0``; their union is taken. Empty: all 48
         combinations.
     seeds : str
         As for `parse_seeds`.
@@ -133,7 +133,7 @@ class StudyEntry(Summary):
 
     @property
     def condition(self) -> Condition:
-        """What the result is of."""
+        """The condition of the result."""
         return Condition(**self.model_dump(include={"seed", *LEVELS}))
 
 

@@ -25,12 +25,12 @@ from armimp_sim.plant import IntegrationError
 Task = TypeVar("Task")
 Done = TypeVar("Done")
 Result: TypeAlias = tuple[StudyEntry, dict[str, ImpedanceCurve]]
-"""Of one condition, with its curves by name of the estimator."""
+"""Result of one condition, with its curves by name of the estimator."""
 _CONNECT_TIMEOUT = 10.0  # s
 
 
 def split_evenly(conditions: Sequence[Condition], workers: int) -> list[tuple[Condition, ...]]:
-    """Batches that keep all workers equally busy.
+    """Split conditions into batches that keep all workers equally busy.
 
     A block of `armimp_sim.dynamics.WIDTH` lanes takes the same time however many of them are in
     use. So batches hold that many at most, and their number is a multiple of the workers' unless
@@ -39,9 +39,9 @@ def split_evenly(conditions: Sequence[Condition], workers: int) -> list[tuple[Co
     Parameters
     ----------
     conditions : sequence of Condition
-        What is to be done.
+        Those that are to be run.
     workers : int
-        Batches that run at the same time.
+        Number of batches that run at the same time.
     """
     total = len(conditions)
     batches = min(total, workers * -(-total // (workers * WIDTH)))
@@ -59,7 +59,7 @@ def run_batch(
     base : ExperimentConfig
         Everything but levels and seed.
     made_with : mapping
-        `software` of the process that asks for it, which may be another one.
+        `software` of the process that runs the study, which may be another one.
     conditions : sequence of Condition
         One for each lane.
 
@@ -68,7 +68,7 @@ def run_batch(
     ConfigurationError
         If the configuration does not make an experiment, or an estimator does not exist.
     DataError
-        If a condition cannot be simulated or estimated, or the software here is another one.
+        If a condition cannot be simulated or estimated, or the software here differs.
     """
     here = software()["versions"]
     for name, version in made_with["versions"].items():
@@ -132,7 +132,7 @@ def estimate_condition(
 
 @dataclass(frozen=True)
 class Backend:
-    """Where a study runs: an executor, and how many tasks it has at work at the same time."""
+    """Where a study runs: an executor, and the number of tasks that it runs at the same time."""
 
     pool: Executor
     workers: int
@@ -142,7 +142,7 @@ class Backend:
     def run(self, work: Callable[[Task], Done], tasks: Iterable[Task]) -> Iterator[Done]:
         """Yield the results of all tasks, in the order in which they are ready.
 
-        The first error of a task is raised, and ends the others but for those at work.
+        The first error of a task is raised; tasks that have not begun by then are cancelled.
         """
         lost: tuple[type[Exception], ...] = (CancelledError, *self.lost)
         futures: list[Future[Done]] = []
@@ -159,7 +159,7 @@ class Backend:
 
 
 def processes(workers: int | None = None) -> Backend:
-    """Return processes of this machine: estimates hold up one another in threads of a process.
+    """Return a backend of processes on this machine; in threads, estimates delay one another.
 
     Parameters
     ----------
@@ -170,19 +170,19 @@ def processes(workers: int | None = None) -> Backend:
     pool = ProcessPoolExecutor(
         workers,
         mp_context=get_context("spawn"),
-        initializer=signal.signal,  # Ctrl-C ends them without a word
+        initializer=signal.signal,  # Ctrl-C ends them silently
         initargs=(signal.SIGINT, signal.SIG_DFL),
     )
     return Backend(pool, workers, (BrokenProcessPool,))
 
 
 def cluster(address: str) -> Backend:
-    """Return the workers of a running dask cluster.
+    """Return a backend of the workers of a running dask cluster.
 
     Parameters
     ----------
     address : str
-        Of the scheduler, such as ``tcp://host:8786``.
+        Address of the scheduler, such as ``tcp://host:8786``.
 
     Raises
     ------

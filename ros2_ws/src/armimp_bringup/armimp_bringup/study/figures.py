@@ -36,7 +36,7 @@ from armimp_estimation.summary import ImpedanceCurve
 Curves = Callable[[Condition], Mapping[str, ImpedanceCurve]]
 _Drawing = Callable[[Any, Any], Figure]
 
-_LEAST_PANEL: Final = 2.3  # inches; with many joints Figure 2 is a poster
+_LEAST_PANEL: Final = 2.3  # inches, least width; with many joints Figure 2 is a poster
 _WORTH_A_PROCESS: Final = 3
 """Figures that take longer to draw than another process takes to start."""
 
@@ -51,7 +51,7 @@ _SUBSCRIPTS: Final = str.maketrans("0123456789·", "₀₁₂₃₄₅₆₇₈�
 
 
 def level_marks(table: Table, scores: Sequence[Score]) -> list[Stroke]:
-    """Strokes of all marks of `levels_chart`, and that of the targets."""
+    """Return the strokes of all marks of `levels_chart`, and that of the targets."""
     subjects = dict.fromkeys(one for score in scores for one in score.subjects(table))
     return [
         *(
@@ -204,12 +204,12 @@ def write_figures(
     truth : MBK
         True matrices.
     curves : callable
-        Gives the curves of a condition.
+        Returns the curves of a condition.
 
     Returns
     -------
     dict of str to str
-        What each file shows.
+        What each file shows, by its name.
 
     Raises
     ------
@@ -246,7 +246,7 @@ def write_figures(
 
 
 def _draw(directory: Path, drawing: tuple[str, _Drawing, Any, Any]) -> tuple[str, list[Path]]:
-    """Name of a drawing, and its files."""
+    """Draw a figure; return its name and its files."""
     name, draw, *arguments = drawing
     return name, save_figure(draw(*arguments), directory / name)
 
@@ -264,8 +264,8 @@ def impedance_figure(curves: Mapping[Condition, ImpedanceCurve], truth: MBK) -> 
     Returns
     -------
     matplotlib.figure.Figure
-        For each element magnitude (N·m/rad), phase (degrees) and the relative error (%), without
-        which all curves would look like one.
+        For each element magnitude (N·m/rad), phase (degrees) and relative error (%); in the first
+        two, all curves look like one.
     """
     n = len(truth.M)
     by_friction = [level_stroke(friction=one) for one in sorted({c.friction for c in curves})]

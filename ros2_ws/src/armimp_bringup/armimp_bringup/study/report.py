@@ -37,23 +37,23 @@ _COUNTS: Final = ("", "one", "two", "three", "four", "five", "six", "seven")
 _MOST_PROBLEMS: Final = 10
 _BUDGET: Final = 2_000_000  # bytes for all curves of a page
 _BYTES: Final = 2 * 4 * 4 / 3  # of a point of a line: two numbers of single precision in base64
-_POINTS: Final = (40, 160)
+_POINTS: Final = (40, 160)  # fewest and most points of a line
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StudyReport:
-    """What the report of a study is made of."""
+    """The data of a report on a study."""
 
     entries: Sequence[StudyEntry]
     """Results with the same estimators and number of joints, at least one."""
     table: Table
     """Their numbers; shape (n_conditions, n_estimators, n, n)."""
     verdict: StudyVerdict
-    """Of these."""
+    """The verdict on them."""
     curves: Curves
-    """Gives the curves of a condition."""
+    """Returns the curves of a condition."""
     files: Mapping[str, str]
-    """What else is in the directory: names and what they hold."""
+    """Other files in the directory: names and what they hold."""
     origin: OriginSummary | None = None
     """Command line and date."""
 
@@ -155,7 +155,7 @@ class StudyReport:
     # --- conditions ----------------------------------------------------------------------------
 
     def _conditions(self) -> Content:
-        """The worst of each score in each condition, over its seeds."""
+        """The worst value of each score in each combination of levels, over its seeds."""
         groups = []
         for name in self._estimators:
             rows: Rows = [["F{} R{} P{}".format(*one)] for one in self._groups()]
@@ -170,7 +170,7 @@ class StudyReport:
         return {"seeds": len(self._seeds), "scores": names, "worst": groups}
 
     def _groups(self) -> dict[tuple[int, int, int], list[int]]:
-        """Numbers of the results of each combination of levels."""
+        """Indices of the results of each combination of levels."""
         groups: dict[tuple[int, int, int], list[int]] = {}
         for place, one in enumerate(self.entries):
             key = one.friction, one.resolution, one.perturbation
@@ -215,7 +215,7 @@ class StudyReport:
     def _choices(
         self, conditions: Sequence[Condition]
     ) -> Iterator[tuple[str, str, list[tuple[str, str]]]]:
-        """Name, legend and options of what there is to choose."""
+        """Yield name, legend and options of each selection that the page offers."""
         if len(self._estimators) > 1:
             options = [(estimator_tag(one), one) for one in self._estimators]
             yield "overlay-estimator", "Estimator", options
@@ -240,7 +240,7 @@ class StudyReport:
     # --- settings ------------------------------------------------------------------------------
 
     def _settings(self) -> Content:
-        """Software, seeds, and the configuration but for what the levels set."""
+        """Software, seeds, and the configuration without what the levels set."""
         config: dict[str, Any] = dict(self.entries[0].config)
         return {
             "config": config,
@@ -259,7 +259,7 @@ def _present(entries: Sequence[StudyEntry], factor: str) -> str:
 
 
 def _thinned(curve: ImpedanceCurve, points: int) -> ImpedanceCurve:
-    """About this many values, at frequencies that are evenly spaced over their logarithm."""
+    """Return a curve at about this many frequencies, evenly spaced on a logarithmic axis."""
     wanted = np.geomspace(curve.f[0], curve.f[-1], points)
     chosen = np.unique(np.abs(curve.f[:, np.newaxis] - wanted).argmin(axis=0))
     return replace(curve, f=curve.f[chosen], Z=curve.Z[:, :, chosen])

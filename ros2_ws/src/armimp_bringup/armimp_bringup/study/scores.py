@@ -26,9 +26,9 @@ LETTERS: Final = ("M", "B", "K")
 FREQUENCIES: Final = np.linspace(0.122, 15.0, 200)
 """The band of the study, Hz."""
 LEAST_COUNTS: Final = 5.0
-"""Torque that an element must make to be judged with more than three joints, counts."""
+"""Torque, counts, that an element must exceed to be judged if there are more than three joints."""
 MOST_JOINTS: Final = 3
-"""With more joints, figures draw the elements of a row together; there would be too many marks."""
+"""With more joints, figures draw the elements of a row together, to limit the number of marks."""
 _LEVELS: Final = ("friction", "resolution", "perturbation", "seed")
 _SCORES: Final = ("r2", "coherence_derived", "coherence_torque", "coherence_motion")
 _ERRORS: Final = ("", "_se", "_error_percent")
@@ -94,10 +94,10 @@ def results_table(entries: Sequence[StudyEntry]) -> Table:
 
 
 def torque_in_counts(entry: StudyEntry, truth: MBK, f: FloatArray) -> FloatArray | None:
-    """Torque that each element makes in one condition, beside the resolution of the transducers.
+    """Return the torque that each element makes in one condition, in counts of the transducers.
 
-    That is ``peak_k / count`` times the rms of ``|Z_ik / (M_rd s² + B_rd s + K_rd + Z_kk)|`` over
-    the frequencies: what a perturbation at its peak would cause if its spectrum were flat there.
+    It is ``peak_k / count`` times the rms of ``|Z_ik / (M_rd s² + B_rd s + K_rd + Z_kk)|`` over the
+    frequencies: the torque due to a perturbation at its peak if its spectrum were flat there.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def torque_in_counts(entry: StudyEntry, truth: MBK, f: FloatArray) -> FloatArray
     Returns
     -------
     ndarray, shape (n, n)
-        Counts; None if torques are not quantised, or the configuration does not tell.
+        Counts; None if torques are not quantised, or the configuration lacks what is needed.
     """
     count = setting(entry.config, "arm_sim", "sensors.torque.resolution")
     names = ("perturbation.peak", "target.inertia", "target.damping", "target.stiffness")
@@ -128,7 +128,7 @@ def torque_in_counts(entry: StudyEntry, truth: MBK, f: FloatArray) -> FloatArray
 
 
 def resolved(entry: StudyEntry, truth: MBK) -> BoolArray:
-    """Elements that are judged: with more than three joints, those of more than five counts."""
+    """Which elements are judged: with more than three joints, those of more than five counts."""
     counts = torque_in_counts(entry, truth, FREQUENCIES) if entry.joints > 3 else None
     if counts is None:
         return np.ones(truth.M.shape, dtype=np.bool_)
@@ -136,9 +136,9 @@ def resolved(entry: StudyEntry, truth: MBK) -> BoolArray:
 
 
 def results_csv(table: Table) -> str:
-    """The table as text.
+    """Return the table as CSV.
 
-    Numbers have as many digits as it takes to read them back exactly; what is not known is empty.
+    Numbers have as many digits as it takes to read them back exactly; NaN becomes an empty cell.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -153,7 +153,7 @@ def results_csv(table: Table) -> str:
 def statistics(
     table: Table, factor: str, values: FloatArray
 ) -> tuple[list[int], FloatArray, FloatArray, FloatArray]:
-    """Levels of a factor; mean, smallest and largest of (n_conditions, n_elements) values there."""
+    """Levels of a factor; mean, least and largest of (n_conditions, n_elements) values at each."""
     levels = table[factor][:, 0, 0]
     present = np.unique(levels)
     groups = [values[levels == level] for level in present]
@@ -169,7 +169,7 @@ class Score:
     """A quantity that results are judged by or shown with."""
 
     name: str
-    """For people."""
+    """Name for people."""
     fields: tuple[str, ...] = ()
     """Fields of the table that hold its values."""
     unit: str = ""
@@ -186,7 +186,7 @@ class Score:
         return NONE if math.isnan(value) else f"{value:.{self.digits}f}{self.unit}"
 
     def limit(self, joints: int, estimator: str) -> float | None:
-        """Target of an estimator, if there is one; with three joints errors have none."""
+        """Target of an estimator, if there is one; with more than two joints errors have none."""
         return self.limits.get(estimator) if self.floor or joints <= 2 else None
 
     def meets(self, value: float, limit: float) -> bool:
@@ -194,11 +194,11 @@ class Score:
         return value >= limit if self.floor else value <= limit
 
     def badness(self, values: FloatArray) -> FloatArray:
-        """Increases towards the worst value, which NaN is."""
+        """Numbers that increase towards the worst value; NaN is the worst of all."""
         return np.where(np.isnan(values), np.inf, -values if self.floor else values)
 
     def values(self, table: Table) -> FloatArray:
-        """Values of the rows of one estimator, without signs of errors; (n_conditions, F, n, n)."""
+        """Values of one estimator, errors as magnitudes; shape (n_conditions, n_fields, n, n)."""
         found = np.stack([table[field] for field in self.fields], axis=-3)
         return found if self.floor else np.abs(found)
 
@@ -214,7 +214,7 @@ class Score:
         table : ndarray, shape (n_conditions, n, n)
             Results of the estimator.
         judged : bool
-            Whether only elements count that are resolved.
+            Whether only resolved elements count.
         """
         values = self.values(table)
         badness = self.badness(values)
@@ -272,7 +272,7 @@ SCORES: Final = (
     _error("M, K error", "MK", welch_siso=3.0, lpm_full=0.5),
     _error("B error", "B", welch_siso=8.0, lpm_full=0.5),
 )
-"""What the verdict looks at."""
+"""Scores on which the verdict is based."""
 FIT_SCORES: Final = (_VAF, _R2)
 """Those of Figure 3 of the paper."""
 COHERENCE_SCORES: Final = (
@@ -306,7 +306,7 @@ class WorstValue(JsonModel):
 
     @property
     def score(self) -> Score:
-        """The score that its quantity is."""
+        """The score of this quantity."""
         return next(one for one in SCORES if one.name == self.quantity)
 
     @property
@@ -342,7 +342,7 @@ class StudyVerdict(JsonModel):
     problems: list[tuple[ProblemCode, str]]
 
     def failures(self) -> list[str]:
-        """What is not as it should be, one line each."""
+        """Missed targets and conditions that are not valid, one line each."""
         return [
             *(str(one) for one in self.worst if one.met is False),
             *(sentence for _, sentence in self.problems),

@@ -49,10 +49,10 @@ _FILES: Final = {
     CONFIG_FILE: "what the results were made with",
     RESULTS_DIRECTORY + "/": "result and curves of each condition",
 }
-_MOMENT: Final = 2.0  # s
+_MOMENT: Final = 2.0  # s, length of the trials of a run that compiles the machine code
 _MOST_FAILURES: Final = 20
 _VARIED: Final = {*LEVELS, "seed", "mode", "processes"}
-"""What differs between the conditions of a study, and is not part of its configuration."""
+"""Fields that differ between conditions or do not matter, left out of ``config.json``."""
 
 
 def run_study(
@@ -77,7 +77,7 @@ def run_study(
     backend : Backend
         Runs it.
     figures : bool
-        Whether to draw those for print; the report is written in any case.
+        Whether to draw the figures for print; the report is written in any case.
     origin : OriginSummary, optional
         Command line and date, for the report.
 
@@ -94,7 +94,7 @@ def run_study(
         If the study cannot be run or stored.
     """
     here = software()
-    # What is set wrongly should show before anything is made.
+    # Wrong settings should be found before any file is written.
     first = condition_config(base, conditions[0])
     node_parameters(first, None)
     prepare_directory(directory)
@@ -107,7 +107,7 @@ def run_study(
     described = json.loads(base.model_dump_json(exclude=_VARIED))
     described = {"schema": 1, "experiment": described, **here}
     write_text(directory / CONFIG_FILE, json.dumps(described, indent=1) + "\n")
-    # A moment of it, so that machine code is made here, and not by each worker.
+    # A short run compiles the machine code here, so that no worker has to.
     simulate([first.model_copy(update={"duration": _MOMENT})])
     batches = split_evenly(conditions, backend.workers)
     found: dict[Condition, StudyEntry] = {}
@@ -148,7 +148,7 @@ def run_study(
 
 
 def present_verdict(verdict: StudyVerdict, directory: Path, *, as_json: bool) -> int:
-    """Print the verdict on a study, and return the exit status that it deserves."""
+    """Print the verdict on a study; return exit status 0 if it is met, else 1."""
     if as_json:
         print(verdict.model_dump_json(by_alias=True, ensure_ascii=True))
     else:
@@ -166,7 +166,7 @@ def present_verdict(verdict: StudyVerdict, directory: Path, *, as_json: bool) ->
 
 
 def print_verdict(verdict: StudyVerdict, console: Console) -> None:
-    """Print the worst value of each quantity, wider than the terminal rather than with gaps."""
+    """Print the worst value of each quantity, rather wider than the terminal than truncated."""
     many = "s" if verdict.conditions > 1 else ""
     caption = "F, R, P: levels of friction, resolution and perturbation"
     if verdict.unresolved:
