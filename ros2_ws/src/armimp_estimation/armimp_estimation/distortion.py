@@ -1,9 +1,9 @@
-"""What a periodic perturbation shows beside the arm: noise, and even and odd distortion.
+"""Noise, and even and odd distortion, that a periodic perturbation reveals beside the arm.
 
-What the fitted arm leaves of the torque of the perturbed joint, ``E = T_k - Σ_j Z_kj Θ_j`` over
-whole periods, is noise between the harmonics of the period. What is even in the motion adds to the
-even harmonics, and what is odd to those odd ones that are left out of the perturbation (Pintelon &
-Schoukens, *System Identification: A Frequency Domain Approach*, 2nd ed., ch. 4).
+The residual torque of the perturbed joint, ``E = T_k - Σ_j Z_kj Θ_j`` over whole periods, is noise
+between the harmonics of the period. Nonlinearity that is even in the motion adds to the even
+harmonics, and that which is odd to the odd harmonics that are left out of the perturbation
+(Pintelon & Schoukens, *System Identification: A Frequency Domain Approach*, 2nd ed., ch. 4).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from armimp_estimation.record import TrialRecord
 Kind: TypeAlias = Literal["odd", "even"]
 
 _CHANCE = 3.0
-"""Standard deviations of the mean of ``|E|²`` that chance hardly exceeds."""
+"""Number of standard deviations of the mean of ``|E|²`` that chance hardly exceeds."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -29,53 +29,53 @@ class Harmonics:
     """Torque at some harmonics."""
 
     f: FloatArray
-    """Hz; shape (n_harmonics,)."""
+    """Frequencies, Hz; shape (n_harmonics,)."""
     amplitude: FloatArray
-    """N·m; shape (n_harmonics,)."""
+    """Amplitudes, N·m; shape (n_harmonics,)."""
     noise: FloatArray
-    """Rms amplitude that the noise around them has at each, N·m; shape (n_harmonics,)."""
+    """Rms amplitude of the noise around each harmonic, N·m; shape (n_harmonics,)."""
 
     @property
     def rms(self) -> float:
-        """Of all of it, N·m."""
+        """Rms torque of all these harmonics, N·m."""
         return float(np.sqrt(0.5 * np.sum(self.amplitude**2)))
 
     @property
     def expected(self) -> float:
-        """Rms that the noise makes of it, N·m."""
+        """Rms torque expected from the noise alone, N·m."""
         return float(np.sqrt(0.5 * np.sum(self.noise**2)))
 
     @property
     def ratio(self) -> float:
-        """Mean power relative to that of the noise: 1 if there is nothing else."""
+        """Mean power relative to that of the noise; its mean is 1 if there is nothing else."""
         return float(np.mean((self.amplitude / self.noise) ** 2))
 
     @property
     def limit(self) -> float:
-        """What chance hardly exceeds of that."""
+        """Value of `ratio` that chance hardly exceeds."""
         return 1.0 + _CHANCE / float(np.sqrt(self.f.size))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Distortion:
-    """Of one trial."""
+    """Torque of the perturbed joint in one trial, by its origin."""
 
     period: float
-    """In s."""
+    """Length of a period, s."""
     count: int
-    """Whole periods."""
+    """Number of whole periods."""
     lines: Harmonics
     """Measured torque at the lines of the perturbation."""
     beside: Mapping[Kind, Harmonics]
-    """What the arm leaves of it at other harmonics, ``"odd"`` and ``"even"``."""
+    """Residual torque at the other harmonics, ``"odd"`` and ``"even"``."""
     noise: float
-    """Rms of what it leaves between the harmonics, N·m."""
+    """Rms residual torque between the harmonics, N·m."""
 
     @classmethod
     def of(cls, record: TrialRecord, arm: MBK) -> Distortion | None:
-        """What a trial shows beside the fitted arm.
+        """Sort the torque of a trial by its origin, given the fitted arm.
 
-        None without two periods, or harmonics of each kind that are no lines.
+        None without two periods, without noise, or if a kind has no harmonic that is not a line.
         """
         periods = record.periods
         if periods is None or periods.count < 2:
@@ -90,7 +90,7 @@ class Distortion:
         *angles, torque = np.fft.rfft(centred)[:, bins] * (2.0 / record.samples)
         left = np.abs(torque - np.sum(arm.impedance(f)[k] * np.array(angles), axis=0))
         harmonic = bins % count == 0
-        # Noise falls steeply with the frequency: its level is that of the bins next to each.
+        # Noise falls steeply with frequency, so its level is that of the bins next to a harmonic.
         between = np.add.reduceat(
             np.where(harmonic, 0.0, left**2), np.arange(0, bins.size, count)
         ) / (count - 1)

@@ -1,12 +1,11 @@
 """Inertia, viscosity and stiffness from an impedance estimate, by weighted least squares.
 
-Where an estimate can't be sure of when torques were read, one delay d of all torques against the
-angles is a parameter, too. To first order ``Z(ω) = Z_0(ω) (1 - jωd)``, and of that the part
-``-jωd·(-Mω²) = jω³ M d`` is like nothing that M, B and K can do, so the data tell d. What they
-don't tell is whether the torque as a whole is late, or only what jumps with commands, which is the
-inertial part ``-Mω²``: those differ by ``jωd (K + jωB)``, which looks like viscosity and inertia.
-Half of that is corrected, and half is the standard error of the correction, beside the uncertainty
-with which the instant of the readings was known beforehand.
+Where it is uncertain when torques were read, a common delay d of all torques relative to the angles
+is a parameter, too. To first order ``Z(ω) = Z_0(ω) (1 - jωd)``. Its part ``-jωd·(-Mω²) = jω³ M d``
+looks like no M, B and K, so the data determine d. They do not determine whether the whole torque is
+late, or only the inertial part ``-Mω²``, which jumps with the commands. The two differ by
+``jωd (K + jωB)``, which looks like viscosity and inertia. Half of that is corrected, half is the
+standard error of the correction, beside the prior uncertainty of the instant of the readings.
 """
 
 from __future__ import annotations
@@ -32,26 +31,26 @@ Values = TypeVar("Values", FloatArray, ComplexArray)
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """How well the transducers of torque, and encoders, are known, all alike.
+    """Calibration errors of torque transducers and encoders, the same for all joints.
 
     Parameters
     ----------
     gain : float
-        Standard error of the gain of each, relative.
+        Relative standard error of the gain of each torque transducer.
     cross_talk : float
-        Standard error of the share of each other joint's torque that each shows.
+        Standard error of the share of each other joint's torque that a transducer shows.
     angle : float
-        Standard error of the scale of each encoder where it is used, relative.
+        Relative standard error of the scale of each encoder at the posture.
     linearity : float or None
-        Standard error of each torque by hysteresis and all else that isn't linear of transducers,
-        N·m; None if nobody knows, so that the records have to tell.
+        Standard error of each torque from hysteresis and all other nonlinearity of transducers,
+        N·m; None if it is unknown, so that it has to be found from the records.
     assumed : bool
-        Whether nobody declared gain, cross-talk or angle.
+        Whether gain, cross-talk or angle was assumed, as it was not declared.
 
     Raises
     ------
     ConfigurationError
-        If one is negative, or a relative one above 1.
+        If a standard error is negative, or a relative one is above 1.
     """
 
     gain: float = 0.0
@@ -73,14 +72,14 @@ class Calibration:
 
     @classmethod
     def undeclared(cls) -> Calibration:
-        """What is assumed of a laboratory: 1 % of gain and of cross-talk, 1.5 % of angles."""
+        """Values assumed for a laboratory: 1 % for gain and for cross-talk, 1.5 % for angles."""
         return cls(gain=0.01, cross_talk=0.01, angle=0.015, assumed=True)
 
     def effects(self, Z: ComplexArray) -> tuple[ComplexArray, ...]:
-        """Standard errors ``g Z_ij``, for each other joint l ``c Z_lj``, by column ``a Z_ij``.
+        """Standard errors ``g Z_ij``, ``c Z_lj`` for each other joint l, and ``a Z_ij`` by column.
 
-        Rows are independent. No shape of Z over frequency could tell them, so they have no part in
-        weights or lack of fit.
+        Rows are independent. No shape of Z over frequency reveals these errors, so they count in
+        neither weights nor lack of fit.
         """
         sizes = [self.gain] + [self.cross_talk] * (len(Z) - 1)
         rows = [size * np.roll(Z, -l, axis=0) for l, size in enumerate(sizes) if size > 0.0]
@@ -89,7 +88,7 @@ class Calibration:
 
 
 class CommonDelay(JsonModel):
-    """Delay of all torques against the angles, beyond what the estimator knew of."""
+    """Common delay of all torques relative to the angles, beyond what the estimator knew of."""
 
     delay: Number
     """Delay that was corrected, s."""
@@ -104,7 +103,7 @@ class CommonDelay(JsonModel):
 
     @property
     def held(self) -> float:
-        """Share of a delay that is left, as what was known beforehand holds the fitted one."""
+        """Share of a true delay that is left uncorrected, as the prior shrinks the fitted one."""
         if not self.error < self.told_error:
             return 0.0
         return 1.0 - (self.error / self.told_error) ** 2
@@ -127,16 +126,16 @@ class MBKFit:
     lack : ndarray, shape (n, n)
         Lack of fit, see :func:`lack_of_fit`.
     lack_limit : float
-        What chance alone doesn't exceed: 2, or more for few frequencies.
+        Lack of fit that chance alone does not exceed: 2, or more for few frequencies.
     delay : CommonDelay or None
-        Delay that was fitted and corrected, if the estimate leaves that open.
+        Delay that was fitted and corrected, if the estimate leaves it open.
     covariance : ndarray, shape (3n², 3n²)
-        Of all parameters: those of M row by row, then B, then K.
+        Covariance of all parameters: those of M row by row, then B, then K.
     high_pass : tuple of float
-        Corner of a high-pass that torques passed and angles didn't, and its standard error, Hz; to
-        first order. Negative if angles passed it.
+        Corner of a high-pass that torques passed and angles did not, and its standard error, Hz; to
+        first order. The corner is negative if angles passed it.
     functionals : ndarray, shape (n, n, 3, n_freq)
-        Rows b of ``(M, B, K) = Re Σ_f conj(b_f) Z_f`` of each element.
+        Rows b of ``(M, B, K) = Re Σ_f conj(b_f) Z_f`` for each element.
     """
 
     mbk: MBK
@@ -153,11 +152,11 @@ class MBKFit:
     high_pass: tuple[float, float] = (0.0, math.inf)
 
     def of_row(self, joint: int, change: ComplexArray) -> FloatArray:
-        """What a change of one row of the impedance, (n, n_freq), is in M, B and K, (3, n)."""
+        """Change of M, B and K, (3, n), by a change of one row of the impedance, (n, n_freq)."""
         return np.asarray(_sums(self.functionals[joint], change[:, None]).T)
 
     def with_doubt(self, shift: FloatArray) -> MBKFit:
-        """Return the same with a change of M, B and K, (3, n, n), as one more standard error."""
+        """Return the fit with a change of M, B and K, (3, n, n), as one more standard error."""
         flat = shift.ravel()
         M_se, B_se, K_se = np.hypot(np.stack([self.M_se, self.B_se, self.K_se]), shift)
         covariance = self.covariance + np.outer(flat, flat)
@@ -168,42 +167,46 @@ FEWEST_FREQUENCIES = 3
 _SMOOTHING = 0.3
 """Half width of the band over which variances are averaged before they serve as weights, Hz."""
 LACK_LIMIT = 2.0
-"""Lack of fit beyond which an impedance isn't of the form of the fit; ideal runs stay below 1.5."""
+"""Lack of fit beyond which an impedance is not of the fitted form; ideal runs stay below 1.5."""
 _LACK_CHANCE = 5.0
 _REFUTED = 4.0
+"""Standard errors by which a fitted delay refutes the prior."""
 _SUREST = 20e-6
+"""Least standard error of the prior of the delay in that test, s."""
 _SUREST_SHARE = 1e-6
+"""Least standard error that data give a coefficient, relative to its prior one."""
 _NOTICED = 2.0
 _MOST_CUFFS = 8
-"""Joints up to which cuffs and reflexes are looked for: it takes time with the third power."""
+"""Most joints for which cuffs and reflexes are looked for: the time goes with the third power."""
 _LIKELY, _SOFT = 0.3, 0.2
-"""Assumption: how likely an element has a reflex of either kind or a spring that relaxes, and how
-likely a joint has a soft cuff, before the trial."""
+"""Assumption: prior probabilities that an element has a reflex of either kind or a spring that
+relaxes, and that a joint has a soft cuff."""
 _REFLEX = 0.5
-"""Assumption: velocity gain of a reflex that an element may have, relative to its B."""
+"""Assumption: velocity gain that a reflex of an element may have, relative to its B."""
 _ARCS = ((0.04, 30.0), (0.03, 50.0), (0.06, 50.0))
-"""Assumption: delays of reflexes, s, and corners of their muscles, rad/s, as in Kearney, Stein &
-Parameswaran (1997), and of those by velocity quicker and later ones, too."""
+"""Assumption: delays of reflexes, s, and corners of their muscles, rad/s: as in Kearney, Stein &
+Parameswaran (1997), and for velocity reflexes a quicker and a later one, too."""
 _STRETCH, _LEAD = 0.3, 20.0
-"""Assumption: stretch gain of a reflex, relative to K, and that over its velocity gain, 1/s."""
+"""Assumption: stretch gain of a reflex, relative to K, and relative to its velocity gain, 1/s."""
 _RELAXED, _RELAXATIONS = 0.4, (0.05, 0.3)
-"""Assumption: stiffness beside K that relaxes, relative to K, and with which time constants, s."""
+"""Assumption: stiffness of a relaxing spring beside K, relative to K, and its time constants, s."""
 _CUFF = 1e-5
 """Assumption: compliance that a cuff between robot and arm may have, rad/(N·m)."""
 _COUPLED, _CORNERS = 0.5, (0.3, 1.0)
-"""Assumption: how likely a torque or an angle that shows nothing slow passed a high-pass, and with
-which corners, Hz."""
+"""Assumption: prior probability that a torque or angle without slow motion passed a high-pass, and
+corners of that, Hz."""
 _CREEPING, _CREEPS = 0.2, (0.05, 0.3)
 _CREEP = (0.02, 0.06, 0.2, -0.02, -0.06)
-"""Assumption: how likely a transducer of which nobody says how linear it is creeps, by how much of
-its torque, and with which time constants, s."""
+"""Assumption: prior probability that a transducer of undeclared linearity creeps, time constants of
+that, s, and shares of the torque."""
 _LOW, _FEWEST = 1.0 / 3.0, 8
+"""Lowest share of the band, whose fit is compared with that of all of it, and its fewest bins."""
 _ITERATIONS = 3
 _ORDERS = (2, 3, 4, 5)
 _SINGULAR = 1e-10
 _ROUNDING = 1e-9
 _EXACT = 2e-3
-"""Relative error that any estimate has without noise."""
+"""Relative error that any estimate has even without noise."""
 
 
 def r_squared(values: ComplexArray, fitted: ComplexArray) -> float:
@@ -224,7 +227,7 @@ def r_squared(values: ComplexArray, fitted: ComplexArray) -> float:
 
 
 def lack_limit(correlation: FloatArray) -> float:
-    """Lack of fit that chance doesn't reach: 2, or 5 standard deviations where bins are few.
+    """Lack of fit that chance does not reach: 2, or 5 standard deviations above 1 for few bins.
 
     The mean of F values of ``|e|²/variance`` scatters by ``sqrt(Σ ρ²)/F``, summed over all pairs,
     with the correlation ρ, (lags, F), of the errors of each bin and those above it.
@@ -233,7 +236,7 @@ def lack_limit(correlation: FloatArray) -> float:
 
 
 def spread_of_mean(correlation: FloatArray) -> float:
-    """Standard deviation of the mean of F powers, relative to that of one, with such a ρ."""
+    """Standard deviation of the mean of F powers with such a ρ, relative to that of one power."""
     frequencies = int(correlation.shape[1])
     return math.sqrt(frequencies + 2.0 * float(np.sum(correlation[1:] ** 2))) / frequencies
 
@@ -250,12 +253,12 @@ def fit_impedance(
     """Fit ``Z_ij(jω) = K - M ω² + jω B`` to each element, and a delay that is common to all.
 
     The real part gives M and K, the imaginary part B. Weights are inverse variances, smoothed and
-    limited as :func:`fit_weights` says. Each parameter is then a sum ``Re Σ_f conj(b_f) Z_f``, so
-    whatever the weights, its variance is the sandwich ``½ Re Σ_fg conj(b_f) b_g σ_f σ_g ρ_fg``:
-    half of the complex variance for either part, and the correlation ρ of the errors of
-    neighbouring frequencies. The error of a correction, which is the same at all frequencies, adds
-    the square of ``Re Σ_f conj(b_f) s_f`` with its standard error s. Where terms with s³ and s⁴
-    would be significant, the change of M, B and K by them is added, too.
+    limited as in :func:`fit_weights`. Each parameter is then a sum ``Re Σ_f conj(b_f) Z_f``. So for
+    any weights its variance is the sandwich ``½ Re Σ_fg conj(b_f) b_g σ_f σ_g ρ_fg``, with half of
+    the complex variance for either part, and the correlation ρ of the errors of neighbouring
+    frequencies. The error of a correction, which is the same at all frequencies, adds the square of
+    ``Re Σ_f conj(b_f) δ_f`` with its standard error δ. Where terms with s³ and s⁴ (s = jω) would be
+    significant, the change of M, B and K that they cause is added, too.
 
     Parameters
     ----------
@@ -263,12 +266,12 @@ def fit_impedance(
         Impedance with variances; all of its frequencies are used. A delay is fitted if it has a
         ``delay_uncertainty``.
     calibration : Calibration, optional
-        What is known of the transducers; by default that they are exact.
+        Calibration errors of the sensors; by default they are exact.
 
     Returns
     -------
     estimate : ImpedanceEstimate
-        The same, or with the delay corrected, and with the calibration in its variance.
+        The estimate with the delay corrected, if there is one, and the calibration in its variance.
     fit : MBKFit
 
     Raises
@@ -287,7 +290,7 @@ def fit_impedance(
         )
     problem, delay = _with_delay(problem)
     if delay is not None and estimate.friction_skew is not None:
-        # What is late, or may be, against the angles jumps otherwise, too, as behind slow drives.
+        # Torques that are or may be late also jump differently, as behind slow drives.
         late = abs(delay.delay) or delay.error
         share = min(late / estimate.delay_unknown, 1.0)
         doubt = _flat(share * estimate.friction_skew)
@@ -322,7 +325,7 @@ def fit_impedance(
 
 
 def _first_fit(estimate: ImpedanceEstimate) -> ComplexArray:
-    """Impedance of M, B, K and a delay, as they follow from the noise at the estimated one."""
+    """Fitted impedance of M, B, K and a delay, with the noise taken at the estimated impedance."""
     problem, delay = _with_delay(_Elements.of(estimate))
     late = 0.0 if delay is None else delay.delay
     fitted = _of_mbk(problem.values(), problem.omega) * np.exp(-1j * problem.omega * late)
@@ -330,17 +333,17 @@ def _first_fit(estimate: ImpedanceEstimate) -> ComplexArray:
 
 
 def fit_columns(estimate: ImpedanceEstimate) -> tuple[FloatArray, FloatArray]:
-    """Fit the elements of some columns as :func:`fit_impedance` does those of a matrix.
+    """Fit the elements of some columns as :func:`fit_impedance` fits those of a matrix.
 
     Parameters
     ----------
     estimate : ImpedanceEstimate
-        Of which the impedance is (n, m, n_freq).
+        Estimate with an impedance of the shape (n, m, n_freq).
 
     Returns
     -------
     values, errors : ndarray, shape (3, n, m)
-        M, B, K of each element, and their standard errors, SI units.
+        M, B and K of each element, and their standard errors, SI units.
 
     Raises
     ------
@@ -357,7 +360,7 @@ class _Elements:
     """Elements of an impedance, row by row and all fitted alike; arrays (elements, n_freq)."""
 
     estimate: ImpedanceEstimate
-    """Where they are from: all that no correction changes."""
+    """Source of the elements, for everything that corrections do not change."""
     Z: ComplexArray
     noise: FloatArray
     """Variance without that of the corrections."""
@@ -368,7 +371,7 @@ class _Elements:
 
     @classmethod
     def of(cls, estimate: ImpedanceEstimate) -> _Elements:
-        """Those of an estimate."""
+        """Take the elements of an estimate."""
         if estimate.f.size < FEWEST_FREQUENCIES:
             raise DataError(f"{estimate.f.size} frequencies are too few to fit M, B and K")
         if not (np.isfinite(estimate.Z).all() and np.isfinite(estimate.variance).all()):
@@ -399,25 +402,25 @@ class _Elements:
 
     @property
     def whole(self) -> bool:
-        """Whether these are the n² elements of a matrix, not those of some columns."""
+        """Whether these are the n² elements of a matrix, rather than those of some columns."""
         rows, columns, _ = self.estimate.Z.shape
         return bool(rows == columns)
 
     @property
     def own(self) -> list[int]:
-        """Those of joints that move, from their own angles to their own torques."""
+        """Indices of the elements from a perturbed joint's angle to the torque of that joint."""
         _, columns, _ = self.estimate.Z.shape
         perturbed = self.estimate.perturbed or range(columns)
         return [joint * columns + column for column, joint in enumerate(perturbed)]
 
     @property
     def total(self) -> FloatArray:
-        """Variance with that of the corrections."""
+        """Variance including that of the corrections."""
         return np.asarray(self.noise + sum(np.abs(one) ** 2 for one in self.systematics))
 
     @cached_property
     def weights(self) -> FloatArray:
-        """Of the frequencies in the fit of each element."""
+        """Weights of the frequencies in the fit of each element."""
         estimate = self.estimate
         power = _flat(np.broadcast_to(estimate.power, estimate.Z.shape))
         return fit_weights(estimate.f, self.Z, self.total, estimate.weight_floor, power)
@@ -432,7 +435,7 @@ class _Elements:
         return self.shifts(self.Z)
 
     def shifts(self, terms: ComplexArray) -> FloatArray:
-        """What terms (elements, n_freq) are in M, B and K, (3, elements)."""
+        """Contribution of terms (elements, n_freq) to M, B and K, (3, elements)."""
         return np.asarray(_sums(self.functionals, terms[:, None]).T)
 
     def covariance_of(self, functionals: ComplexArray, row: int) -> FloatArray:
@@ -447,7 +450,7 @@ class _Elements:
     def covariance(self) -> FloatArray:
         """Covariance of all M, then B, then K, (3 elements, 3 elements).
 
-        As the sandwich of one element, with the coherency κ of two: ``½ Re Σ_fg conj(b_f) c_g
+        Two elements have the sandwich of one, with their coherency κ: ``½ Re Σ_fg conj(b_f) c_g
         σ_f ς_g ρ_fg (κ_f + κ_g)/2``. An estimate without covariances has independent elements. The
         error of a correction is that of one transducer, so it is common to a row.
         """
@@ -472,7 +475,7 @@ class _Elements:
         return covariance.reshape(3 * count, 3 * count)
 
     def _coherency(self, one: int, other: int) -> ComplexArray:
-        """Correlation of the errors of two elements at each frequency."""
+        """Complex correlation of the errors of two elements at each frequency."""
         disturbance, inverse = self.estimate.disturbance, self.estimate.inverse
         if one == other:
             return np.ones(self.omega.size, dtype=np.complex128)
@@ -485,16 +488,15 @@ class _Elements:
 
     @cached_property
     def change_by_more_terms(self) -> FloatArray:
-        """Squared change of M, B, K, (3, elements), by ``c s³``, ``c s⁴``, cuffs and what hides.
+        """Squared change of M, B, K, (3, elements), by ``c s³``, ``c s⁴``, cuffs and hidden terms.
 
-        Viscosity and stiffness are what an arm does slowly. Whatever else there is at the upper end
-        of the band shows in their difference to those of the lowest third alone (Hausman,
-        *Econometrica* 46, 1978).
-        Between robot and arm a cuff of the compliance c at joint l takes ``c Z_il Z_lj`` off, and a
-        high-pass of first order with the corner c, which torques passed and angles didn't, about
-        ``c Z_ij/s``. Resonances of transducers and encoders far above the band change Z by a share
-        that goes with s². They are the same in all elements, so they count in those, too, where
-        noise hides them.
+        Viscosity and stiffness show at low frequencies. Anything else at the upper end of the band
+        shows in their difference from those of the lowest third alone (Hausman, *Econometrica* 46,
+        1978). A cuff of the compliance c between robot and arm at joint l takes ``c Z_il Z_lj``
+        off, and a first-order high-pass with the corner c, which torques passed and angles did not,
+        about ``c Z_ij/s``. Resonances of transducers and encoders far above the band change Z by a
+        share in proportion to s². These three have one coefficient in all elements, so they count
+        also in elements where noise hides them.
         """
         plain = self.values()
         squares, rows = np.zeros_like(plain), range(len(self.Z))
@@ -518,7 +520,7 @@ class _Elements:
             for place, one in enumerate([*common, -1j * Z / self.omega, relative**2 * Z]):
                 terms = _flat(one)
                 value, error, _ = self.common_coefficient(terms)
-                # No cuff has a negative compliance; angles may have passed the high-pass, too.
+                # A compliance is not negative; a corner is if angles passed the high-pass.
                 square = _noticed(max(value, 0.0) if place < n else value, error)
                 if place < n:
                     soft, _ = hidden_square(value, error, _SOFT, sizes=(_CUFF,), positive=True)
@@ -526,23 +528,23 @@ class _Elements:
                 squares += square * self.shifts(terms) ** 2
             hidden = hidden + self._change_by_coupling(Z)
         squares += hidden
-        # What rounding leaves is no change.
+        # A change within rounding errors is none.
         least = _ROUNDING * np.abs(plain)
         return np.where(squares > least**2, squares, 0.0)
 
     def high_pass(self, Z: ComplexArray) -> tuple[float, float]:
-        """Corner of a common high-pass of the torques of an arm Z, and its error, Hz."""
+        """Corner of a high-pass common to the torques of an arm Z, and its standard error, Hz."""
         value, error, _ = self.common_coefficient(_flat(1j * Z / self.omega))
         return value / (2.0 * np.pi), error / (2.0 * np.pi)
 
     def hidden_terms(self, values: FloatArray) -> list[tuple[float, ComplexArray]]:
-        """Reflexes and springs that relax, which there may be beside M, B and K, (3, n²).
+        """Reflexes and relaxing springs that an arm may have beside M, B and K, (3, n²).
 
         Returns
         -------
         list of (float, ndarray)
-            How likely each is, and what it adds to the elements if it is of the size that is
-            assumed, (n², n_freq).
+            Prior probability of each, and what it adds to the elements if it has its assumed size,
+            (n², n_freq).
         """
         if len(self.Z) > _MOST_CUFFS**2:
             return []
@@ -550,14 +552,14 @@ class _Elements:
         arcs = [np.exp(-s * delay) / (1.0 + s / muscle) ** 2 for delay, muscle in _ARCS]
         found = [(_LIKELY / len(arcs), _REFLEX * B * s * arc) for arc in arcs]
         found.append((_LIKELY, _STRETCH * K * (1.0 + s / _LEAD) * arcs[0]))
-        # Leakage, as of biased estimates, hides a spring that relaxes, too.
+        # The leakage of biased estimators also hides a relaxing spring.
         times = _RELAXATIONS if self.estimate.unbiased else ()
         return found + [(_LIKELY, _RELAXED * K * s * T / (1.0 + s * T)) for T in times]
 
     def _change_by_hidden(self, values: FloatArray) -> FloatArray:
-        """Squared change of M, B and K, (3, n²), by the term that may do most while noise hides it.
+        """Squared change of M, B and K, (3, n²), by the hidden term that may change them most.
 
-        What acts across joints acts on its own joint, too, which tells whether it is there.
+        What acts across joints acts on its own joint, too, so that is evidence of its presence.
         """
         change, columns = np.zeros_like(values), self.estimate.Z.shape[1]
         for (likely, terms), own in product(self.hidden_terms(values), self.own):
@@ -573,12 +575,12 @@ class _Elements:
         return change
 
     def _change_by_coupling(self, Z: ComplexArray) -> FloatArray:
-        """Squared change of M, B and K, (3, n²), by channels that treat what is slow otherwise.
+        """Squared change of M, B and K, (3, n²), by high-passes and creep of single channels.
 
-        A high-pass of first order with the corner w takes ``w/(s + w) Z_ij`` off the row of a
-        torque, and adds ``w/s Z_ij`` to the column of an angle; none that shows what is slow passed
-        one. A transducer that creeps adds a share ``1/(1 + sT)`` to its row. Channels of one rig
-        are alike, so each tells of the others whether there are such.
+        A first-order high-pass with the corner w takes ``w/(s + w) Z_ij`` off the row of a torque,
+        and adds ``w/s Z_ij`` to the column of an angle. A channel that shows what is slow passed
+        none. A transducer that creeps adds ``c/(1 + sT) Z_ij`` to its row. Channels of one rig are
+        alike, so each is evidence of whether the others have such an error.
         """
         n, s = len(Z), np.asarray(1j * self.omega, dtype=np.complex128)
         own = np.eye(n, dtype=np.bool_)[:, :, None, None]
@@ -603,9 +605,9 @@ class _Elements:
         return change
 
     def beside(self, terms: ComplexArray, row: int) -> ComplexArray:
-        """What is left of terms (..., n_freq) of an element where M, B and K explain what they can.
+        """Residual of terms (..., n_freq) regressed on M, B and K with an element's weights.
 
-        That is orthogonal to them with the weights of the fit.
+        It is orthogonal to them with these weights.
         """
         alike = _sums(self.functionals[row], terms[..., None, :])
         return np.asarray(terms - _of_mbk(np.moveaxis(alike, -1, 0), self.omega))
@@ -615,23 +617,22 @@ class _Elements:
         left = self.beside(term, row)
         total = float(np.sum(self.weights[row] * np.abs(left) ** 2))
         if not np.finfo(np.float64).tiny < total < math.inf:
-            return 0.0, math.inf  # nothing was measured: the values are no numbers either
+            return 0.0, math.inf  # nothing was measured: the values are not numbers either
         functional = self.weights[row] * left / total
         variance = self.covariance_of(functional[None], row)[0, 0]
         return float(_sums(functional, self.Z[row])), math.sqrt(max(variance, 0.0))
 
     def common_coefficient(self, terms: ComplexArray) -> tuple[float, float, float]:
-        """Coefficient that terms (elements, n_freq) have in common.
+        """Estimate one coefficient of terms (elements, n_freq) that is common to all elements.
 
         Returns
         -------
         mean, error : float
-            Of those of all elements, weighted by their inverse variances. The error covers their
-            scatter.
+            Mean over all elements, weighted by inverse variances, and its standard error, which
+            covers the scatter.
         apart : float
-            Standard deviation by which those of single elements differ beyond chance, as by
-            DerSimonian & Laird (*Controlled Clinical Trials* 7, 1986), from where their scatter
-            exceeds what is expected by one of its standard deviations.
+            Standard deviation between elements beyond chance (DerSimonian & Laird, *Controlled
+            Clinical Trials* 7, 1986); a scatter of one standard deviation more counts as chance.
         """
         found = np.array([self.coefficient_of(term, row) for row, term in enumerate(terms)])
         values, errors = found[np.isfinite(found[:, 1]) & (found[:, 1] > 0.0)].T
@@ -650,21 +651,21 @@ class _Elements:
     def common_coefficients(
         self, terms: ComplexArray, expected: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """What is known of terms that all elements have in common beside M, B and K.
+        """Posterior of the coefficients of terms common to all elements, beside M, B and K.
 
         Parameters
         ----------
         terms : ndarray, shape (p, elements, n_freq)
-            Each of the size of its standard error before the data.
+            Terms, each scaled to its prior standard error.
         expected : ndarray, shape (p,)
-            Their coefficients before the data.
+            Prior means of their coefficients.
 
         Returns
         -------
         coefficients : ndarray, shape (p,)
-            After the data.
+            Posterior means.
         covariance : ndarray, shape (p, p)
-            Of them. It covers the scatter over the elements.
+            Posterior covariance, which covers the scatter over the elements.
         """
         rows = []
         for row in range(len(self.Z)):
@@ -672,7 +673,7 @@ class _Elements:
             left = self.beside(term, row)
             size = np.sum(self.weights[row] * np.abs(left) ** 2, axis=1, keepdims=True)
             functionals = self.weights[row] * left / np.sqrt(size + np.finfo(np.float64).tiny)
-            # Of terms that are known as well as that, what was expected would be lost by rounding.
+            # If data determined a term still better, its prior mean would be lost to rounding.
             errors = self.covariance_of(functionals, row) + np.diag(_SUREST_SHARE**2 * size[:, 0])
             design = (np.conj(functionals) @ term.T).real
             information = np.linalg.pinv(errors, rcond=_SINGULAR, hermitian=True)
@@ -687,9 +688,9 @@ class _Elements:
         return covariance @ (expected + mixed / scatter), covariance
 
     def with_bounds_told(self) -> _Elements:
-        """Return the same less what the data tell of the systematics that are bounds.
+        """Estimate the systematics that are bounds from the data, and return them corrected.
 
-        Each is of unknown size, 0 ± 1 before the data, and of its own shape over frequency.
+        Each has a known shape over frequency and an unknown size, 0 ± 1 before the data.
         """
         bounded = self.estimate.bounded
         if not bounded:
@@ -703,7 +704,7 @@ class _Elements:
         return replace(self, Z=Z, systematics=(*errors, *others))
 
     def roughly_fits(self, values: FloatArray) -> bool:
-        """Whether M, B and K explain each element, or a systematic error of any shape does."""
+        """Whether M, B and K, with systematic errors of any shape, explain each element."""
         estimate = self.corrected
         fitted = _of_mbk(values, self.omega).reshape(estimate.Z.shape)
         lack = np.sum(lack_ratio(estimate, fitted), axis=-1) / max(estimate.f.size - 1.5, 1.0)
@@ -716,11 +717,11 @@ def _flat(values: Values) -> Values:
 
 
 def lack_of_fit(estimate: ImpedanceEstimate, fitted: ComplexArray) -> FloatArray:
-    """Mean of what noise doesn't explain of each element, for each degree of freedom, (n, n).
+    """Weighted squared residual of each element per degree of freedom, (n, n).
 
-    It is 1 if noise explains all. M, B and K, and systematic errors as far as their standard errors
-    allow, take what they can of ``Z - fit``: each has one shape over frequency, and explains
-    nothing else (generalised least squares).
+    It is 1 if noise explains all of it. M, B and K, and systematic errors within their standard
+    errors, first explain what they can of ``Z - fit``: each has one shape over frequency, and
+    explains nothing else (generalised least squares).
     """
     f, n = estimate.f, estimate.joints
     noise = estimate.without_systematics().variance
@@ -731,7 +732,7 @@ def lack_of_fit(estimate: ImpedanceEstimate, fitted: ComplexArray) -> FloatArray
     for at in np.ndindex(n, n):
         systematic = np.reshape([one[at] for one in estimate.systematics], (-1, f.size))
         design = _stacked(weights[at] * np.concatenate((shapes, systematic)))
-        # Of the first three nothing is known.
+        # M, B and K, the first three, have no prior.
         known = np.arange(len(design)) >= len(shapes)
         design /= np.where(known, 1.0, np.linalg.norm(design, axis=1))[:, None]
         rest = _stacked(weights[at] * (estimate.Z - fitted)[at])
@@ -747,16 +748,16 @@ def _stacked(values: ComplexArray) -> FloatArray:
 
 
 def lack_ratio(estimate: ImpedanceEstimate, fitted: ComplexArray) -> FloatArray:
-    """``|Z - fit|²/variance`` of each element and bin, (n, n, n_freq), 1 on average if it fits."""
+    """``|Z - fit|²/variance`` of each element and bin, (n, n, n_freq); its mean is 1 if it fits."""
     spared = _spared(estimate.Z, estimate.variance, estimate.averages - 1.0)
     return np.asarray(np.abs(estimate.Z - fitted) ** 2 / spared)
 
 
 def _spared(Z: ComplexArray, variance: FloatArray, freedom: float) -> FloatArray:
-    """Variance by which to judge what is left of a fit.
+    """Variance by which to judge the residual of a fit.
 
-    Variances of m complex degrees of freedom make the mean of their inverses too large, and without
-    any noise, what the estimator itself leaves would be lack of fit.
+    It makes up for the mean of inverse variances with m complex degrees of freedom, which is too
+    large, and contains the estimator's own errors, lest they be lack of fit without any noise.
     """
     spare = (freedom - 1.0) / freedom if 1.0 < freedom < math.inf else 1.0
     least = (_EXACT * np.abs(Z)) ** 2 + np.finfo(np.float64).tiny
@@ -764,7 +765,7 @@ def _spared(Z: ComplexArray, variance: FloatArray, freedom: float) -> FloatArray
 
 
 def _with_delay(problem: _Elements) -> tuple[_Elements, CommonDelay | None]:
-    """Fit a common delay and correct it, if the estimate leaves that open."""
+    """Fit a common delay and correct it, if the estimate leaves it open."""
     uncertainty, unknown = problem.estimate.delay_uncertainty, problem.estimate.delay_unknown
     if uncertainty is None:
         return problem, None
@@ -772,7 +773,7 @@ def _with_delay(problem: _Elements) -> tuple[_Elements, CommonDelay | None]:
     trial = problem
     for _ in range(_ITERATIONS):
         step, told_error, apart = _delay_of(trial)
-        # No drive, filter or clock is later than that; beyond, it isn't a delay.
+        # No drive, filter or clock is later than 20 ms; what seems to be is not a delay.
         total = float(np.clip(total + step, -0.02, 0.02))
         turn = np.exp(1j * problem.omega * total)
         trial = replace(problem, Z=problem.Z * turn)
@@ -781,29 +782,29 @@ def _with_delay(problem: _Elements) -> tuple[_Elements, CommonDelay | None]:
     sure = max(uncertainty, _SUREST)
     refuted = fits and abs(total) > _REFUTED * math.hypot(sure, told_error)
     assumed = max(uncertainty, unknown) if refuted else uncertainty
-    # Of another arm than M, B and K, what looks like a delay may be its own.
-    told = fits and assumed > 0.0
-    delay = total * assumed**2 / (assumed**2 + told_error**2) if told else 0.0
+    # Unless the arm is of the form M, B and K, what looks like a delay may be the arm's own.
+    identified = fits and assumed > 0.0
+    delay = total * assumed**2 / (assumed**2 + told_error**2) if identified else 0.0
     values = fitted if fits else plain
     turning = 1j * problem.omega
     steady = _of_mbk(values * [[0.0], [1.0], [1.0]], problem.omega)
     inertial = _of_mbk(values * [[1.0], [0.0], [0.0]], problem.omega)
     turned = problem.Z * np.exp(turning * delay)
     doubt = 0.5 * delay * turning * steady
-    # That part is late by what nobody told, whatever the data say of the other.
+    # The delay of B and K keeps its prior uncertainty, whatever the data tell of the inertial part.
     untold = assumed * turning * steady
-    # A low-pass of first order is exp(-sd + (sd)²/2 - (sd)³/3 ...), others have less of each.
+    # A first-order low-pass is exp(-sd + (sd)²/2 - (sd)³/3 ...); others have less of each term.
     filtered = [(delay * turning) ** order / order * inertial for order in _ORDERS if delay]
-    # Torques that jump and angles that don't differ by (ωL)²/24 of inertia amid a period.
+    # In mid-period, torques that jump and angles that do not differ by (ωL)²/24 of the inertia.
     jumping = (assumed * turning) ** 2 / 6.0 * inertial
     terms = np.stack([assumed * turning * turned, jumping, *filtered])
-    # Transducers may be late each by itself, or seem so, as with hysteresis.
-    single = (min(apart, assumed) * turning * turned,) if told else ()
+    # Each transducer may have a delay of its own, or seem to, as with hysteresis.
+    single = (min(apart, assumed) * turning * turned,) if identified else ()
     trial = replace(
         problem, Z=turned - doubt, systematics=(*problem.systematics, *single, doubt, untold)
     )
     found, covariance = np.zeros(len(terms)), np.eye(len(terms))
-    if told:
+    if identified:
         own = problem.own
         every = [term for _, term in problem.hidden_terms(values)]
         alike = np.zeros((len(every) * len(own), *turned.shape), dtype=np.complex128)
@@ -812,8 +813,8 @@ def _with_delay(problem: _Elements) -> tuple[_Elements, CommonDelay | None]:
         expected = np.zeros(len(terms) + len(alike))
         expected[0] = 0.0 if refuted else delay / assumed
         found, _ = trial.common_coefficients(terms, expected[: len(terms)])
-        # A reflex or a spring that relaxes may look like delay: it takes no part in the estimate,
-        # as most arms have little of it, but in the errors.
+        # A reflex or a relaxing spring may look like a delay. Most arms have little of it, so it
+        # counts in the errors, not in the estimate.
         beside, covariance = trial.common_coefficients(np.concatenate((terms, alike)), expected)
         change = beside[: len(terms)] - found
         covariance = covariance[: len(terms), : len(terms)] + np.outer(change, change)
@@ -833,7 +834,7 @@ def _with_delay(problem: _Elements) -> tuple[_Elements, CommonDelay | None]:
 
 
 def _root(covariance: FloatArray) -> FloatArray:
-    """R with ``RᵀR`` the covariance, which rounding may make indefinite where terms are alike."""
+    """R with ``RᵀR`` the covariance, which may be indefinite by rounding if terms are alike."""
     sizes, directions = np.linalg.eigh(covariance)
     return np.asarray(np.sqrt(np.maximum(sizes, 0.0))[:, None] * directions.T)
 
@@ -847,33 +848,33 @@ def hidden_square(
     positive: bool = False,
     elsewhere: float = 0.0,
 ) -> tuple[float, float]:
-    """Mean square of an effect that may be there or not, by what the data tell of it.
+    """Posterior mean square of an effect that may be absent (spike-and-slab prior).
 
-    Before the data it is there with a probability p, and then 0 ± s. Data that tell it as g with
-    the standard error e, both in units of s, make that probability larger or smaller by the ratio
-    ``√v exp(m²/2v)`` of their likelihoods, with ``v = e²/(1 + e²)`` and ``m = g v/e²``, and its
-    mean square, if it is there, is ``m² + v``. Of an effect that isn't negative the ratio is
+    Before the data, the effect is present with the probability p, and is then 0 ± s. If the data
+    estimate it as g with the standard error e, in units of s, the odds are multiplied by the
+    likelihood ratio ``√v exp(m²/2v)``, with ``v = e²/(1 + e²)`` and ``m = g v/e²``, and the mean
+    square of an effect that is present is ``m² + v``. If it cannot be negative, the ratio is
     ``2 Φ(m/√v)`` times that.
 
     Parameters
     ----------
     told, error : float
-        g s and e s.
+        Estimate g s and its standard error e s.
     likely : float
-        p.
+        Prior probability p.
     sizes : sequence of float
-        Sizes s, each as likely as the others.
+        Sizes s, all equally likely.
     positive : bool
-        Whether it isn't negative.
+        Whether the effect cannot be negative.
     elsewhere : float
-        Logarithm of that ratio of other data, which tell whether it is there, not how large.
+        Logarithm of that ratio for other data, which tell whether it is present, not how large.
 
     Returns
     -------
     square : float
-        Mean square.
+        Posterior mean square of the effect, which is 0 if it is absent.
     evidence : float
-        Logarithm of the ratio of these data, over all sizes.
+        Logarithm of the likelihood ratio of these data, over all sizes.
     """
     if not 0.0 < error < math.inf:
         return 0.0, 0.0
@@ -891,7 +892,7 @@ def hidden_square(
 
 
 def _delay_of(problem: _Elements) -> tuple[float, float, float]:
-    """Delay that all elements have in common, its standard error, and how far theirs differ, s.
+    """Common delay of all elements, its standard error, and how far theirs differ, s.
 
     For each element ``Z = fit - d·jω·fit`` is solved for d by weighted least squares.
     """
@@ -928,9 +929,9 @@ def _sums(functionals: ComplexArray, values: ComplexArray) -> FloatArray:
 
 
 def _noticed(value: float, error: float) -> float:
-    """Squared size of a term as far as it is beyond what chance makes of none.
+    """Squared coefficient of a term as far as it exceeds what chance makes of none.
 
-    A threshold alone would add the whole of it where chance exceeds that.
+    A threshold alone would count all of it whenever chance exceeds the threshold.
     """
     return max(value**2 - (_NOTICED * error) ** 2, 0.0) if math.isfinite(error) else 0.0
 
@@ -946,22 +947,25 @@ def fit_weights(
 ) -> FloatArray:
     """Inverse of the variance, smoothed over frequency (geometric mean) and floored, at most 1.
 
-    Frequencies are along the last axis of all arrays, (..., n_freq). The variance at one frequency
-    comes from few averages; weights that follow its chance fluctuations would favour the
-    frequencies whose variance came out too small, and the standard errors would come out too small
-    with them. As far as it goes with the inverse of the power behind each value, it is no chance.
+    The variance at one frequency comes from few averages. Weights that followed its fluctuations
+    would favour frequencies whose variance is too small by chance, and make standard errors too
+    small. Its variation with the inverse of the power is known, and so is not smoothed.
 
-    It is smoothed within a `reach`, Hz, on either side.
-
-    Where random errors are larger than the floor, weights are those of the variance. What floors
-    are for, as harmonics of friction, falls on all frequencies alike: where power is above its mean
-    they are less.
+    Parameters
+    ----------
+    f, impedance, variance, power : ndarray, shape (..., n_freq)
+        Frequencies, Hz, values, their variances, and the power of the perturbation behind each.
+    weight_floor : float
+        Standard deviation, relative to the impedance, that is added; less where power is above its
+        mean, as what it is for, such as harmonics of friction, is alike at all frequencies.
+    reach : float
+        Half width of the smoothing, Hz.
     """
     power, tiny = np.broadcast_to(power, variance.shape), np.finfo(np.float64).tiny
     usual = np.mean(power, axis=-1, keepdims=True)
     size = np.abs(impedance)
     floor = weight_floor * np.exp(_smooth(f, np.log(size + tiny), reach))
-    # Even with no floor a variance below rounding means nothing.
+    # Even without a floor, a variance below rounding errors means nothing.
     rounding = np.finfo(np.float64).eps * np.max(size, axis=-1, keepdims=True)
     noise = np.exp(_smooth(f, np.log(variance * power + tiny), reach)) / power
     total = noise + floor**2 * np.minimum(1.0, usual / power) + rounding**2
@@ -969,7 +973,7 @@ def fit_weights(
 
 
 def _smooth(f: FloatArray, logarithm: FloatArray, reach: float) -> FloatArray:
-    """Mean over the neighbours of each frequency within a reach, Hz; (..., n_freq)."""
+    """Mean over all frequencies within `reach`, Hz, on either side of each; (..., n_freq)."""
     reach *= 1.0 + 1e-9
     below = np.searchsorted(f, f - reach, side="left")
     above = np.searchsorted(f, f + reach, side="right")
@@ -985,10 +989,10 @@ def covariance_of_sums(spread: Values, correlation: FloatArray) -> FloatArray:
     Parameters
     ----------
     spread : ndarray, shape (p, ..., n_freq)
-        For each sum b times the standard deviations of the complex δZ; those along other axes than
-        the last are independent.
+        For each sum, b times the standard deviations of the complex δZ. Errors along axes other
+        than the last are independent.
     correlation : ndarray, shape (lags, n_freq)
-        Of the error of each bin and that of the one 0, 1, 2... places above it.
+        Correlation of the errors of each bin and the one 0, 1, 2... places above it.
 
     Returns
     -------
@@ -1006,7 +1010,7 @@ def with_neighbours(values: Values, correlation: FloatArray) -> Values:
     ----------
     values : ndarray, shape (..., n_freq)
     correlation : ndarray, shape (lags, n_freq)
-        Of each bin and the one 0, 1, 2... places above it.
+        Correlation of each bin and the one 0, 1, 2... places above it.
     """
     total: Values = values.copy()
     bins = values.shape[-1]

@@ -1,19 +1,18 @@
-"""What updates of the command do to the torques on the arm, from the records themselves.
+"""Correct torque readings for the zero-order hold of the commands, from the records themselves.
 
 Between two updates the joints accelerate with ``θ̈ = (M_r + M_h)⁻¹ (u - ...)``, where the command u
-is held and all the rest, friction included, changes steadily. So with each update by Δu the torque
-on the arm jumps by ``D Δu`` with ``D = M_h (M_r + M_h)⁻¹``; its slope jumps as well, by ``S Δu/L``,
+is held and all the rest, friction included, changes continuously. So at each update by Δu the
+torque on the arm jumps by ``D Δu`` with ``D = M_h (M_r + M_h)⁻¹``. Its slope jumps by ``S Δu/L``,
 since damping and the friction of the robot act on the velocity that the jump builds up. A reading
-just before the update is late by just that. What the torque is between the updates follows from
-readings and jumps by the Euler-Maclaurin formula (coefficients 1/2 and 1/12):
+just before the update lacks just these jumps. The torque between the updates follows from readings
+and jumps by the Euler-Maclaurin formula (coefficients 1/2 and 1/12), up to fourth order in ωL:
 
     τ(ω) = τ_before(ω) + [D (1/2 - jωL/12) + S/12] Δu(ω)
 
-up to fourth order in ωL. The whole of it, also of readings that pass a filter or are late, is in
-:mod:`armimp_estimation.torque_timing`. A delay of half a sample, ``T exp(jωL/2)``, puts the
-inertial torque right as well, but overcorrects what does not jump: it adds ``K L/2`` to B and
-``B L/2`` to M, and does not know of the part of u that overcomes friction. D need not be precise:
-an error of 10 % leaves 10 % of the skew.
+:mod:`armimp_estimation.torque_timing` has the closed form, also for readings that pass a filter or
+are late. A shift by half a sample, ``T exp(jωL/2)``, also corrects the inertial torque, but
+overcorrects what does not jump (it adds ``K L/2`` to B and ``B L/2`` to M) and ignores the part of
+u that overcomes friction. D need not be precise: an error of 10 % leaves 10 % of the skew.
 """
 
 from collections.abc import Sequence
@@ -25,37 +24,37 @@ from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.torque_timing import TorqueReading
 
-# Periods after a jump by which the torque is followed, from when it has passed the filter on.
+# Periods for which the torque is followed after a jump, once the jump has passed the filter.
 _PERIODS = 3
-# How much of a step a reading may lack that has all of it.
+# Share of a step that a reading may lack and still count as showing all of it.
 _PASSED = 0.01
 _DIFFERENCES = 4
 _CHATTER_EXPLAINS = 0.9
-"""Share of torques that the last steps must explain: noise, or friction that answers within the
-period, makes what they tell of value and slope wrong."""
+"""Share of the torque's differences that the last steps must explain: noise, or friction that acts
+within the period, biases the value and slope that they give."""
 _OF_OTHERS, _CHATTER_SEEN = 0.95, 0.2
-"""Share of what steps explain from which on commands are of other samples, and of torques, from
-which on that can be seen."""
+"""Share of what all steps explain above which a single step of another sample shows that commands
+are misaligned, and share of the differences that all steps must explain to show that."""
 _LEFT, _LEFT_BESIDE, _OFF = 1.0, 2.2, 0.15
-"""Rms of what motion and jumps may leave of a torque, relative to what jumps alone explain, and
-where chatter tells those of another one; and relative standard error of D per that."""
+"""Largest rms residual of a torque regressed on motion and jumps, relative to the part that jumps
+alone explain; the same if chatter gives D of another joint; relative standard error of D per it."""
 _SHOWN = 0.5
-"""Power of changes of torques, relative to that of the jumps they should show, at least."""
+"""Least power of the changes of a torque, relative to that of the jumps that it should show."""
 _PARTS, _ENOUGH = 8, 16_384
-"""Of each record, whose scatter tells the error of answers to rounding; and samples that suffice:
-the time goes with the square of the number of joints."""
-_TOLD = 0.01
-"""Share of the changes of torques that steps must explain within a period of when these were
-recorded: of commands that are recorded late it is that of chance, 0.003 at most."""
+"""Parts of each record, whose scatter gives the error of answers to rounding, and samples that
+suffice: the time goes with the square of the number of joints."""
+_EXPLAINED = 0.01
+"""Share of the changes of torques that steps recorded within one period of them must explain; with
+commands that are recorded late it is as by chance, 0.003 at most."""
 _BESIDE = 3
-"""Periods by which commands may be recorded too late or too early, to be told from answers."""
+"""Periods by which commands may be recorded too late or too early and are still found."""
 _QUICK = (2.0, 3.0, 15.0, 20.0)
-"""Where the band begins and ends, and from where to where all of it is looked at, Hz."""
+"""Edges of a band-pass, Hz: it rises over the first two and falls over the last two."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HoldCorrection:
-    """How the torques on the arm answer a step of the commands at once.
+    """Jumps of the torques on the arm with a step of the commands.
 
     Attributes
     ----------
@@ -64,7 +63,7 @@ class HoldCorrection:
     slope : ndarray, shape (n, n)
         S: their slopes jump by ``S Δu / L``, N·m per N·m.
     error : ndarray, shape (n,)
-        Relative standard error of the rows of both, as far as angles are in doubt.
+        Relative standard error of the rows of both that errors of the angles cause.
     """
 
     torque: FloatArray
@@ -80,7 +79,7 @@ def without_skew(
     jump: HoldCorrection | None = None,
     late: float = 0.0,
 ) -> ComplexArray:
-    """Coefficients of readings, and of steps of commands, in the torques on the arm.
+    """Coefficients that give the torques on the arm from readings and steps of commands.
 
     Parameters
     ----------
@@ -93,13 +92,13 @@ def without_skew(
     reading : TorqueReading
         How torques were read.
     jump : HoldCorrection, optional
-        How torques jump with the commands; by default steps don't count.
+        How torques jump with the commands; by default steps have no coefficients.
     late : float
-        How late torques were found to be beyond that, s.
+        Fitted delay of the torques beyond `reading`, s.
 
     Returns
     -------
-    ndarray, shape (n, n, n_freq) or (n, 2n, n_freq)
+    ndarray, shape (n, n, n_freq) or, with those of the n steps, (n, 2n, n_freq)
     """
     known = reading.at_rate(rate)
     coefficients = np.eye(joints)[:, :, None]
@@ -114,8 +113,8 @@ def without_skew(
 def command_steps(record: TrialRecord) -> FloatArray:
     """Difference of each command from the one before, ``u_k - u_{k-1}``, shape (n, N), N·m.
 
-    The first is 0, as the command before it is not known. A difference that is wrong at one sample
-    has a flat spectrum, which looks like leakage.
+    The first is 0, as the command before it is unknown. The spectrum of an error at one sample is
+    flat, so it looks like leakage.
     """
     if record.command is None:
         raise ValueError(f"trial {record.trial} has no commands")
@@ -126,26 +125,26 @@ def command_steps(record: TrialRecord) -> FloatArray:
 def update_jump(
     records: Sequence[TrialRecord], reading: TorqueReading | None = None
 ) -> HoldCorrection | None:
-    """Jumps of the torques and their slopes with steps Δu of the commands.
+    """Estimate the jumps of the torques and their slopes with steps Δu of the commands.
 
-    On a rig with encoders of finite resolution the command chatters, and fourth differences of the
-    torque consist of little but what this causes. Their regression on fourth differences of the
-    steps of the last three updates tells by how much the torque has changed 1, 2 and 3 periods
-    after a step, and a parabola through these goes back to the moment after the step itself.
-    (The friction of a robot can take 3 % off the jump within the first period.)
+    With encoders of finite resolution the command chatters, and fourth differences of the torque
+    consist almost only of its effect. They are regressed on fourth differences of the steps of the
+    last three updates. This gives the change of the torque 1, 2 and 3 periods after a step, and a
+    parabola through these is extrapolated back to the moment after the step itself. (The friction
+    of a robot can take 3 % off the jump within the first period.)
 
-    Without chatter, angles are so fine that the motion itself tells:
+    Without chatter, angles are so fine that the motion itself determines D:
 
         τ_before = -½ D Δu + M (θ_{k+1} - 2θ_k + θ_{k-1})/L² + B (θ_{k+1} - θ_{k-1})/2L + K θ
 
-    is fitted by least squares above 2 Hz, where a person does little, and the slope, which hardly
-    matters then, is taken as 0. Errors of the angles would bias that, so what it leaves must not be
-    much beside what D alone explains. Each torque is taken from chatter if that tells it, else
-    from the motion.
+    is fitted by least squares from 2 to 20 Hz, where a person does little, and the slope, which
+    hardly matters then, is taken as 0. Errors of the angles would bias D, so the residual must not
+    be large beside what D alone explains. The row of each torque comes from chatter if that
+    determines it, else from the motion.
 
-    Readings that are late or have passed a low-pass show a step later, and more slowly. The poles
-    of the low-pass are taken from them, and as the answers to a step, a ramp and a parabola of the
-    torque are known, the regression tells these. Only chatter is used then.
+    Readings that are late or have passed a low-pass show a step later, and more slowly. So they are
+    freed from the poles of the low-pass and regressed on its known answers to a step, a ramp and a
+    parabola of the torque. Only chatter is used then.
 
     Parameters
     ----------
@@ -157,8 +156,9 @@ def update_jump(
     Returns
     -------
     HoldCorrection or None
-        None if neither way explains a torque, or if the eigenvalues of D do not lie between 0
-        and 1, as they do for any two inertias: torques then do not follow the commands like that.
+        None if torques do not follow the commands like that: neither way explains one, commands
+        seem to be those of other samples, or the eigenvalues of D do not lie between 0 and 1, as
+        they do for any two inertias.
     """
     known = reading or TorqueReading()
     chatter = _chatter(records, known)
@@ -186,23 +186,23 @@ def update_jump(
 
 
 def answers_to_rounding(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]:
-    """Share of a step of its command that each torque shows at once.
+    """Estimate the share of a step of its command that each torque shows at once.
 
-    A law may feed torques back, with their noise: what commands have in common with that is no
-    answer to them. But nothing except the law knows how angles were rounded. So the changes of
-    torques are regressed on what rounded angles explain of the steps (instrumental variables).
+    A law may feed back torques with their noise, and commands that follow this noise are no cause
+    of it. But only the law acts on the rounding of angles. So the changes of torques are regressed
+    on the part of the steps that rounded angles explain (instrumental variables).
 
     Parameters
     ----------
     records : sequence of TrialRecord
-        Trials of one arm, with commands, and with angles of which rounding is most of what their
-        second differences are.
+        Trials of one arm, with commands, and with angles whose second differences are mostly
+        rounding.
 
     Returns
     -------
     answers, errors : ndarray, shape (n, 2)
-        In readings just after and just before the updates. Errors are from parts of the records;
-        infinite where the steps are those of other samples.
+        Shares in readings just after and just before the updates, and their standard errors from
+        the scatter of parts of the records; infinite where the steps are those of other samples.
     """
     n, reading = records[0].joints, TorqueReading()
     at = slice(_BESIDE - 1, _BESIDE + 1)
@@ -211,19 +211,19 @@ def answers_to_rounding(records: Sequence[TrialRecord]) -> tuple[FloatArray, Flo
     rounded = [replace(record, command=record.position) for record in records]
     angles, _ = _chatter(rounded, reading, beside=_BESIDE, differences=1)
     by, _ = regress(angles, steps)
-    told = [by @ one for one in angles]
+    predicted = [by @ one for one in angles]
 
     def cut(rows: Sequence[FloatArray], part: int) -> list[FloatArray]:
         return [np.array_split(one, _PARTS, axis=1)[part] for one in rows]
 
-    found = [regress(cut(told, part), cut(changes, part))[0] for part in range(_PARTS)]
+    found = [regress(cut(predicted, part), cut(changes, part))[0] for part in range(_PARTS)]
     own = np.arange(n)
     answers = np.reshape(found, (_PARTS, n, -1, n))[:, own, at, own]
     errors = np.std(answers, axis=1, ddof=1) / np.sqrt(_PARTS)
     # Commands of other samples explain nothing of the torques.
     beside = slice(n * (_BESIDE - 1), n * (_BESIDE + 2))
     _, explained = regress([rows[beside] for rows in steps], changes)
-    return np.mean(answers, axis=1), np.where(explained[:, None] > _TOLD, errors, np.inf)
+    return np.mean(answers, axis=1), np.where(explained[:, None] > _EXPLAINED, errors, np.inf)
 
 
 def _is_share_of_inertia(transmission: FloatArray) -> bool:
@@ -240,7 +240,7 @@ def _from_chatter(
     _, to_parabola, edge = _lags(reading, rate)
     coefficients, _ = regress(inputs, outputs)
     n = len(outputs[0])
-    # Nearly all has to come from the last steps; else commands are not those of these samples.
+    # The last steps have to explain nearly all; else the commands are those of other samples.
     _, explained = regress([rows[: n * edge] for rows in inputs], outputs)
     torque, slope = (
         sum(weight * coefficients[:, n * lag : n * (lag + 1)] for lag, weight in enumerate(row))
@@ -252,9 +252,9 @@ def _from_chatter(
 def _explained_by_chatter(
     records: Sequence[TrialRecord], reading: TorqueReading
 ) -> tuple[FloatArray, FloatArray]:
-    """What steps of the commands explain of the torques at all, and those of another sample, (n,).
+    """Shares of the torques' differences, (n,), explained by all steps and by one wrong lag alone.
 
-    The former also of the next sample; the latter at most, without any others.
+    All steps include those of the next sample; the largest share of any wrong lag is returned.
     """
     inputs, outputs = _chatter(records, reading, beside=1)
     n = records[0].joints
@@ -266,8 +266,8 @@ def _explained_by_chatter(
 def _shows(
     inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], jump: HoldCorrection
 ) -> BoolArray:
-    """Whether torques, (n,), change as much as the last steps alone make them jump."""
-    # A filter that angles and torques passed alike takes the jumps, and leaves the motion.
+    """Whether torques, (n,), change about as much as the last steps alone make them jump."""
+    # A filter that angles and torques passed alike removes the jumps and leaves the motion.
     jumped, shown = np.zeros((2, len(outputs[0])))
     for steps, changes in zip(inputs, outputs, strict=True):
         jumped += np.sum((jump.torque @ steps[: len(changes)]) ** 2, axis=1)
@@ -283,7 +283,7 @@ def _chatter(
 ) -> tuple[list[FloatArray], list[FloatArray]]:
     """Differences of steps, newest first, and of the changes of torques that follow them.
 
-    Of each trial; with as many steps `beside` those that may matter on either side.
+    Either has an array for each trial. `beside` is the number of further lags on either side.
     """
     weights, to_parabola, _ = _lags(reading, records[0].rate)
     lags = to_parabola.shape[1] + 2 * beside
@@ -297,8 +297,8 @@ def _chatter(
             torque = sum(weight * one for weight, one in zip(weights, cut, strict=True))
             steps = steps[:, weights.size - 1 :]
         changes = np.diff(torque, axis=1)
-        # The step after reading k is seen for the first time in the change to a later reading,
-        # mostly that to reading k + 1, or to an earlier one of readings that are early.
+        # The step after reading k shows first in the change to a later reading, mostly reading
+        # k + 1, or to an earlier one if readings are early.
         start = max(lags - 1, -before)
         last = min(changes.shape[1] - before, steps.shape[1])
         lagged = [steps[:, start - lag : last - lag] for lag in range(lags)]
@@ -308,16 +308,16 @@ def _chatter(
 
 
 def _lags(reading: TorqueReading, rate: float) -> tuple[FloatArray, FloatArray, int]:
-    """How changes of readings tell value and slope of the torque after a step.
+    """Coefficients that give value and slope of the torque after a step from changes of readings.
 
     Returns
     -------
     weights : ndarray
-        Of readings, newest first, for one without the poles of the low-pass.
+        Coefficients of readings, newest first, that remove the poles of the low-pass.
     to_parabola : ndarray, shape (2, lags)
-        Of the changes of those, from the first that shows a step on, for value and slope.
+        Coefficients of their changes, from the first that shows a step on, in value and slope.
     edge : int
-        How many changes it takes until the step is there.
+        Number of changes after which the step is complete.
     """
     weights = reading.whitening(rate)
     count = weights.size + 1 + _PERIODS
@@ -354,7 +354,7 @@ def _from_motion(records: Sequence[TrialRecord]) -> HoldCorrection:
 
 
 def _quick(signals: FloatArray, rate: float) -> FloatArray:
-    """Signals (p, N) in the part of the band above what a person does."""
+    """Signals (p, N) within the band above voluntary motion, without a second at either end."""
     f = np.fft.rfftfreq(signals.shape[1], 1.0 / rate)
     foot, top, shoulder, end = _QUICK
     rise = np.clip((f - foot) / (top - foot), 0.0, 1.0)
@@ -366,12 +366,12 @@ def _quick(signals: FloatArray, rate: float) -> FloatArray:
 def regress(
     inputs: Sequence[FloatArray], outputs: Sequence[FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
-    """Coefficients of outputs (m, N) on inputs (p, N), (m, p), and the shares explained, (m,).
+    """Regress outputs on inputs: coefficients, (m, p), and shares of power explained, (m,).
 
     Parameters
     ----------
-    inputs, outputs : sequence of ndarray
-        Of each trial.
+    inputs, outputs : sequence of ndarray, shapes (p, N) and (m, N)
+        Signals of each trial.
     """
     squares = sum(_products(x, x) for x in inputs)
     mixed = sum(_products(y, x) for x, y in zip(inputs, outputs, strict=True))
@@ -386,5 +386,5 @@ def regress(
 
 
 def _products(left: FloatArray, right: FloatArray) -> FloatArray:
-    """Scalar products of all rows; summed by numpy alone, so that every machine gets the same."""
+    """Scalar products of all rows, summed by numpy alone to be the same on every machine."""
     return np.array([[np.sum(x * y) for y in right] for x in left])

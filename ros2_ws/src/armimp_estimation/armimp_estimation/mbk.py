@@ -54,7 +54,7 @@ class MBK:
         return len(self.M)
 
     def impedance(self, f: FloatArray) -> ComplexArray:
-        """Impedance at frequencies in Hz, N·m/rad, shape (n, n, n_freq)."""
+        """Impedance, N·m/rad, shape (n, n, n_freq), at frequencies `f` in Hz."""
         omega = 2.0 * np.pi * f
         real = self.K[:, :, None] - self.M[:, :, None] * omega**2
         return real + 1j * (self.B[:, :, None] * omega)

@@ -1,29 +1,31 @@
-"""Torque of no linear arm or transducer: changing stiffness, hysteresis, in what the fit leaves.
+"""Nonlinear arms and transducers: changing stiffness, friction, hysteresis in the fit's residual.
 
-With the fitted arm, ``e = τ_k - Σ_j Z_kj θ_j`` is what it doesn't explain of the torque of the
-perturbed joint, in the band. If stiffness falls or grows with the angle, e follows the angle up to
-half of its rms, and no further; if it is another one in either direction, ``|θ|``; if a spring of
-short range yields, a play operator of the angle (the spring's stretch: Brokate & Sprekels,
-*Hysteresis and Phase Transitions*, ch. 2); if friction is left in it, the sign of ``θ̇``; if
-stiffness changes over the trial, ``θ t``, or at once, or is larger at its begin, ``θ exp(-t)``. If
-the transducer is not linear, e follows the torque τ̂, up to the end of the perturbation: ``|τ̂|`` if
-it shows more in one direction, ``τ̂³`` if its gain changes with the torque, the sign of τ̂ if small
-torques don't show, ``τ̂ t`` if its gain changes over the trial, or at once, a play operator of it if
-it has hysteresis. Terms and e are taken without
-all that any linear filter makes of angle and perturbation, and the coefficient is found with what
-of the term turns with the sign of the perturbation, or the same term of what that alone causes, as
-the instrument (Söderström & Stoica, *Instrumental Variable Methods for System Identification*): so
-a linear arm gives zero on average, whatever the person does beside, although that moves the arm,
-too. What a person does is slow and hides what a stiffness that changes does there, so e is looked
-at with what the angle exceeds its rms by, where it has least noise. What M, B and K are alike of
-the regressor, times the coefficient, is what the term does to them; what the gain of a transducer
-changes by is in doubt for all that it measures. What readings lack because torques jump with
-commands is put right before: commands that overcome friction would make it look like a bent spring.
-The trial is cut into parts, and the scatter of what each of them says is the error, with no
-assumption about the spectrum of e; parts that weigh much pull the coefficient towards themselves,
-which is made up for (MacKinnon & White, *Journal of Econometrics* 29, 1985: HC3). Few parts tell
-that scatter badly, so what counts as significant follows Student's distribution. The ends of a
-trial are left out: there the derivatives of a record that is cut off ring.
+The residual torque of the perturbed joint in the band, ``e = τ_k - Σ_j Z_kj θ_j`` with the fitted
+impedance Z, is regressed on one term at a time. Terms of the arm are the angle clipped at half of
+its rms (a stiffness that changes with the amplitude), ``|θ|`` (one that depends on the direction),
+a play operator of the angle (a short-range spring that yields: Brokate & Sprekels, *Hysteresis and
+Phase Transitions*, ch. 2), the sign of ``θ̇`` (friction), ``θ t`` or an abrupt change (a stiffness
+that changes over the trial) and ``θ exp(-t)`` (one that is larger at the start). Terms of the
+transducer follow the torque τ̂ over all perturbed frequencies: ``|τ̂|`` (it shows more in one
+direction), ``τ̂³`` (its gain changes with the torque), the sign of τ̂ (it does not show small
+torques), ``τ̂ t`` or an abrupt change (its gain drifts) and a play operator of τ̂ (hysteresis).
+
+Everything that a linear filter makes of angle and perturbation is projected out of the terms and e.
+The instrument (Söderström & Stoica, *Instrumental Variable Methods for System Identification*) is
+the part of the term that changes sign with the perturbation, or the same term of the motion that
+the perturbation alone causes. So a linear arm gives zero on average, whatever the person does,
+although that moves the arm, too. Voluntary torque is slow and masks a changing stiffness at low
+frequencies, so e is also regressed on the excess of the angle over its rms, whose spectrum lies
+where the noise is lowest. The component of a term that looks like M, B and K, times the
+coefficient, is what the term does to them; a change of a transducer's gain is an uncertainty of all
+that it measures. What readings lack because torques jump with the commands is corrected first:
+commands that overcome friction would make it look like a nonlinear spring.
+
+The standard error is the scatter between parts of the trial, with no assumption about the spectrum
+of e. Influential parts pull the coefficient towards themselves, which is compensated (MacKinnon &
+White, *Journal of Econometrics* 29, 1985: HC3). Few parts give a poor estimate of the scatter, so
+significance follows Student's distribution. The ends of a trial are left out: there the derivatives
+of a truncated record ring.
 """
 
 from __future__ import annotations
@@ -48,82 +50,81 @@ from armimp_estimation.record import TrialRecord
 from armimp_estimation.torque_timing import TorqueReading
 
 BAND = ((0.2, 0.7), (11.0, 15.0))
-"""Edges of the part of the spectrum that is looked at, Hz: a person's own torque is mostly below.
-
-They are not sharp, so that the ends of the record soon die away.
-"""
+"""Edges of the analysed band, Hz: voluntary torque is mostly below it. They are gradual, so that
+ringing at the ends of a record soon decays."""
 WIDE = (BAND[0], (30.0, 40.0))
-"""Edges of the part of the fitted torque that bends a transducer: all that is perturbed, Hz."""
+"""Edges of the band of the torque that enters transducer terms, Hz: all perturbed frequencies."""
 MOVING = ((0.0, 0.1), BAND[1])
-"""Edges of the part of the motion that bends a spring, Hz: slow motion goes along its curve."""
+"""Edges of the band of the angle that enters spring terms, Hz: slow motion bends a spring, too."""
 SIGNIFICANT = 3.5
-"""Standard errors that are significant if there are many parts: by chance, 1 in 2000 is larger."""
+"""Significant number of standard errors if there are many parts: chance exceeds it in 1 of 2000."""
 REST = 0.5
 """Angle up to which stiffness is that of an arm at rest, in rms angles."""
 FAR = 1.0
 """Angle beyond which stiffness differs, in rms angles."""
 ONSETS = 15.0
-"""Length of a trial in times within which an arm that is startled calms down."""
+"""Length of a trial, in time constants with which a startled arm calms down."""
 PLAY = 0.12
-"""Half of the play, in rms angles."""
+"""Half of the play of the arm's spring, in rms angles."""
 SLACK = 0.05
 """Half of the play of a transducer, in rms torques."""
 DEAD = 0.1
-"""Torque beyond which a dead zone has taken all that it takes, in rms torques."""
+"""Half width of a transducer's dead zone, beyond which its loss is constant, in rms torques."""
 _OWN_ZONE = 1.4
-"""Half of a dead zone per what readings without it, and with little noise, show of it."""
+"""Half width of a dead zone per coefficient found from readings that lack it, at low noise."""
 _OWN_LAG = 2.0
-"""Slack of a transducer per what its readings show of it: 1.3 to 2 of perturbed joints, of slack of
-1 to 15 % of the rms torque, and up to 8 where torques are small."""
+"""Half of a transducer's play per coefficient found from its own readings: 1.3 to 2 at perturbed
+joints for 1 to 15 % of the rms torque, up to 8 where torques are small."""
 SLOW = 0.1
-"""Speed at which friction has three quarters of its size, in rms speeds."""
+"""Speed at which friction reaches three quarters of its size, in rms speeds."""
 _ENDS = 3.0
+"""Seconds that are left out at either end, up to the share `_MOST_ENDS` of the record."""
 _WIDTH = 1.0
+"""Width of the bands of the linear filters, Hz."""
 _SMOOTHING = 0.2
-"""Over what weights are averaged, Hz: a person's rhythm is as narrow."""
+"""Standard deviation of the Gaussian that smooths weights, Hz: a voluntary rhythm is as narrow."""
 _RATE = 200.0
 _MOST_ENDS = 0.2
 _PART = 1.5
-"""Seconds of a part: motion and torque of a person hardly are alike any more after it."""
+"""Length of a part, s: after it, voluntary motion and torque are hardly correlated."""
 _FEWEST_PARTS = 2
-"""Parts on either side of a change at once, at least."""
+"""Fewest parts on either side of an abrupt change."""
 _SHORT = 0.75
-"""And where a step is looked for."""
+"""Length of a part in the search for an abrupt change, s."""
 _FLIPS, _ALIKE, _RARE = 400, 4, 0.05
-"""How often signs are flipped, of how many such parts together, and the chance that is compared."""
+"""Wild bootstrap: number of draws, successive parts with one sign, compared tail probability."""
 _BEYOND_CHANCE = 4.0
 _NEGLIGIBLE = 0.003
 _UNFELT = 0.001
 _RUBBING = 0.03
-"""Share of friction from which on it is the arm's: what the robot's leaves in torques is less."""
+"""Relative change of M, B or K above which friction is the arm's: the robot's leaves less."""
 _GROUP = 8
 _JUMPING = 15.0
-"""Torque that friction of the robot may leave of an arm's, per period of commands whose jumps are
-not known, N·m/s: a quarter of 2 N·m (assumption) at 30 rad/s."""
+"""Friction of the robot that may be left in an arm's torque if jumps with the commands are unknown,
+relative to the control period, N·m/s: a quarter of 2 N·m (assumption) at 30 rad/s."""
 _LEFT = 0.01
+"""Share of the torque that a linear arm may leave, and least share of an abrupt change."""
 _LEAST = 10.0
-_TOLD = 0.1
-"""Share of what the perturbation alone causes of a term below which that tells nothing: what
-remains is chance, begin and end.
-
-So it is where a periodic perturbation has all lines: between them is nothing, and at them any
-motion is linear. A bent arm leaves a lack of fit there; gains are in doubt as of any transducer.
-"""
+_INFORMATIVE = 0.1
+"""Share of a term, taken of the perturbed motion alone, that must be left once linear responses are
+projected out. Less is chance and effects of the ends, as under a periodic perturbation that has all
+lines: between them is nothing, and at them any motion is linear. A nonlinear arm leaves a lack of
+fit then; gains are as uncertain as those of any transducer."""
 
 
 class Kind(Enum):
-    """What isn't linear, and so what its share is relative to."""
+    """What isn't linear, and hence what the share of a deviation is relative to."""
 
     STIFFNESS = "stiffness"
-    """The arm, which changes: to the stiffness."""
+    """The arm, whose stiffness changes; relative to the stiffness."""
     FORCE = "force"
-    """The arm, with a torque beside it: to the largest of M, B and K that it looks like."""
+    """The arm, which adds a torque; largest relative change of M, B and K that it looks like."""
     GAIN = "gain"
-    """The transducer, of which the gain changes."""
+    """The transducer, whose gain changes; relative to the gain."""
     DRAG = "drag"
-    """What is between transducer and arm, which takes torque off: as of a force."""
+    """A transmission between transducer and arm, which takes torque off; share as of a force."""
     LOST = "lost"
-    """The transducer, which shows less than there is, never more: to the rms torque."""
+    """The transducer, which shows too little torque, never too much; relative to the rms torque."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,42 +132,41 @@ class Term:
     """One way in which a joint, or its transducer, may not be linear."""
 
     bend: Callable[[FloatArray], FloatArray]
-    """What follows from angle, the same and speed without what is slow, and torque, each in units
-    of its rms; (4, N)."""
+    """Regressor, (N,), from four signals in units of their rms, (4, N): angle, angle and speed
+    without slow motion, and torque."""
     code: ProblemCode
     kind: Kind = Kind.STIFFNESS
     in_time: bool = False
-    """Whether it differs from period to period of a periodic perturbation."""
+    """Whether the term differs between the periods of a periodic perturbation."""
     at_once: int | None = None
-    """Which of those signals it is a change of that may come at once, too."""
+    """Index of the signal whose coefficient may change abruptly, too."""
     lacks: Callable[[FloatArray, float], FloatArray] = lambda torque, _: 0.0 * torque
-    """What a transducer that loses torque lacks, N·m, of what it shows, by the size of that."""
+    """Error, N·m, of a torque as a `Kind.LOST` transducer shows it, for a half width in N·m."""
     size: float = 1.0
-    """That size per what readings show of it, which lack it themselves."""
+    """That half width per coefficient found from readings, which contain the error themselves."""
     slope: float = 1.0
-    """Of that over its argument at one rms, less at rest, or between both directions; of what the
-    angle exceeds its rms by, over a normal distribution of angles."""
+    """Change of the regressor's slope from rest to one rms, or between both directions; for the
+    excess of the angle over its rms, the mean over a normal distribution of angles."""
     large: float = np.inf
-    """Share of the stiffness, or of M, B or K, beyond which these are of this motion, or time,
-    alone; change of the gain beyond which a transducer is none.
-
-    Smaller ones are in the standard errors, and so is what friction of the robot leaves in the
-    torques where their jumps with the commands are not known well.
-    """
+    """Share beyond which stiffness, or M, B and K, hold for this motion or time alone; change of
+    the gain beyond which a transducer is unusable. Smaller shares are part of the standard errors,
+    and so is what friction of the robot leaves in torques whose jumps with the commands are not
+    known well."""
     most: float = np.inf
-    """Share beyond which it is none of an arm: what a person does in time looks like it."""
+    """Share beyond which it is not the arm's: voluntary changes in time look like it."""
     likely: float = 0.0
     sizes: tuple[float, ...] = (0.0,)
-    """Assumptions: how likely it is there, and by what share if so."""
+    """Assumptions: prior probability of the term, and its possible shares, each as likely."""
     lines_alone: bool = False
-    """Whether that is so where the lines of a multisine tell it, as no other term does then."""
+    """Whether this prior counts only where the lines of a multisine determine the term, as no
+    other term reveals it then."""
     robots: float = 0.0
-    """Share in the largest of M, B and K up to which it is the robot's, and no more than that."""
+    """Largest relative change of M, B and K up to which it is attributed to the robot alone."""
     doubted: float = 0.0
-    """Share of a change of the gain by which that may differ from that of the
-    calibration, which is right for one of two directions, for small torques, at begin or end."""
+    """Share of a change of the gain by which the mean gain may differ from the calibrated one,
+    which holds for one of two directions, for small torques, or at the start or end."""
     even: bool = False
-    """Whether it doesn't turn with the sign of what the perturbation causes."""
+    """Whether it does not change sign with the motion that the perturbation causes."""
 
 
 TERMS: Mapping[str, Term] = {
@@ -286,36 +286,34 @@ TERMS: Mapping[str, Term] = {
         doubted=0.5,
     ),
 }
-"""All of them, by name."""
+"""All terms, by name."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Deviation:
-    """One way in which the perturbed joint is not linear."""
+    """One term as it was found at the perturbed joint."""
 
     name: str
     share: float
     error: float
-    """Change of the stiffness from rest to the rms angle, or from begin to end, relative to it; of
-    hysteresis and friction its share in the largest of M, B and K; of a transducer the change of
-    its gain. And its standard error."""
+    """Size of the term relative to what its `Kind` names, and its standard error. That of a
+    stiffness or gain is the change from rest to the rms, between directions, or over the trial."""
     freedom: float
     """Degrees of freedom of that error."""
     shift: FloatArray
     """What it adds to M, B and K of the joint itself, SI units; shape (3,)."""
     gain: float = 0.0
-    """What it adds to the gain of the transducer, relative to that."""
+    """Relative uncertainty of the transducer's gain that follows from it."""
     held: float = 0.0
-    """Torque of friction or of a spring that yields, N·m: it is there while the joint hardly moves,
-    too."""
+    """Torque of friction or of a yielding spring, N·m, which acts on the locked joint, too."""
     at_lines: bool = False
-    """Whether the lines of a multisine tell it."""
+    """Whether the coefficient is that from the lines of a multisine."""
     looks: int = 1
-    """At how many times it was looked for."""
+    """Number of instants at which an abrupt change was looked for."""
     joints: int = 1
-    """And of how many joints that chance may make it of."""
+    """Number of joints that were tested, as chance may produce it at any of them."""
     slack: float = 0.0
-    """Torque by which the transducer lags on either way, or that it shows as none, N·m."""
+    """Half width of the hysteresis or dead zone of the transducer, N·m."""
 
     @property
     def of_transducer(self) -> bool:
@@ -324,14 +322,14 @@ class Deviation:
 
     @property
     def significant(self) -> bool:
-        """Whether chance hardly explains it."""
+        """Whether chance hardly explains it, given the numbers of looks and joints."""
         return self._errors(self.looks * self.joints) > SIGNIFICANT
 
     def doubt(self, elsewhere: float = 0.0, *, declared: bool = False) -> float:
-        """Standard error that it is, relative to what was found: less if it may be chance.
+        """Standard error that follows from it, relative to its size: below 1 if it may be chance.
 
-        Other joints of an arm tell how likely it is, `elsewhere`. Where it is `declared` how linear
-        transducers are, what doesn't stand out of them is chance, but for their drift.
+        `elsewhere` is the evidence that the other joints give. If the linearity of transducers was
+        `declared`, what is not significant of them is taken as chance, except a drift.
         """
         if self.significant:
             return 1.0
@@ -341,10 +339,11 @@ class Deviation:
 
     @property
     def evidence(self) -> float:
-        """Logarithm of the ratio of likelihoods of what is and isn't linear."""
+        """Logarithm of the likelihood ratio of its presence to its absence."""
         return self._odds(0.0)[1]
 
     def _odds(self, elsewhere: float) -> tuple[float, float]:
+        """Posterior mean square of the share, and evidence, as of :func:`hidden_square`."""
         term = TERMS[self.name]
         if term.kind is Kind.GAIN and self.error == np.inf:
             return term.likely * float(np.mean(np.square(term.sizes))), 0.0
@@ -364,7 +363,7 @@ class Deviation:
 
     @property
     def errors(self) -> float:
-        """Standard errors of a normal distribution that are as unlikely."""
+        """Equally unlikely number of standard errors of a normal distribution."""
         return self._errors(self.looks)
 
     def _errors(self, looks: int) -> float:
@@ -375,7 +374,7 @@ class Deviation:
 
 
 class _Band:
-    """Signals of a record within the band, at a rate that suffices for them, without its ends."""
+    """Signals of a record within a band, at a rate that suffices for it; `kept` omits the ends."""
 
     def __init__(
         self,
@@ -406,7 +405,7 @@ class _Band:
 
     @property
     def lines(self) -> NDArray[np.intp]:
-        """Places of the lines of a periodic perturbation among its bins."""
+        """Indices of the lines of a periodic perturbation among the bins of the band."""
         return np.flatnonzero(self._parts >= 0)
 
     def of(self, signal: FloatArray) -> ComplexArray:
@@ -414,12 +413,12 @@ class _Band:
         return np.asarray(spectrum[..., self.bins] * self.passed / signal.shape[-1])
 
     def filters(self, signal: FloatArray) -> FloatArray:
-        """A signal cut into bands, each as it is and turned by 90 degrees, (2 bands, N).
+        """Split a signal into bands, each as it is and shifted by 90 degrees, (2 bands, N).
 
-        Under a periodic perturbation each line is a band, and what lies between them, which is
-        distortion and what a person does, is in none: what was made of a person's motion there
-        would go with the person's torque. Nor does anything remain at the lines of what a fitted
-        arm leaves there that is a little off, which no scatter between parts of the trial shows.
+        Under a periodic perturbation each line is a band. What lies between the lines, distortion
+        and voluntary motion, belongs to none: a filter of voluntary motion would follow voluntary
+        torque. Nor can anything remain at the lines of the residual of a slightly wrong fit, which
+        the scatter between parts of the trial would not show.
         """
         values = self.of(signal)
         parts = np.unique(self._parts[self._parts >= 0])
@@ -427,14 +426,14 @@ class _Band:
         return self.signal(np.concatenate((cut, 1j * cut)))
 
     def caused(self, signals: FloatArray) -> FloatArray:
-        """What any linear filter makes of the perturbation in signals (..., N)."""
+        """Project signals (..., N) onto everything that linear filters make of the perturbation."""
         return _onto(self.filters(self.pushes))(signals)
 
     def weights(self, *noise: FloatArray) -> FloatArray:
-        """What makes a sum of signals white, by frequency.
+        """Weights by frequency that make a sum of independent signals white.
 
-        It changes gradually: what sharp edges pass is alike over the whole trial, whose parts
-        would not be independent of each other.
+        They change gradually: signals that pass sharp edges are correlated over the whole trial,
+        so that its parts would not be independent of each other.
         """
         width = _SMOOTHING / float(self.f[1] - self.f[0])
         power = np.sum([np.abs(self.of(n)) ** 2 for n in noise], axis=0)
@@ -445,17 +444,17 @@ class _Band:
         return np.asarray(np.sqrt(of_white / np.maximum(of_noise, tiny)))
 
     def means(self, values: FloatArray) -> FloatArray:
-        """Mean in each band of 1 Hz of values at each frequency."""
+        """Mean of values at each frequency within each band of 1 Hz."""
         return np.bincount(self._which, weights=values) / np.bincount(self._which)
 
     def inner(self, signal: FloatArray) -> FloatArray:
-        """The same without its ends, where the jump between end and begin of a record rings."""
+        """Set the ends to zero, where the jump between end and start of a record rings."""
         inside = np.zeros_like(signal)
         inside[self.kept] = signal[self.kept]
         return inside
 
     def signal(self, values: ComplexArray) -> FloatArray:
-        """Whole signal at the lower rate, ends included."""
+        """Return the signal of a spectrum at the lower rate, ends included."""
         spectrum = np.zeros((*values.shape[:-1], self.samples // 2 + 1), dtype=np.complex128)
         spectrum[..., self.bins] = values * self.samples
         signal: FloatArray = np.fft.irfft(spectrum, self.samples)
@@ -463,9 +462,9 @@ class _Band:
 
 
 def play(angle: FloatArray, half: float) -> FloatArray:
-    """Stretch of a spring that yields beyond `half`, (N,), in units of that: the play operator."""
-    # Each angle clips where the spring rested before. Two such clips are one, so that of all angles
-    # up to each follows from joining runs of 1, 2, 4 ... of them.
+    """Play operator: stretch, (N,), in units of `half`, of a spring that yields beyond `half`."""
+    # Each angle clips the rest position of the spring. Two clips in succession are one clip, so
+    # those of all angles up to each follow from joining runs of 1, 2, 4 ... angles.
     least, most = angle - half, angle + half
     run = 1
     while run < angle.size:
@@ -483,10 +482,9 @@ def _unexplained_torque(
     reading: TorqueReading,
     late: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Motion of the perturbed joint and what the arm leaves of its torque, both within the band.
+    """Motion of the perturbed joint and residual torque of the fitted arm, both within the band.
 
-    Angle, rad, and its first two derivatives, (3, N), and the torque, (N,), N·m; 200 samples per
-    second at most.
+    Angle, rad, and its first two derivatives, (3, N), and torque, N·m, (N,), at 200 Hz at most.
     """
     k, n, band = record.perturbed_joint, record.joints, _Band(record)
     angle, torque = band.of(record.position), band.of(record.torque[k])
@@ -501,7 +499,7 @@ def _unexplained_torque(
 
 
 def _onto(forces: FloatArray) -> Callable[[FloatArray], FloatArray]:
-    """Project signals (..., N) onto what linear filters make of a perturbation, (2 bands, N)."""
+    """Return the projection of signals (..., N) onto the rows of `forces`, (2 bands, N)."""
     normal = np.linalg.pinv(forces @ forces.T, hermitian=True)
     return lambda signals: np.asarray((signals @ forces.T) @ normal @ forces)
 
@@ -513,25 +511,26 @@ def deviations(
     reading: TorqueReading | None = None,
     late: float = 0.0,
 ) -> dict[str, Deviation]:
-    """In which ways the perturbed joint is not linear, by name.
+    """Estimate each term of nonlinearity of the perturbed joint.
 
     Parameters
     ----------
     record : TrialRecord
         One trial.
     arm : MBK
-        What was fitted.
+        Fitted arm.
     jump : HoldCorrection, optional
         How torques jump with the commands, if that is known.
     reading : TorqueReading, optional
         How torques were read.
     late : float
-        How late they were found to be beyond that, s.
+        Fitted delay of the torques beyond that, s.
 
     Returns
     -------
     dict of str to Deviation
-        Those of `TERMS`; empty for trials of less than 10 s.
+        By name in `TERMS`; empty for trials of less than 10 s, or if a signal, or M, B or K of the
+        joint, is zero.
     """
     if record.duration < _LEAST:
         return {}
@@ -539,9 +538,9 @@ def deviations(
     band, k = _Band(record), record.perturbed_joint
     motion, rest = _unexplained_torque(record, arm, jump, reading or TorqueReading(), late)
     wide, moving = _Band(record, WIDE), _Band(record, MOVING)
-    # All motion and torque are bent, but what the perturbation causes of them alone is independent
-    # of what the person does: it is the instrument by which the rest is found. Slow motion of the
-    # person would make it a weak one of terms that go by the direction of the motion.
+    # A nonlinearity acts on all of motion and torque, but only the part that the perturbation
+    # causes is independent of the person: it gives the instrument. Slow voluntary motion would make
+    # that a weak instrument of terms that depend on the direction of the motion.
     angle = moving.signal(moving.of(record.position[k]))
     quick = np.stack((2j * np.pi * wide.f * wide.of(record.position[k]), wide.of(record.torque[k])))
     speed, torque = wide.signal(quick)
@@ -558,19 +557,19 @@ def deviations(
     loaded = known + np.array([0.0, 0.0, 0.0, 1.0])[:, None] * load / sizes
     inner = band.inner(rest)
     white = band.weights(inner)
-    # What a linear arm leaves that isn't quite as it was fitted is in proportion to the torque.
+    # The residual of a linear arm whose fit is slightly wrong is in proportion to the torque.
     nearly = band.weights(inner, _LEFT * band.inner(torque))
     left, moved, shown = (band.of(one) for one in (rest, record.position[k], record.torque[k]))
     linear = _Linear(record, band)
     weighed = [(one, linear.removed(band.signal(one * left)[kept])) for one in (nearly, white)]
-    # With as many bands as there are lines, filters can follow what comes at once.
+    # With one band for each line, the filters could follow an abrupt change.
     smooth = linear if record.periods is None else _Linear(record, _Band(record, by_lines=False))
     steady = smooth.removed(band.signal(nearly * left)[kept])
     found = {}
     for name, one in TERMS.items():
         of_gain = one.kind is Kind.GAIN
-        # What turns with the sign of the perturbation is as independent of the person as what that
-        # alone causes, and tells more where the person moves or loads the joint.
+        # The part that changes sign with the perturbation is as independent of the person as the
+        # term of the perturbed motion alone, and larger where the person moves or loads the joint.
         whole = one.bend(signals)
         turns = 0.5 * (whole - one.bend(signals - 2.0 * known))
         alone = one.bend(loaded if of_gain or one.even else known)
@@ -579,18 +578,18 @@ def deviations(
         weights, remains = weighed[1 if of_gain else 0]
         cause, term, alone = (band.signal(weights * part)[kept] for part in bent)
         instrument = linear.unlike(cause)
-        told = _ratio(*_by_parts(instrument, linear.removed(term), remains))
-        if np.linalg.norm(linear.unlike(alone)) <= _TOLD * np.linalg.norm(alone):
-            told = told[0], np.inf, told[2]
+        estimate = _ratio(*_by_parts(instrument, linear.removed(term), remains))
+        if np.linalg.norm(linear.unlike(alone)) <= _INFORMATIVE * np.linalg.norm(alone):
+            estimate = estimate[0], np.inf, estimate[2]
         at_lines = False
         if record.periods is not None and not one.in_time:
             signal = shown if one.kind in {Kind.GAIN, Kind.LOST} else moved
             of_lines = _slope_at_lines(band.lines, signal, bent[2], bent[1], left, shown)
-            at_lines = of_lines[1] < told[1]
-            told = of_lines if at_lines else told
-        # What M, B and K are alike of it: the derivatives 2, 1, 0.
+            at_lines = of_lines[1] < estimate[1]
+            estimate = of_lines if at_lines else estimate
+        # The M, B and K that look most like the term: its regression on derivatives 2, 1 and 0.
         alike = np.linalg.lstsq(motion[2::-1, kept].T, band.signal(bent[1])[kept], rcond=None)[0]
-        deviation = _deviation(name, told, alike, own, sizes[:, 0])
+        deviation = _deviation(name, estimate, alike, own, sizes[:, 0])
         found[name] = replace(deviation, at_lines=at_lines, joints=record.joints)
         if one.at_once is not None:
             changing = known[one.at_once], signals[one.at_once]
@@ -606,23 +605,23 @@ def deviations(
 
 def _deviation(
     name: str,
-    told: tuple[float, float, float],
+    estimate: tuple[float, float, float],
     alike: FloatArray,
     own: FloatArray,
     sizes: FloatArray,
 ) -> Deviation:
-    """What a coefficient, its error and that's degrees of freedom mean.
+    """Interpret the coefficient of a term.
 
     Parameters
     ----------
-    name, told
-        Of a term, N·m.
+    name, estimate
+        Name of a term, and its coefficient, N·m, standard error and degrees of freedom.
     alike, own : ndarray, shape (3,)
-        M, B and K that are like a term of 1 N·m, and those of the joint.
+        M, B and K that look like a term of 1 N·m, and those of the joint.
     sizes : ndarray, shape (4,)
-        Units of angle, the same without what is slow, speed and torque.
+        Rms of angle, angle and speed without slow motion, and torque: units of the term's signals.
     """
-    term, (slope, error, freedom) = TERMS[name], told
+    term, (slope, error, freedom) = TERMS[name], estimate
     shift, held, slack = slope * alike, 0.0, 0.0
     share = term.slope * slope / float(sizes[3])
     gain = term.doubted * share
@@ -633,10 +632,10 @@ def _deviation(
         share = slack / float(sizes[3])
     elif term.kind in {Kind.FORCE, Kind.DRAG}:
         share = float(np.max(np.abs(shift / own)))
-        # What hardly moves has hardly any drag.
+        # A locked joint hardly moves, so there drag is negligible.
         held = slope if term.kind is Kind.FORCE and share > term.robots else 0.0
     elif term.kind is Kind.STIFFNESS:
-        # Where it falls that far, the stiffness of this motion is no measure of it.
+        # Where stiffness falls far, the change is relative to that at rest, not to this motion's.
         stiffness = float(max(abs(own[2]), abs(own[2] - shift[2])))
         share = term.slope * slope / (stiffness * float(sizes[0]))
     return Deviation(
@@ -652,9 +651,9 @@ def _deviation(
 
 
 def _lost(record: TrialRecord, joint: int, term: Term, size: float) -> FloatArray:
-    """What the transducer of a joint lacks in one way, of that size, N·m, (N,).
+    """Error, (N,), N·m, of a joint's torque by a slack or dead zone of the half width `size`, N·m.
 
-    It is that of the torque as it was read, whatever the person adds to it.
+    It follows from the torque as it was read, with whatever the person adds to it.
     """
     wide = _Band(record, WIDE)
     torque = wide.signal(wide.of(record.torque[joint])) + record.torque[joint].mean()
@@ -662,24 +661,25 @@ def _lost(record: TrialRecord, joint: int, term: Term, size: float) -> FloatArra
 
 
 def _lacking(found: Sequence[Mapping[str, Deviation]], linearity: float | None) -> dict[str, float]:
-    """Standard errors of slack and dead zones, N·m, where they are felt.
+    """Standard errors of half widths of slack and dead zones, N·m, that matter, by term.
 
-    Transducers of one rig are alike, and small torques tell little of what is lost of them.
+    Each is the largest of all joints: transducers of one rig are alike, and small torques reveal
+    little of what is lost of them.
     """
     lost = [name for name, term in TERMS.items() if term.kind is Kind.LOST]
     sizes = {**dict.fromkeys(lost, 0.0), "slack": linearity or 0.0}
     for joint, one in enumerate(found):
         others = [other for k, other in enumerate(found) if k != joint and other]
         for name in sizes if one else ():
-            told = sum(other[name].evidence for other in others)
-            doubt = one[name].doubt(max(told, 0.0), declared=linearity is not None)
+            evidence = sum(other[name].evidence for other in others)
+            doubt = one[name].doubt(max(evidence, 0.0), declared=linearity is not None)
             if doubt * abs(one[name].share) > _UNFELT:
                 sizes[name] = max(sizes[name], abs(doubt * one[name].slack))
     return {name: size for name, size in sizes.items() if size}
 
 
 def _held(record: TrialRecord, joint: int, term: Term) -> FloatArray:
-    """Friction or a spring that yields of a locked joint, (N,), as it moves nonetheless."""
+    """Term, (N,), of friction or a yielding spring at a locked joint, from its residual motion."""
     band = _Band(record)
     angle = band.of(record.position[joint])
     motion = band.signal(angle * (2j * np.pi * band.f) ** np.arange(2)[:, None])
@@ -689,27 +689,27 @@ def _held(record: TrialRecord, joint: int, term: Term) -> FloatArray:
 
 
 def _response(record: TrialRecord, signal: FloatArray, f: FloatArray) -> ComplexArray:
-    """How a signal, (N,) at either rate, answers the perturbation at some frequencies, (n_freq,).
+    """Frequency response, (n_freq,), from the perturbation to a signal, (N,) at either rate.
 
-    From the cross-spectrum in bands of 1 Hz.
+    It is estimated from the cross-spectrum in bands of 1 Hz and interpolated to `f`, Hz.
     """
     wide = _Band(record, WIDE)
     pushes, answer = wide.of(wide.pushes), wide.of(signal)
     cross, power = np.conj(pushes) * answer, np.abs(pushes) ** 2
     middles, real, imaginary, powers = map(wide.means, (wide.f, cross.real, cross.imag, power))
-    told = powers > np.finfo(float).eps * np.max(powers)
-    answers = (real + 1j * imaginary)[told] / powers[told]
-    return np.asarray(np.interp(f, middles[told], answers), dtype=np.complex128)
+    driven = powers > np.finfo(float).eps * np.max(powers)
+    answers = (real + 1j * imaginary)[driven] / powers[driven]
+    return np.asarray(np.interp(f, middles[driven], answers), dtype=np.complex128)
 
 
 class _Linear:
-    """What linear filters make of the motion, taken out by means of the perturbation alone.
+    """Linear responses to the motion, removed with the perturbation as their instrument.
 
-    A person moves the joint, so that motion and the person's torque are alike: what is fitted to
-    the motion itself would take a part of that torque with it, and put the rest of the motion,
-    which friction of the robot bends, in its place. The perturbation is their instrument.
+    A person moves the joint, so motion and voluntary torque are correlated. Least squares on the
+    motion itself would remove a part of that torque with it, and put the rest of the motion, which
+    friction of the robot makes nonlinear, in its place.
 
-    Angle of the perturbed joint and perturbation are cut into parts of a band.
+    The angle of the perturbed joint and the perturbation are split as by :meth:`_Band.filters`.
     """
 
     def __init__(self, record: TrialRecord, band: _Band) -> None:
@@ -719,7 +719,7 @@ class _Linear:
         self._motion = motion / np.where(sizes > 0.0, sizes, 1.0)
         self._onto = _onto(forces)
         self._caused = self._onto(self._motion)
-        # Motion that is not the perturbation's beyond chance can't be told from the person's.
+        # Motion that follows the perturbation no more than by chance may be the person's.
         chance = _BEYOND_CHANCE * _RATE / motion.shape[1]
         self._inverse = np.linalg.pinv(self._caused @ self._caused.T, rcond=chance, hermitian=True)
 
@@ -728,7 +728,7 @@ class _Linear:
         return np.asarray(signal - (self._inverse @ (self._caused @ signal)) @ self._motion)
 
     def unlike(self, signal: FloatArray) -> FloatArray:
-        """What is orthogonal to perturbation and motion of a signal (N,) of the perturbation."""
+        """Make a signal (N,) an instrument: nonlinear in the perturbation, orthogonal to motion."""
         signal = signal - self._onto(signal)
         return np.asarray(signal - (self._inverse @ (self._motion @ signal)) @ self._caused)
 
@@ -736,7 +736,7 @@ class _Linear:
 def _by_parts(
     instrument: FloatArray, term: FloatArray, left: FloatArray, seconds: float = _PART
 ) -> tuple[FloatArray, FloatArray]:
-    """Sums of products of the instrument with what is left, and with the term, by part."""
+    """Products of the instrument with the residual, and with the term, summed over each part."""
     count = max(round(left.size / (_RATE * seconds)), 3)
     parts = [np.array_split(one, count) for one in (instrument, term, left)]
     products = np.array([np.sum(p * q) for p, _, q in zip(*parts, strict=True)])
@@ -754,10 +754,10 @@ def _slope_at_lines(
 ) -> tuple[float, float, float]:
     """As :func:`_ratio`, from spectra (n_freq,) at the lines of a periodic perturbation.
 
-    Where all harmonics are lines, what bends a signal falls on them, too, in another way on each.
-    What any linear filter makes of the signal is smooth over frequency: of each `_GROUP` lines a
-    multiple of the signal is taken out that changes steadily with the frequency. So is what the
-    ends of the record leak, which has nothing to do with the signal: it is taken out likewise.
+    Where all harmonics are lines, distortion of a signal falls on them, too, but differs from line
+    to line, while the output of a linear filter of the signal is smooth over frequency. So from
+    each `_GROUP` lines a multiple of the signal is projected out that changes linearly with the
+    frequency, and likewise the leakage of the record's ends, which is smooth in itself.
     """
     if lines.size < _GROUP:
         return 0.0, np.inf, 1.0
@@ -781,19 +781,19 @@ def _slope_at_lines(
 def _step(
     instrument: FloatArray, term: FloatArray, left: FloatArray
 ) -> tuple[tuple[float, float, float], int]:
-    """Largest change of a coefficient from one part to the next, relative to its standard error.
+    """Find the abrupt change of a coefficient that is largest relative to its standard error.
 
-    The error is that of a change there, from the scatter within both sides, as if it was the same
-    everywhere (two-sample t test). It isn't where a person's torque comes and goes: how large the
-    largest ratio may be by chance, what is left of all parts shows with its signs flipped, some
-    parts together (wild bootstrap: Wu, *Annals of Statistics* 14, 1986), and errors follow.
+    The error follows from the scatter within both sides, as if that were the same everywhere
+    (two-sample t test). It is not where voluntary torque comes and goes. How large the largest
+    ratio may be by chance is therefore found by flipping the signs of the residuals, a few parts at
+    a time (wild bootstrap: Wu, *Annals of Statistics* 14, 1986), and the error enlarged to match.
 
     Returns
     -------
-    told : tuple of float
+    change : tuple of float
         As :func:`_ratio` gives it.
     looks : int
-        Between how many parts it was looked for.
+        Number of instants at which a change was looked for.
     """
     products, squares = _by_parts(instrument, term, left, _SHORT)
     none = 0.0, np.inf, 1.0
@@ -820,7 +820,7 @@ def _changes(
 ) -> tuple[FloatArray, FloatArray]:
     """Change of the slope from the parts before each end to those after it, and its error.
 
-    Of products (..., parts) and squares, (parts,); each is (..., ends).
+    From products (..., parts) and squares (parts,); either result is (..., ends).
     """
     first, before = np.cumsum(products, axis=-1), np.cumsum(squares)
     sums = np.stack((first[..., ends - 1], first[..., -1:] - first[..., ends - 1]))
@@ -835,10 +835,10 @@ def _changes(
 
 
 def _ratio(products: FloatArray, squares: FloatArray) -> tuple[float, float, float]:
-    """Ratio of sums over parts, its standard error by their scatter, and degrees of freedom."""
+    """Ratio of sums over parts, its standard error from their scatter, and degrees of freedom."""
     total = float(np.sum(squares))
     if not total:
-        return 0.0, np.inf, 1.0  # as of |τ| where a load keeps its sign
+        return 0.0, np.inf, 1.0  # as for |τ| under a load that keeps its sign
     slope = float(np.sum(products)) / total
     weights = np.clip(squares / total, 0.0, 0.9)
     error = float(np.linalg.norm((products - slope * squares) / (1.0 - weights))) / abs(total)
@@ -855,21 +855,22 @@ def judge_linearity(
     resolved: BoolArray,
     linearity: float | None,
 ) -> tuple[list[Problem], list[FloatArray], FloatArray]:
-    """Find what isn't linear.
+    """Judge how far arm and transducers are linear, and what that adds to the standard errors.
 
     Parameters
     ----------
     records : sequence of TrialRecord
         One trial for each joint, in order.
     estimate : ImpedanceEstimate
-        What follows from them.
+        Estimate from these trials.
     fit : MBKFit
-        M, B and K of that.
+        Its M, B and K.
     jump : HoldCorrection or None
     reading : TorqueReading
         As :func:`deviations` takes them.
     resolved : ndarray of bool, shape (n,)
-        Where the motion of locked joints isn't, its torque may look like what isn't linear.
+        Whether encoders resolve the motion of all locked joints in each trial. The torque of motion
+        that they do not resolve may look nonlinear, so what is found then is a note, not an error.
     linearity : float or None
         That of the :class:`armimp_estimation.fit.Calibration`, N·m.
 
@@ -877,9 +878,9 @@ def judge_linearity(
     -------
     problems : list of Problem
     doubts : list of ndarray, shape (3, n, n)
-        Changes of M, B and K that are in doubt, each independent of the others.
+        Uncertain changes of M, B and K, one standard error each, independent of each other.
     gain : ndarray, shape (n,)
-        Relative standard errors of the gains of the joints' transducers that come of it.
+        Relative standard errors of the gains of the transducers.
     """
     n = len(records)
     problems: list[Problem] = []
@@ -896,14 +897,15 @@ def judge_linearity(
         return shift
 
     for k, record in enumerate(records):
-        said: set[tuple[ProblemCode, Severity]] = set()
+        reported: set[tuple[ProblemCode, Severity]] = set()
         elsewhere = [one for joint, one in enumerate(found) if joint != k and one]
         for name, one in found[k].items():
-            told = sum(other[name].evidence for other in elsewhere)
-            # Joints of one arm are alike in whether their stiffness depends on the amplitude.
-            # A transducer that isn't linear doesn't clear the others of it.
+            evidence = sum(other[name].evidence for other in elsewhere)
+            # Joints of one arm share whether their stiffness depends on the amplitude. Evidence of
+            # other joints against any other term does not lower its odds at this one.
             doubt = one.doubt(
-                told if name == "curvature" else max(told, 0.0), declared=linearity is not None
+                evidence if name == "curvature" else max(evidence, 0.0),
+                declared=linearity is not None,
             )
             gain[k] = np.hypot(gain[k], doubt * one.gain)
             for m in range(n) if doubt * one.held else ():
@@ -917,9 +919,9 @@ def judge_linearity(
             arms = jumps_known or not 0.0 < abs(one.held) < _JUMPING / record.rate
             large = arms and resolved[k] and TERMS[name].large < abs(one.share) < TERMS[name].most
             code, severity = TERMS[name].code, Severity.ERROR if large else Severity.NOTE
-            if not one.significant or (code, severity) in said:
+            if not one.significant or (code, severity) in reported:
                 continue
-            said.add((code, severity))
+            reported.add((code, severity))
             concern = Concern.IMPEDANCE if one.of_transducer else Concern.PARAMETERS
             problems.append(
                 problem(
@@ -936,7 +938,7 @@ def judge_linearity(
         parts = [_lost(record.whole_periods, k, TERMS[name], size) for record in records]
         lost = np.asarray(sum(of_torque(k, m, part) for m, part in enumerate(parts)))
         if name == "slack" and fit.delay is not None:
-            # In phase it is a delay, which was fitted as far as the data tell.
+            # Its effect on B is that of a delay, which was fitted as far as the data determine it.
             lost[1] *= fit.delay.held
         doubts.append(lost)
     return problems, doubts, gain
