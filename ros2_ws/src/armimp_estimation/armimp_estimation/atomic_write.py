@@ -1,4 +1,4 @@
-"""Writing files that are never seen half written, and reading only regular files."""
+"""Writing files so that nobody sees them half written, and reading regular files only."""
 
 import errno
 import os
@@ -11,15 +11,16 @@ from typing import BinaryIO, Final
 from armimp_common.errors import DataError
 
 _NEVER_SPARSE: Final = 64 << 20
+"""Size up to which a file is read even if it is sparse, bytes."""
 _SPARSEST: Final = 20
-"""Largest ratio of the size of a large file to the bytes that were written to it."""
+"""Largest ratio of the size of a larger file to the bytes that its blocks hold."""
 
 
 def write_atomically(path: Path, write: Callable[[Path], object], *, anew: bool = False) -> None:
-    """Write a file under a new random name beside its place, and move it there.
+    """Write a file under a new random name in its directory, then rename it.
 
-    Nothing that stands there under that name is opened, and no link is followed. A file that is
-    there stays if writing fails.
+    No existing file of that random name is opened, and no link is followed. If writing fails, an
+    existing file at `path` stays as it is.
 
     Parameters
     ----------
@@ -27,12 +28,12 @@ def write_atomically(path: Path, write: Callable[[Path], object], *, anew: bool 
     write : callable
         Writes the file at the path that it is given, which has the same suffix.
     anew : bool
-        Whether to take the place of a file that is there.
+        Whether to replace an existing file.
 
     Raises
     ------
     DataError
-        If the file cannot be written, or exists already and is not to be made `anew`.
+        If the file cannot be written, or exists already and `anew` is false.
     """
     part = path.with_name(f".{secrets.token_hex(8)}{path.suffix}")
     exclusively = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
@@ -50,13 +51,13 @@ def write_atomically(path: Path, write: Callable[[Path], object], *, anew: bool 
 
 
 def reason_of(error: OSError) -> object:
-    """Return why a file cannot be written, in a few words."""
+    """Return in a few words why a file cannot be written."""
     full = error.errno in (errno.ENOSPC, errno.EDQUOT)
     return "disk full" if full else error.strerror or error
 
 
 def write_text(path: Path, content: str) -> None:
-    """Write or replace a text file, so that no part of it is ever seen.
+    """Write or replace a text file atomically.
 
     Raises
     ------
@@ -70,15 +71,15 @@ def open_regular(path: Path) -> BinaryIO:
     """Open a regular file for reading; a link to one is followed.
 
     Pipes and devices are refused before anything is read, as reading them may never begin or never
-    end. So are sparse files that consist almost entirely of a hole, which could take years to read.
+    end. So are sparse files that consist almost entirely of holes, which could take years to read.
 
     Raises
     ------
     OSError
-        If it is no regular file, or cannot be opened.
+        If it is not a regular file, or cannot be opened.
     """
     _require_regular(path, path.stat())
-    # Should it become a pipe in between, opening it must not wait for a writer.
+    # If it has become a pipe in between, opening it must not wait for a writer.
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
         _require_regular(path, os.fstat(descriptor))
@@ -89,29 +90,29 @@ def open_regular(path: Path) -> BinaryIO:
 
 
 def read_text(path: Path, most: int) -> str:
-    """Read a regular file of UTF-8 text, of at most so many bytes.
+    """Read a regular file of UTF-8 text, of at most `most` bytes.
 
     Raises
     ------
     OSError
-        If it is larger or no regular file, or cannot be read.
+        If it is larger, is not a regular file, or cannot be read.
     UnicodeDecodeError
         If it is not UTF-8.
     """
     with open_regular(path) as file:
-        content = file.read(most + 1)  # what /proc says of sizes is nothing to go by
+        content = file.read(most + 1)  # sizes that /proc reports cannot be trusted
     if len(content) > most:
         raise OSError(0, f"has more than the {most} bytes that are read", str(path))
     return content.decode()
 
 
 def require_text(path: Path) -> None:
-    """Refuse a name that is not UTF-8, which no JSON and no message can carry.
+    """Refuse a path whose name is not UTF-8, as neither JSON nor messages can carry it.
 
     Raises
     ------
     OSError
-        If it is not.
+        If it is not UTF-8.
     """
     try:
         str(path).encode()

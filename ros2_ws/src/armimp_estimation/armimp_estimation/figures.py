@@ -1,4 +1,4 @@
-"""Figures of a result, fit for a paper: one or two columns wide, as PNG and PDF."""
+"""Figures of a result for a paper: one or two columns wide, as PNG and PDF."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from armimp_estimation.result import Result
 from armimp_estimation.summary import ImpedanceCurve, Summary
 
 TWO_COLUMNS = 7.16
-"""Width of a figure of two columns, inches."""
+"""Width of a two-column figure, inches."""
 _STYLE = Path(__file__).with_name("paper.mplstyle")
 DASHES: dict[str, Any] = {
     "solid": "solid",
@@ -51,7 +51,7 @@ DASHES: dict[str, Any] = {
     "longdashdot": (0, (8, 2, 1, 2)),
     "dot": (0, (1, 1.2)),
 }
-"""Dashes of matplotlib by the names that the report has for them."""
+"""Dash patterns of matplotlib by their names in the report."""
 MARKERS = {
     "circle": "o",
     "square": "s",
@@ -61,11 +61,11 @@ MARKERS = {
     "cross": "P",
     "x": "X",
 }
-"""Marks of matplotlib by the names that the report has for them."""
+"""Markers of matplotlib by their names in the report."""
 _THINNER = 0.65
-"""Points of a line on paper for a pixel of one in a page."""
+"""Line width on paper, in points, per pixel of line width on a page."""
 _SECONDS = 5.0
-"""How much of the signals is shown, from the beginning of the perturbation."""
+"""Length of the signals shown, from the start of the perturbation."""
 
 
 @rc_context(fname=_STYLE)
@@ -77,17 +77,17 @@ def matrix_figure(
     row_height: float,
     width: float = TWO_COLUMNS,
 ) -> Figure:
-    """Draw charts beside and below each other, with a legend of their strokes.
+    """Draw a grid of charts with a common legend of their strokes.
 
     Parameters
     ----------
     charts, titles : sequence of sequence
-        By row and column: charts, and what is above them in the language of matplotlib.
+        Charts by row and column, and the titles above them in matplotlib's markup.
     legend : iterable of Stroke
     row_height : float
-        Of an axis whose relative height is 1, inches.
+        Height of an axis whose relative height is 1, inches.
     width : float
-        Inches.
+        Width of the figure, inches.
     """
     rows, columns = len(charts), len(charts[0])
     keys: list[Any] = [Line2D([], [], **_drawn(one), label=_tex(one.name)) for one in legend]
@@ -119,7 +119,7 @@ def matrix_figure(
         inner = grid[i, k].subgridspec(len(heights), 1, height_ratios=heights, hspace=0.12)
         panels = [figure.add_subplot(inner[row]) for row in range(len(heights))]
         _draw(chart, panels)
-        # With y given, no time is spent on finding out whether anything is in the way.
+        # With y given, matplotlib spends no time on checking whether the title collides.
         panels[0].set_title(title, pad=3, y=1.0)
         for panel in panels[:-1]:
             panel.tick_params(labelbottom=False)
@@ -135,7 +135,7 @@ def matrix_figure(
 def element_figure(
     joints: int, chart: Callable[[int, int], Chart], legend: Iterable[Stroke], **size: float
 ) -> Figure:
-    """Draw charts of all n x n elements (0-based) in the arrangement of the impedance matrix.
+    """Draw charts of all n x n elements (0-based), arranged like the impedance matrix.
 
     Height and width are those of `matrix_figure`.
     """
@@ -145,7 +145,7 @@ def element_figure(
 
 
 def impedance_figure(summary: Summary, curves: Mapping[str, ImpedanceCurve]) -> Figure:
-    """Draw every element of Z_h, of at least one estimator by name, as `bode_chart` has it."""
+    """Draw a `bode_chart` of every element of Z_h, with the curves of at least one estimator."""
     truth = summary.truth
     keys = [*strokes(curves).values(), *([] if truth is None else [TRUE])]
     return element_figure(
@@ -154,7 +154,7 @@ def impedance_figure(summary: Summary, curves: Mapping[str, ImpedanceCurve]) -> 
 
 
 def coherence_figure(result: Result) -> Figure:
-    """Draw the coherences behind every element of Z_h, of a result with curves."""
+    """Draw the coherences behind every element of Z_h, for a result with curves."""
     names, level = result.summary.joint_names, result.significance or 0.0
     derived = [replace(one, name=f"derived, {one.name}") for one in strokes(result.curves).values()]
     return element_figure(
@@ -166,7 +166,7 @@ def coherence_figure(result: Result) -> Figure:
 
 
 def trace_figure(trials: Sequence[Trial]) -> Figure:
-    """Draw the signals of trials over time side by side, at least one, each with a segment."""
+    """Draw the signals over time of one or more trials side by side; each trial has a segment."""
     names = trials[0].segments[0].joint_names
     charts = []
     for one in trials:
@@ -179,14 +179,14 @@ def trace_figure(trials: Sequence[Trial]) -> Figure:
 
 
 def write_figures(directory: Path, result: Result) -> None:
-    """Write every figure for which a result has the data, in place of those that are there.
+    """Write every figure for which a result has the data, replacing existing ones.
 
-    They are ``impedance``, ``coherence`` and ``traces`` in a directory, as PNG and PDF.
+    The figures are ``impedance``, ``coherence`` and ``traces`` in a directory, as PNG and PDF.
 
     Raises
     ------
     DataError
-        If one cannot be written.
+        If a figure cannot be written.
     """
     if result.curves:
         save_figure(impedance_figure(result.summary, result.curves), directory / "impedance")
@@ -198,21 +198,21 @@ def write_figures(directory: Path, result: Result) -> None:
 
 @rc_context(fname=_STYLE)
 def save_figure(figure: Figure, path: Path) -> list[Path]:
-    """Write a figure as PNG and PDF; equal figures give equal files.
+    """Write a figure as PNG and PDF, and return their paths; equal figures give equal files.
 
     Parameters
     ----------
     figure : matplotlib.figure.Figure
     path : Path
-        Without a suffix.
+        Path of the files without a suffix.
 
     Raises
     ------
     DataError
-        If one cannot be written.
+        If a file cannot be written.
     """
     written = []
-    # The time of day would make every file another one.
+    # With the time of day, no two files would be equal.
     for suffix, metadata in ((".png", {"Software": None}), (".pdf", {"CreationDate": None})):
         written.append(path.with_name(path.name + suffix))
         save = functools.partial(figure.savefig, dpi=200, metadata=metadata)
@@ -221,7 +221,7 @@ def save_figure(figure: Figure, path: Path) -> list[Path]:
 
 
 def _drawn(stroke: Stroke) -> dict[str, Any]:
-    """How matplotlib draws a stroke."""
+    """Options with which matplotlib draws a stroke."""
     style: dict[str, Any] = {"color": printed(stroke.colour)}
     if stroke.symbol:
         return style | {"linestyle": "none", "marker": MARKERS[stroke.symbol]}
@@ -229,7 +229,7 @@ def _drawn(stroke: Stroke) -> dict[str, Any]:
 
 
 def _draw(chart: Chart, panels: Sequence[Axes]) -> None:
-    """Draw a chart into axes one above the other."""
+    """Draw a chart into its panels, which are above each other."""
     for one in chart.lines:
         panel, (_, axis) = panels[one.row - 1], chart.rows[one.row - 1]
         style = _drawn(one.stroke)
@@ -247,12 +247,12 @@ def _draw(chart: Chart, panels: Sequence[Axes]) -> None:
 
 
 def _scale(panel: Axes, letter: str, axis: Axis) -> None:
-    """Give the ``x`` or the ``y`` axis of a panel the scale, ends and ticks that a chart has."""
+    """Give the ``x`` or the ``y`` axis of a panel the scale, ends and ticks of a chart's axis."""
     shown = getattr(panel, f"{letter}axis")
     if axis.log:
         panel.set(**{f"{letter}scale": "log"})
         if axis.ticks or axis.ends is None or axis.ends[1] > 10.0 * axis.ends[0]:
-            # Else some of the minor ticks have labels; but now they are only made, not seen.
+            # Minor ticks would cost time without being seen; on shorter axes some have labels.
             shown.set_minor_locator(NullLocator())
         shown.set_major_locator(LogLocator(numticks=20))
         shown.set_major_formatter("{x:g}")
@@ -263,5 +263,5 @@ def _scale(panel: Axes, letter: str, axis: Axis) -> None:
 
 
 def _tex(name: str) -> str:
-    """Text that matplotlib does not take for a formula."""
+    """Escape a text so that matplotlib does not take it for a formula."""
     return plain(name).replace("$", r"\$")

@@ -1,7 +1,7 @@
 """Frequency responses from the perturbation to angles and torques, by averaged spectra.
 
 Kang & Zhang, eq. 15-16: ``R_ik = G_{τΔk θi} / G_{τΔk τΔk}``, ``T_ik = G_{τΔk τi} / G_{τΔk τΔk}``.
-The perturbation is known exactly, so both are unbiased by any disturbance in the loop.
+The perturbation is known exactly, so no disturbance in the loop biases either of them.
 """
 
 from collections.abc import Iterator, Sequence
@@ -16,16 +16,16 @@ from armimp_estimation.periods import has_power
 from armimp_estimation.spectra import CrossSpectra
 from armimp_estimation.trial import TrialData
 
-# Perturbation of another joint, relative to that of the perturbed one, that is a leak. One in
-# proportion does no harm, as T R⁻¹ stays as it is, and any other is a disturbance.
+# Largest perturbation of another joint, relative to that of the perturbed one, that is accepted as
+# crosstalk. In proportion it does no harm, as T R⁻¹ stays the same; otherwise it is a disturbance.
 _BESIDE = 0.05
-# Power of a perturbation, relative to its largest, below which windows leak it from elsewhere.
+# Power of a perturbation, relative to its largest, below which it is leakage of the window.
 _LEAKED = 1e-5
-# Power of a response over that of its noise from which on others are divided by it: the ratio of
-# two normal values is off by exp(-2) of what noise alone makes of it. Where a person pushes and the
-# perturbation is weak, 4 would leave out bins that tell half of what is known of the stiffness.
+# Least ratio of power to noise with which a response may be a divisor: noise then draws the ratio
+# of two normal values towards its own by a share of exp(-2). Where a person pushes and the
+# perturbation is weak, 4 would leave out bins with half of the information on the stiffness.
 _STANDS_OUT = 2.0
-# Hz on either side over which the power of a response is alike.
+# Hz on either side over which the power of a response is averaged.
 _ALIKE = 0.6
 
 
@@ -40,7 +40,7 @@ class FrfMatrix:
     """Responses of angles (rad/(N·m)) and torques; first index the responding, second the perturbed
     joint; shape (n, n, n_freq)."""
     covariance: ComplexArray
-    """See :class:`armimp_estimation.estimators.estimate.ImpedanceEstimate`; shape
+    """As in :class:`armimp_estimation.estimators.estimate.ImpedanceEstimate`; shape
     (n, 2n, 2n, n_freq)."""
 
     @property
@@ -53,13 +53,13 @@ class FrfMatrix:
 def noise_gain(trial: TrialData) -> FloatArray:
     """Variance of a response per unit of residual power density, shape (n_freq,).
 
-    A response is estimated as ``G_xy / G_xx``. If e is what the perturbation x does not explain,
-    its variance is ``G_ee_true / (n_d G_xx)`` with n_d independent averages. The residual that is
-    computed after estimation has lost the part that x explains by chance, one of the n_d degrees
-    of freedom: ``E[G_ee] = G_ee_true (n_d - 1) / n_d``. Together: ``1 / ((n_d - 1) G_xx)``.
+    A response is estimated as ``G_xy / G_xx``. With n_d independent averages, and with e the part
+    of y that the perturbation x does not explain, its variance is ``G_ee_true / (n_d G_xx)``. The
+    residual after estimation lacks the part that x explains by chance, one of the n_d degrees of
+    freedom: ``E[G_ee] = G_ee_true (n_d - 1) / n_d``. Together: ``1 / ((n_d - 1) G_xx)``.
 
-    Leakage, where there is nothing else, is counted too high, by a factor of about two: the ends
-    of overlapping segments cancel in part, unlike noise.
+    Where leakage is the only error, this is too high by a factor of about two: unlike noise, the
+    leakage at the ends of overlapping segments cancels in part.
 
     Raises
     ------
@@ -75,28 +75,28 @@ def noise_gain(trial: TrialData) -> FloatArray:
             "record_too_short",
         )
     power = trial.input_power
-    # Written so that NaN is none either.
+    # Written so that NaN fails, too.
     if not (power > 0.0).all():
         raise DataError(f"{where}: no perturbation at {trial.f[~(power > 0.0)][0]:.4g} Hz")
     return 1.0 / ((averages - 1.0) * power)
 
 
 def stands_out(f: FloatArray, response: ComplexArray, variance: FloatArray) -> BoolArray:
-    """Where a response is so far above its noise that another may be divided by it, (n_freq,).
+    """Where a response exceeds its noise so far that it may be a divisor, mask of shape (n_freq,).
 
-    Noise in a loop makes a ratio of its own. Where the perturbation has hardly any power, as
-    between the lines of a few sines, the ratio of two responses is drawn to that of the noise, at
-    all such frequencies alike (weak instruments: Staiger & Stock, *Econometrica* 65, 1997).
+    In a loop, torque and angle have a ratio by noise alone. Where the perturbation has hardly any
+    power, as between the lines of a few sines, the ratio of two responses is biased towards that,
+    at all such frequencies alike (weak instruments: Staiger & Stock, *Econometrica* 65, 1997).
 
     Parameters
     ----------
     f : ndarray, shape (n_freq,)
         Frequencies, Hz.
     response : ndarray, shape (n_freq,)
-        Its power is that of the frequencies around, weighted by their inverse variances: to keep
-        what is large by chance would make it too large.
+        Response. Its power is averaged over frequencies around, weighted by inverse variances:
+        selecting bins by their own power would favour those that are large by chance.
     variance : ndarray, shape (n_freq,)
-        Of the response.
+        Variance of the response.
     """
     squares = np.abs(response) ** 2
     if not squares.all():
@@ -126,14 +126,14 @@ def frf_matrix(trials: Sequence[TrialData]) -> FrfMatrix:
 
 
 def _covariance(trial: TrialData) -> ComplexArray:
-    """Covariance of R and T of a trial, from the part of the signals that is not explained."""
+    """Covariance of R and T of a trial, from the residuals of its signals."""
     return noise_gain(trial) * unexplained(trial.spectra, 0, 1)
 
 
 def unexplained(spectra: CrossSpectra, source: int, first: int) -> ComplexArray:
-    """Spectra ``E[X conj(Y)]`` of what one channel does not explain of those from another one on.
+    """Spectra ``E[X conj(Y)]`` of the residuals of channels regressed on the channel `source`.
 
-    Shape (C - first, C - first, n_freq).
+    The channels are those from `first` on; shape (C - first, C - first, n_freq).
     """
     matrix, crossed = spectra.matrix, spectra.matrix[source, first:]
     explained = crossed[:, None] * np.conj(crossed[None]) / spectra.power(source)
@@ -142,14 +142,14 @@ def unexplained(spectra: CrossSpectra, source: int, first: int) -> ComplexArray:
 
 
 def order_trials(trials: Sequence[TrialData]) -> tuple[TrialData, ...]:
-    """Sort trials by perturbed joint, and check that they make a whole decomposition.
+    """Sort trials by perturbed joint, and check that they form a complete decomposition.
 
-    Where the perturbation of one has no power, or no line, the spectra of all are left out.
+    Frequencies at which one perturbation has no power, or no line, are dropped from all spectra.
 
     Raises
     ------
     DataError
-        If a joint has no trial or several, if the trials are of different arms, rates or
+        If a joint has no trial or several, if the trials differ in joint names, rates or
         frequencies, or if a trial perturbs other joints too.
     """
     grids = [trial.f for trial in trials]
@@ -168,7 +168,7 @@ def order_trials(trials: Sequence[TrialData]) -> tuple[TrialData, ...]:
 
 
 def _contradictions(trials: Sequence[TrialData]) -> Iterator[str]:
-    """Why trials do not make a whole decomposition."""
+    """Yield the reasons why trials do not form a complete decomposition."""
     if not trials:
         yield "no trial to estimate from"
     for trial in trials:

@@ -1,4 +1,4 @@
-"""The base of all models of JSON files: numbers may be null, and unknown keys are refused."""
+"""The base class of all models of JSON files: numbers may be null, unknown keys are refused."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, mo
 
 
 def _nan_for_null(value: object) -> object:
-    # One and the same NaN, so that models with it can be equal.
+    # Always the same NaN object, so that models that contain it can compare as equal.
     return math.nan if value is None or value != value else value  # noqa: PLR0124
 
 
@@ -25,9 +25,9 @@ Matrix = Annotated[list[list[Number]], BeforeValidator(_list_of_array)]
 
 
 class JsonModel(BaseModel):
-    """Unknown keys are an error: they would be lost when the file is written again.
+    """Model of a JSON file. Unknown keys are an error, as rewriting the file would lose them.
 
-    Values that are computed are written, for other readers, and not taken when they are read.
+    Computed fields are written for other readers, and ignored when the file is read.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
@@ -41,7 +41,7 @@ class JsonModel(BaseModel):
 
 
 def first_complaint(error: ValidationError) -> str:
-    """Return the first thing that is wrong with a JSON file, on one line: the place and why."""
+    """Return the first error in a JSON file in one line: its place and the reason."""
     first = error.errors()[0]
     where = ".".join(map(str, first["loc"])) or "content"
     return f"{where}: {' '.join(first['msg'].removeprefix('Value error, ').split())}"

@@ -1,4 +1,4 @@
-"""The metadata of a recording: what is known of its experiment beside the samples."""
+"""The metadata of a recording: what is known of its experiment apart from the samples."""
 
 from __future__ import annotations
 
@@ -38,35 +38,34 @@ CALIBRATION_KEYS = {
     "angle_uncertainty": "angle",
     "linearity_uncertainty": "linearity",
 }
-"""Names in the metadata of what is declared of the sensors, by attribute of `Calibration`."""
+"""Attribute of `Calibration` by the metadata key that declares it."""
 READING_KEYS = {
     "torque_delay": "delay",
     "torque_cutoff": "cutoff",
     "torque_order": "order",
     "actuator_lag": "actuator_lag",
 }
-"""Names there of what is known of the readings beside their timing, by attribute of
-:class:`TorqueReading`."""
+"""Attribute of :class:`TorqueReading`, except for the timing, by its metadata key."""
 
 _LARGEST_TRUTH = 1e12
-"""Far beyond any arm, far from where squares and products would overflow; SI units."""
+"""Limit of elements: far beyond any arm, far below overflow of squares and products; SI units."""
 RECORD_KEY = "timing"
-"""Metadata of a bag: timing up to the end of its trial, as JSON."""
+"""Metadata key of the timing up to the end of a bag's trial, as JSON."""
 
 
 class Timing(TimingFigures, TimingLimits):
-    """What was measured in real time, and what was allowed; durations in s."""
+    """Timing measured in real time, and its limits; durations in s."""
 
     model_config = ConfigDict(allow_inf_nan=True)
 
     @classmethod
     def of(cls, figures: TimingFigures, limits: TimingLimits) -> Timing:
-        """Put together figures from the first sample of the run on, and the limits of the run."""
+        """Combine the figures since the first sample of a run with the limits of the run."""
         return cls(**dict(figures), **dict(limits))
 
     @property
     def problems(self) -> list[Problem]:
-        """List what is beyond its limit; comparisons are written so that NaN fails."""
+        """Problems of figures beyond their limits; comparisons are written so that NaN fails."""
         found = []
         for code, count, limit in (
             (ProblemCode.SAMPLES_LATE, self.late, self.max_late_share),
@@ -83,14 +82,14 @@ class Timing(TimingFigures, TimingLimits):
         return found
 
     def begins(self, other: Timing) -> bool:
-        """Whether the other timing may be that of the same run at a later moment."""
+        """Whether the other timing may be that of the same run at a later time."""
         limits = TimingLimits.model_fields
         return (
             all(getattr(self, name) == getattr(other, name) for name in limits)
             and self.ticks < other.ticks
             and self.late <= other.late
             and self.missed <= other.missed
-            # Written so that what was not measured yet contradicts nothing.
+            # Written so that NaN, which is not measured yet, contradicts nothing.
             and not self.period_max > other.period_max
             and not self.latency_max > other.latency_max
         )
@@ -115,41 +114,41 @@ def _lists(truth: MBK | None) -> dict[str, list[list[float]]] | None:
 
 
 Truth = Annotated[MBK | None, PlainValidator(_matrices), PlainSerializer(_lists)]
-"""True matrices, if they are known, as JSON has them: lists of rows, SI units."""
+"""True matrices, if they are known; in JSON, lists of rows in SI units."""
 _Known = Annotated[float | None, Field(strict=True)]
 
 
 class Metadata(BaseModel):
-    """What is known of an experiment beside its samples, by the names that bags have for it."""
+    """What is known of an experiment apart from its samples, by the keys that bags use."""
 
     model_config = ConfigDict(frozen=True, arbitrary_types_allowed=True)
 
     config: dict[str, Any] = {}
     """Configuration; empty if it is not known."""
     truth: Truth = None
-    """True matrices, as far as there are any."""
+    """True matrices, if they are known."""
     seed: Annotated[int | None, BeforeValidator(lambda v: v if type(v) is int else None)] = None
-    """Of all random signals."""
+    """Seed of all random signals."""
     timing: Timing | None = None
-    """Of a run in real time."""
+    """Timing of a run in real time."""
     torque_timing: TorqueTiming = TorqueTiming.UNKNOWN
     """When torques are read."""
     torque_uncertainty: Annotated[float | None, Field(strict=True, ge=0.0, le=1.0)] = None
-    """Standard error with which that instant is known, s."""
+    """Standard error of that instant, s."""
     torque_delay: _Known = None
     torque_cutoff: _Known = None
     torque_order: Annotated[int | None, Field(strict=True)] = None
     actuator_lag: _Known = None
-    """What else is known of the readings, see :class:`TorqueReading`."""
+    """Other known properties of the readings, see :class:`TorqueReading`."""
     gain_uncertainty: _Known = None
     cross_talk_uncertainty: _Known = None
     angle_uncertainty: _Known = None
     linearity_uncertainty: _Known = None
-    """What is declared of the sensors, see :class:`Calibration`."""
+    """Declared standard errors of the sensors, see :class:`Calibration`."""
     sampling_rate: _Known = None
-    """Rate that was declared, where it is an uncustomary one, Hz."""
+    """Declared sampling rate, if it is not a customary one, Hz."""
     arm_model: Annotated[str, AfterValidator(require_model)] = AUTO
-    """Model of the arm that was asked for."""
+    """Model of the arm that was requested."""
 
     @classmethod
     def of(cls, metadata: Mapping[str, str], joints: int | None = None) -> Metadata:
@@ -158,20 +157,20 @@ class Metadata(BaseModel):
         Parameters
         ----------
         metadata : mapping of str to str
-            JSON by name.
+            JSON text by key.
         joints : int, optional
             Number of joints n of the data.
 
         Raises
         ------
         DataError
-            If something is there, but makes no sense.
+            If an entry makes no sense.
         """
         try:
             found = cls.model_validate(
                 {key: _parsed(metadata, key) for key in cls.model_fields if key in metadata}
             )
-            _ = found.reading, found.calibration  # which check their ranges
+            _ = found.reading, found.calibration  # making them checks their ranges
         except ValidationError as error:
             given = f"{error.errors()[0]['input']!r:.60}"
             raise DataError(f"metadata: {first_complaint(error)}, got {given}") from None
@@ -192,14 +191,14 @@ class Metadata(BaseModel):
 
     @property
     def planned_rate(self) -> float | None:
-        """Samples per second that a recording was made for, Hz, if that is known."""
+        """Sampling rate that was planned for a recording, Hz, if it is known."""
         if self.sampling_rate is None and CONTROLLER_NODE in self.config:
             return NS_PER_S / PERIOD_NS  # the only one at which that controller works
         return self.sampling_rate
 
     @property
     def lpm(self) -> LpmConfig:
-        """Options of ``lpm_full`` that follow from it."""
+        """Options of ``lpm_full`` that follow from the metadata."""
         lpm = LpmConfig(reading=self.reading)
         if self.torque_uncertainty is None:
             return lpm
@@ -207,7 +206,7 @@ class Metadata(BaseModel):
 
     @property
     def target(self) -> MBK | None:
-        """Target impedance of the law; None where it has none, or nothing is known of it."""
+        """Target impedance of the control law; None if the law has none or it is not known."""
         law = self.config.get(CONTROLLER_NODE)
         if not isinstance(law, Mapping) or law.get("law.kind") != "imbic":
             return None
@@ -219,7 +218,7 @@ class Metadata(BaseModel):
 
     @property
     def options(self) -> IdentifyConfig:
-        """Options of an identification that follow from it."""
+        """Options of an identification that follow from the metadata."""
         return IdentifyConfig(
             lpm=self.lpm,
             model=self.arm_model,
@@ -229,7 +228,7 @@ class Metadata(BaseModel):
 
     @property
     def calibration(self) -> Calibration:
-        """What is declared of the transducers, else what is assumed of any."""
+        """Standard errors of the sensors: declared ones, or else those assumed for any sensor."""
         known = {name: getattr(self, key) for key, name in CALIBRATION_KEYS.items()}
         given = {name: value for name, value in known.items() if value is not None}
         assumed = not given.keys() >= {"gain", "cross_talk", "angle"}
@@ -247,15 +246,15 @@ def _parsed(metadata: Mapping[str, str], key: str) -> Any:
 
 
 def latest_metadata(metadata: Sequence[Mapping[str, str]]) -> dict[str, str]:
-    """Metadata of the first of some bags, with the timing that counts for all of them.
+    """Return the metadata of the first of several bags, with the timing that counts for them all.
 
-    Of one run it is that of the bag which knows most of it. Of several runs, as where a trial was
-    made again, it is that of the run with most problems.
+    For bags of one run, that is the timing that covers most of the run. For bags of several runs,
+    as when a trial was repeated, it is the timing of the run with the most problems.
 
     Raises
     ------
     DataError
-        If the timing of one makes no sense.
+        If the timing of a bag makes no sense.
     """
     known = [timing for one in metadata if (timing := Metadata.of(one).timing) is not None]
     if not known:

@@ -1,4 +1,4 @@
-"""The estimator node: ROS around recording, assembling and identifying."""
+"""The estimator node: the ROS interface to recording, assembly and identification."""
 
 from __future__ import annotations
 
@@ -60,9 +60,9 @@ from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.trial import TrialData
 
 _POLL_PERIOD = 0.001
-"""How often what has come is fetched (s): in lockstep twenty samples, where a machine is fast."""
+"""Period of fetching messages (s). On a fast machine, twenty samples of lockstep take as long."""
 _STRAGGLERS = 5.0
-"""Seconds after the end of the last trial in which samples of it may still come."""
+"""Time after the end of the last trial in which its samples may still arrive (s)."""
 _SHOWN = 16
 """Number of frequencies at which curves are published; files hold all."""
 RESULT_NAME = f"{topics.ESTIMATOR_NODE}: impedance"
@@ -75,7 +75,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(topics.ESTIMATOR_NODE, **kwargs)
         self.result: Result | None = None
-        """What the trials since the last activation gave; None as long as there may be more."""
+        """Result of the trials since the last activation; None while more of them may come."""
         self._active = False
         self._rig = HeartbeatMonitor(self, topics.SIM_NODE, lambda _: None)
         self._controller = HeartbeatMonitor(self, topics.CONTROLLER_NODE, self._on_controller)
@@ -91,9 +91,9 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
 
     @reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Make the topics."""
+        """Load the parameters and create publishers, subscriptions and timers."""
         self._settings = self._declared.load()
-        # The stopping rule sees only what has been recorded.
+        # The stopping rule sees only recorded samples.
         self._together = topics.RECEIVED_EVERY if self._settings.target_error else TOGETHER
         self._metadata = self._settings.bag_metadata()
         try:
@@ -138,7 +138,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
 
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Wait for the streams, then record."""
+        """Wait for the other nodes, then record."""
         self._declared.require_unchanged()
         wait_for_partners(
             self,
@@ -156,7 +156,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
 
     @reported
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Close the bag and conclude from what there is."""
+        """Close the bag and conclude from the trials so far."""
         self._stop()
         self._reset()
         return super().on_deactivate(state)
@@ -169,7 +169,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
 
     @reported
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Close the bag and conclude from what there is."""
+        """Close the bag and conclude from the trials so far."""
         if self._active:
             self._stop()
         return TransitionCallbackReturn.SUCCESS
@@ -184,7 +184,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         directory = self._settings.directory
         self._directory = Path(directory) if directory else None
         self._finished: list[Trial] = []
-        # Whoever only listens to a recording cannot know which trials may end early.
+        # A node that does not record, as in a replay, can't know which trials may end early.
         self._announced = AnnouncedTrials(strict=self._settings.record)
         self._problems: list[Problem] = []
         self._ended = 0
@@ -203,12 +203,12 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
     def _stop(self) -> None:
         self._end_recording()
         if self.result is None:
-            # Before the trial is finished, which may be the last one that was awaited.
+            # First, as finishing the trial concludes if that is the last one.
             self._note(problem(ProblemCode.RECORDING_STOPPED))
         self._finish()
 
     def _end_recording(self) -> None:
-        """Take nothing more, and tell those who wait for the recorder."""
+        """Accept no more messages, and tell those who wait for the recorder."""
         self._active = False
         self._synchronizer.close()
         self._received.send(encode_count(topics.RECORDER_GONE))
@@ -216,18 +216,18 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         self._poll.cancel()
 
     def _finish(self) -> None:
-        """Record all that has come, and conclude."""
+        """Record all messages that have come, and conclude."""
         self._record(incomplete=True)
         self._recording.stop()
         self._conclude()
 
     def _on_samples(self, samples: int) -> None:
-        """Record so many samples that came since the activation, and tell that they are here."""
+        """Record and acknowledge samples; `samples` counts them since the activation."""
         if samples - self._recorded >= self._together:
             self._recorded = samples
             self._record()
         if self._active:
-            # First, so that in lockstep the decision is there before the samples go on.
+            # First, so that in lockstep the decision arrives before more samples are taken.
             if (decision := self._recording.decide()) is not None:
                 self._announced.note(decision)
                 self._stopping.publish(status_message(decision))
@@ -235,14 +235,14 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
 
     @contextmanager
     def _giving_up(self) -> Iterator[None]:
-        """Give up where recording fails: keep what there is, and say so."""
+        """Stop recording if it fails: note the problem, close the bag and conclude."""
         try:
             yield
         except ArmimpError as error:
             self._note(Problem.of(error, ProblemCode.RECORDING_FAILED))
             self._end_recording()
             with suppress(ArmimpError):
-                # Goes into the bag as that is closed.
+                # Closing the bag writes these, if it can.
                 self._recording.add(self._synchronizer.take())
             try:
                 self._recording.close()
@@ -251,7 +251,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             self._conclude()
 
     def _record(self, *, incomplete: bool = False) -> None:
-        """Record the messages that wait for it."""
+        """Record the messages that are waiting."""
         with self._giving_up():
             self._recording.add(self._synchronizer.take(incomplete=incomplete))
 
@@ -260,12 +260,12 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             return
         if topic == topics.DIAGNOSTICS:
             self._note_timing(message)
-        self._record()  # so that it stands beside the last sample there is
+        self._record()  # so that the message gets the time of the latest sample
         with self._giving_up():
             self._recording.add_beside(topic, message)
 
     def _note_timing(self, message: bytes) -> None:
-        """Keep the timing that the rig reports in real time."""
+        """Keep the latest timing that the rig reports in real time."""
         if TimingFigures.STATUS_NAME.encode() not in message:
             return
         try:
@@ -305,7 +305,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
                 self._conclude()
 
     def _on_controller(self, controller: HeartbeatMonitor) -> None:
-        """Close the bag when the controller is lost: nobody else would say that it is over."""
+        """Finish when the controller is lost, as nobody else would announce the end."""
         if controller.presence.lost and self._active and self.result is None:
             if self._done_at == math.inf:
                 self._note(problem(ProblemCode.NODE_FAILED, reason=controller.sentence))
@@ -323,7 +323,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             self._conclude()
 
     def _conclude(self) -> None:
-        """Publish and store the result, once; without any trial there is none."""
+        """Compute, store and publish the result, once."""
         if self.result is not None:
             return
         timing = self._recording.timing
@@ -355,7 +355,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
 
     def _on_timer(self) -> None:
         if self._active:
-            # Without complete samples nothing else records what has come.
+            # While samples are incomplete, nothing else records the messages that come.
             self._record()
         if not self._active or self._recording.status is None:
             return
@@ -369,7 +369,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
 def column_message(
     trial: Trial, reading: TorqueReading, *, allow_gaps: bool = False
 ) -> DiagnosticStatus:
-    """Tell column k of T, R and ``Z = T/R_kk`` as soon as its trial is over, or why there is none.
+    """Make the status with column k of T, R and ``Z = T/R_kk`` of a trial, or why there is none.
 
     Parameters
     ----------
@@ -377,7 +377,7 @@ def column_message(
     reading : TorqueReading
         How torques were read.
     allow_gaps : bool
-        As of :meth:`Trial.intact`.
+        As in :meth:`Trial.intact`.
     """
     k = trial.joint + 1
     name = f"{topics.ESTIMATOR_NODE}: column {k}"
@@ -398,7 +398,7 @@ def column_message(
 
 
 def result_message(result: Result) -> DiagnosticStatus:
-    """Tell M, B and K with standard errors, the scores, and Z at selected frequencies."""
+    """Make the status with M, B, K, their standard errors, scores, and Z at some frequencies."""
     summary = result.summary
     codes = dict.fromkeys(one.code.value for one in summary.faults)
     values: dict[str, str | bool | list[float]] = {

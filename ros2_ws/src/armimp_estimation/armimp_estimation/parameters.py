@@ -19,17 +19,17 @@ class TorqueParameters(Schema):
     """Known properties of the torque readings, which are corrected."""
 
     delay: float = Field(default=0.0, ge=0.0, le=0.1)
-    """delay of the torque readings (s); 0: as the metadata say"""
+    """delay of the torque readings (s); 0: use that of the metadata"""
     cutoff: float = Field(default=0.0, ge=0.0)
-    """cut-off frequency of the anti-alias filter of the torque readings (Hz); 0: as the metadata
-    say"""
+    """cut-off frequency of the anti-alias filter of the torque readings (Hz); 0: use that of the
+    metadata"""
     order: int = Field(default=1, ge=1, le=HIGHEST_ORDER)
     """order of the anti-alias filter of the torque readings (Butterworth)"""
     actuator_lag: float = Field(default=0.0, ge=0.0, le=0.1)
-    """time constant of the drives (s); 0: as the metadata say"""
+    """time constant of the drives (s); 0: use that of the metadata"""
 
     def metadata(self) -> dict[str, str]:
-        """Return what is known in the form that metadata of bags have."""
+        """Return the known properties as entries for the metadata of bags."""
         known = {key: getattr(self, name) for key, name in READING_KEYS.items()}
         if not self.cutoff:
             del known["torque_order"]
@@ -62,15 +62,15 @@ class EstimatorParameters(Schema):
     target_error: float = Field(default=0.0, ge=0.0, lt=1.0)
     """relative standard error below which a trial ends early; 0: never"""
     least_duration: float = Field(default=20.0, gt=0.0, le=9000.0)
-    """length of a trial that ends early, at least (s)"""
+    """least length of a trial that ends early (s)"""
 
     def bag_metadata(self) -> dict[str, str]:
-        """The metadata as a dictionary, with what is known of the torque readings.
+        """Return the metadata as a dictionary, with the known properties of the torque readings.
 
         Raises
         ------
         ConfigurationError
-            If it is not a JSON object of strings, or the estimators can't be used.
+            If `metadata` is not a JSON object of strings, or `estimators` can't be used.
         """
         if not self.estimators or len(set(self.estimators)) != len(self.estimators):
             raise ConfigurationError(

@@ -1,11 +1,11 @@
-"""Periods of a perturbation that repeats itself, found in the perturbation as it was recorded.
+"""Detection of the periods of a periodic perturbation, from the perturbation as it was recorded.
 
-A multisine of period P has power at some multiples of 1/P only, its lines. Of an arm that is linear
-and doesn't change, whole periods then show answers at these lines alone. What is between the
-multiples of 1/P differs from period to period: noise, and change over time. What is at multiples
-without a line comes back in every period: distortion, at even ones by what is even in the angle, at
-odd ones by what is odd (Pintelon & Schoukens, *System Identification: A Frequency Domain Approach*,
-2nd ed., ch. 3 and 4).
+A multisine of period P has power only at some multiples of 1/P, its lines. A linear arm that does
+not change then responds, over whole periods, at these lines only. Power between the multiples of
+1/P differs from period to period: it is noise, or change over time. Power at multiples without a
+line repeats in every period: it is distortion, at even multiples by terms even in the angle, at odd
+ones by odd terms (Pintelon & Schoukens, *System Identification: A Frequency Domain Approach*, 2nd
+ed., ch. 3 and 4).
 """
 
 from __future__ import annotations
@@ -20,29 +20,30 @@ from numpy.typing import NDArray
 from armimp_common.arrays import BoolArray, FloatArray
 
 _SAME = 1e-9
-"""Power of the difference of two periods, relative to that of the signal, that rounding explains.
-
-Perturbations that are recorded with six digits are within it.
-"""
+"""Power of the difference between two periods, relative to that of the signal, below which rounding
+explains it; so it does for perturbations that are recorded with six digits."""
 _FADES_IN = 0.25
-"""Largest part of a record in which a perturbation may fade in."""
+"""Largest share of a record in which a perturbation may fade in."""
 _LINE = 1e-3
-"""Amplitude relative to the largest from which on a harmonic is a line."""
+"""Least amplitude of a line, relative to the largest harmonic."""
 _POWERLESS = 1e-4
-"""Amplitude relative to the largest below which what does not repeat itself has no power."""
+"""Amplitude, relative to the largest, up to which an aperiodic signal counts as powerless."""
 _ENOUGH = 4
+"""Fewest periods with which segments may be two periods long."""
 _FEWEST_COMMON = 8
+"""Fewest lines that trials must share, unless one has fewer in the band."""
 FEWEST_LINES = 3
+"""Fewest lines of a signal that counts as periodic."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Periods:
-    """How a perturbation repeats itself."""
+    """Period, number of periods and lines of a periodic perturbation."""
 
     samples: int
-    """In a period."""
+    """Samples of a period."""
     count: int
-    """Whole periods in the record, which has them at its end; 2 or more."""
+    """Whole periods at the end of the record; 2 or more."""
     lines: NDArray[np.intp]
     """Harmonics that have power; shape (n_lines,)."""
 
@@ -53,15 +54,15 @@ class Periods:
 
     @property
     def segment(self) -> int:
-        """Samples of a segment with a Hann window in which no line reaches the bin of another.
+        """Samples of a Hann-windowed segment in which no line leaks into the bin of another.
 
-        Where there are too few periods for that, neighbours do.
+        If there are too few periods for that, neighbouring lines do leak.
         """
         apart = np.min(np.diff(self.lines)) > 1
         return self.samples if apart or self.count < _ENOUGH else 2 * self.samples
 
     def frequencies(self, rate: float) -> FloatArray:
-        """Those of the lines, Hz."""
+        """Frequencies of the lines, Hz."""
         return np.asarray(self.lines * float(rate / self.samples), dtype=np.float64)
 
     def lines_in(self, rate: float, band: tuple[float, float]) -> NDArray[np.intp]:
@@ -72,12 +73,12 @@ class Periods:
 
     @classmethod
     def of(cls, signal: FloatArray) -> Periods | None:
-        """Find those of a signal, (N,), which may fade in.
+        """Find the periods of a signal, (N,), which may fade in.
 
         Returns
         -------
         Periods or None
-            None if fewer than two are there, or fewer than three lines.
+            None if there are fewer than two periods, or fewer than three lines.
         """
         size = signal.size
         samples = _period(signal) or _period(signal[int(_FADES_IN * size) :])
@@ -94,7 +95,7 @@ class Periods:
 
 
 def _period(signal: FloatArray) -> int:
-    """Samples after which a signal, (N,), repeats itself, at least twice; 0 if it doesn't."""
+    """Period, in samples, of which a signal, (N,), holds at least two; 0 if there is none."""
     total = float(np.sum(signal**2))
     if not total > 0.0:
         return 0
@@ -113,7 +114,7 @@ def _period(signal: FloatArray) -> int:
 
 
 def common_periods(found: Sequence[Periods | None]) -> Periods | None:
-    """Return the first of several trials if all have the same period and lines, else None."""
+    """Return the periods of the first trial if all have the same period and lines, else None."""
     first = found[0] if found else None
     if first is None:
         return None
@@ -127,12 +128,12 @@ def common_periods(found: Sequence[Periods | None]) -> Periods | None:
 def common_lines(
     found: Iterable[Periods | None], rate: float, band: tuple[float, float]
 ) -> FloatArray | None:
-    """Frequencies in a band, Hz, at which all perturbations that are periodic have lines.
+    """Frequencies in a band, Hz, at which all periodic perturbations have lines.
 
     Returns
     -------
     ndarray or None
-        None if none is periodic, or they have too few in common.
+        None if no perturbation is periodic, or they have too few lines in common.
     """
     lines: list[FloatArray] = [
         np.asarray(one.lines_in(rate, band) * (rate / one.samples), dtype=np.float64)
@@ -146,5 +147,5 @@ def common_lines(
 
 
 def has_power(amplitudes: FloatArray) -> BoolArray:
-    """Where a signal has power, from the amplitudes of its spectrum, (n_freq,)."""
+    """Mask of the frequencies at which a signal has power, from its amplitudes, (n_freq,)."""
     return np.asarray(amplitudes > _POWERLESS * np.max(amplitudes))

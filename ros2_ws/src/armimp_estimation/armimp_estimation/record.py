@@ -1,4 +1,4 @@
-"""The record of one trial as arrays: what every estimator starts from."""
+"""The record of one trial as arrays, from which every estimator starts."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,11 +12,11 @@ from armimp_estimation.periods import FEWEST_LINES, Periods
 from armimp_estimation.spectra import BAND
 
 EXACT = 1e-9
-"""Differences of a signal, relative to its peak to peak value, that are rounding of numbers."""
+"""Differences of a signal, relative to its peak-to-peak range, that are floating-point rounding."""
 _BY_CHANCE = 10.0
-"""How much farther apart than by chance values that last are: e⁻¹⁰ is how often chance does it."""
+"""Least gap, in units of ``r/n²``, that is not random: chance exceeds it once in e¹⁰ times."""
 _ONCE = 0.4
-"""How often a value is shown that is none by accident, as a share of how often others are."""
+"""How often a genuine value is read at least, as a share of the median count of all values."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,10 +51,10 @@ class TrialRecord:
     seed: int | None
     """Seed of the perturbation, if known."""
     command: FloatArray | None = None
-    """Torque command sent in answer to each sample, in force until the next, N·m; if known; shape
+    """Torque command sent in answer to each sample, in force until the next, N·m, if known; shape
     (n, N)."""
     bag: str | None = None
-    """Where it is stored, if it is."""
+    """Bag in which the trial is stored, if any."""
 
     def __post_init__(self) -> None:
         n = len(self.joint_names)
@@ -99,13 +99,13 @@ class TrialRecord:
 
     @property
     def whole_periods(self) -> "TrialRecord":
-        """The same without what is before the first whole period; as it is without periods."""
+        """The record without samples before the first whole period; unchanged if not periodic."""
         if self.periods is None or self.periods.used == self.samples:
             return self
         return self.part(self.samples - self.periods.used)
 
     def part(self, first: int, end: int | None = None) -> "TrialRecord":
-        """The samples from one on, to the last, or to the one before the end."""
+        """Return the samples from `first` up to, but not including, `end`."""
         names = ("perturbation", "position", "torque", "command")
         known = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
         parts = {name: values[:, first:end] for name, values in known.items()}
@@ -118,7 +118,7 @@ class TrialRecord:
 
     @cached_property
     def resolution(self) -> dict[str, FloatArray]:
-        """What :func:`resolution_of` finds of each of these, rad and N·m; shapes (n,)."""
+        """Resolutions of angles, rad, and torques, N·m, by the same topics; shapes (n,)."""
         return {
             topic: np.array([resolution_of(one) for one in signals])
             for topic, signals in self.readings.items()
@@ -126,19 +126,19 @@ class TrialRecord:
 
     @cached_property
     def periods(self) -> Periods | None:
-        """Those of the perturbation, if it repeats itself with lines enough in the band."""
+        """Periods of the perturbation, if it is periodic with enough lines in the band."""
         found = Periods.of(self.perturbation[self.perturbed_joint])
         few = found is None or found.lines_in(self.rate, BAND).size < FEWEST_LINES
         return None if few else found
 
 
 def resolution_of(signal: FloatArray) -> float:
-    """Least difference between two values of a signal; 0 if it rests.
+    """Least difference between two genuine values of a signal; 0 if it rests.
 
-    Linear interpolation onto other instants adds values between readings, but none where these stay
-    the same. So only values that last for two samples count, if there are so many that chance isn't
-    what sets them apart: of n values anywhere in a range r, two are as a rule as near as ``r/n²``.
-    Those that do so seldom are two between readings that are equal by accident.
+    Linear interpolation onto other instants adds values between readings, but none where readings
+    stay the same. So only values that last for at least two samples count, provided that their gaps
+    are not random: of n random values in a range r, two are as a rule as near as ``r/n²``. A value
+    that rarely lasts is left out: two interpolated values were equal by accident.
     """
     nothing = EXACT * float(np.ptp(signal))
     starts = np.flatnonzero(np.concatenate(([True], np.abs(np.diff(signal)) > nothing)))

@@ -1,4 +1,4 @@
-"""Recording of live messages, what they tell of a trial, and its assembly when it is over."""
+"""Recording of live messages, estimates from a running trial, and its assembly at the end."""
 
 from __future__ import annotations
 
@@ -46,52 +46,53 @@ from armimp_estimation.trial import TrialData
 
 _RATE = NS_PER_S / PERIOD_NS
 _ROUND = 1000
+"""Samples to a multiple of which a running record is cut for an estimate."""
 _SEEN_EVERY = 1.0
-"""Least wall time to an estimate from the running trial, from its beginning or the last one (s)."""
+"""Least wall time between estimates from a running trial, and from its start to the first (s)."""
 _SHARE = 30.0
-"""Estimates from the running trial take at most about one part in so many of the time."""
+"""Estimates from a running trial take at most about one part in `_SHARE` of the wall time."""
 _ORDER = (JOINT_STATES, TORQUE_SENSORS, PERTURBATION, COMMANDS)
-"""Messages of a tick in the order in which they are recorded."""
+"""Streams in the order in which the messages of one tick are recorded."""
 _KEPT_BETWEEN = 3000
-"""Messages of each stream that are kept between trials, in case the status of the next one is late;
-queues hold fewer."""
+"""Messages of each stream that are kept between trials, in case the status of the next trial is
+late; queues hold fewer."""
 _DRIFT, _MOST_DRIFT_NS = 2e-4, 250_000_000
-"""By how much the clock of a driver may be slow: as a share of the time, and in all (ns)."""
+"""How much the clock of a driver may lose: as a share of the planned time, and in total (ns)."""
 _STEP_BACK_NS = 1_000_000_000
 """Stamps that step back by more than this (ns) belong to another run."""
 _STRAY = 50
-"""As many messages show together what time it is, even if some are somebody else's."""
+"""Messages whose median stamp tells the present time, even if some of them are strays."""
 _DECIDED_EVERY = 2.0
-"""Time from one decision on an early end to the next (s)."""
+"""Least time between decisions on an early end (s)."""
 _GROWTH = 10
-"""Decisions on long trials are further apart, by this part of the length so far, as an estimate
-from a long record takes long."""
+"""Between decisions, a trial grows by at least one part in `_GROWTH` of its length, as estimates
+from long records take long."""
 _OVERDUE_NS = 2_000_000_000
-"""What is missing this long after the planned end (ns) is lost: queues do not hold more."""
+"""Samples missing this long after the planned end (ns) are lost, as queues do not hold more."""
 
 
 class TrialRecorder:
     """Records each trial into its own bag and hands it over when it is complete.
 
-    A bag gets everything that came from up to three seconds before the trial until its end.
-    `assemble_trials` finds the samples of the trial in it, live and when the bag is read.
+    A bag holds all messages from up to three seconds before the trial until its end.
+    `assemble_trials` finds the samples of the trial among them, live and when the bag is read.
 
     Parameters
     ----------
     joint_names : tuple of str
         Names of the n joints.
     directory : Path or None
-        Where ``bags/`` is made; None records nothing.
+        Directory in which ``bags/`` is made; with None, nothing is recorded.
     metadata : mapping of str to str
-        Stored in every bag.
+        Metadata to store in every bag.
     on_finished : callable
-        Called with each trial, or with the reason why none could be made.
+        Called with each finished trial, or with the problem that prevented its assembly.
     refuse : callable, optional
         Called with topic and error for each message that is too short to have a stamp.
     lpm : LpmConfig, optional
-        Options of the running column.
+        Options for estimates of the column from the running trial.
     target_error, least_duration : float
-        Bound and least length (s) of the stopping rule; a bound of 0 lets trials last as planned.
+        Bound and least length (s) of the stopping rule; with a bound of 0, no trial ends early.
     """
 
     def __init__(
@@ -115,11 +116,11 @@ class TrialRecorder:
         self._bag = ""
         self._past: list[TrialRecord] = []
         self._between = {topic: deque[bytes](maxlen=_KEPT_BETWEEN) for topic in DATA_STREAMS}
-        """Messages since the perturbation of the last trial was over."""
+        """Messages since the end of the last trial's perturbation."""
         self._later: deque[TrialStatus] = deque()
         """Statuses of trials after the present one."""
         self.timing: Timing | None = None
-        """Latest known timing of the run, which goes into the bag of each trial as it ends."""
+        """Latest known timing of the run, stored in the bag of each trial when that ends."""
         self._forget()
 
     def _forget(self) -> None:
@@ -152,7 +153,7 @@ class TrialRecorder:
         return max(min(*counts, self._statuses[-1].ticks), 0)
 
     def add_status(self, status: TrialStatus) -> None:
-        """Take a trial status; those of the next trial wait until the present one is complete.
+        """Process a trial status; those of later trials wait until the present one is complete.
 
         Raises
         ------
@@ -162,7 +163,7 @@ class TrialRecorder:
         present = self.status
         if present is not None and status.trial != present.trial:
             self._later.append(status)
-            if present.phase is Phase.PERTURB:  # the end of which was not recorded
+            if present.phase is Phase.PERTURB:  # its end was not recorded
                 self.finish()
             return
         if present is None:
@@ -179,7 +180,7 @@ class TrialRecorder:
             self._finish_if_complete()
 
     def add(self, messages: Mapping[str, Sequence[bytes]]) -> None:
-        """Take messages of the data streams, mostly those of many whole samples at once.
+        """Record messages of the data streams, usually those of many complete samples at once.
 
         Raises
         ------
@@ -190,7 +191,7 @@ class TrialRecorder:
         self._finish_if_complete()
 
     def add_beside(self, topic: str, message: bytes) -> None:
-        """Record a message that is no sample, such as diagnostics, beside the last sample.
+        """Record a message that is no sample, such as diagnostics, at the time of the last sample.
 
         Raises
         ------
@@ -201,7 +202,7 @@ class TrialRecorder:
             self._writer.write(topic, message, max(self._log_ns.values()))
 
     def progress(self) -> Progress | None:
-        """Tell how far the recording is, and what the samples show so far; None between trials."""
+        """Report how far the trial is and what its samples show so far; None between trials."""
         if (status := self.status) is None:
             return None
         if self._coherence is None or time.monotonic() >= self._look_at:
@@ -228,7 +229,7 @@ class TrialRecorder:
         )
 
     def _look(self) -> None:
-        """Estimate from the samples of the present trial so far."""
+        """Update coherences, and the column if it is due, from the present trial so far."""
         record = record_so_far(self._streams, self._statuses, self.samples)
         if record is not None:
             with suppress(DataError):  # too few samples
@@ -239,14 +240,14 @@ class TrialRecorder:
                 self._coherence = float(np.mean(motion)), float(np.mean(torque))
         if (began := time.monotonic()) >= self._look_at:
             if record is not None:
-                # Round numbers: the Fourier transform of others may take several times as long.
+                # Fourier transforms of other lengths may take several times as long.
                 record = record.part(0, record.samples // _ROUND * _ROUND)
             self._fit(record)
             ended = time.monotonic()
             self._look_at = ended + max(_SEEN_EVERY, _SHARE * (ended - began))
 
     def decide(self) -> StoppingDecision | None:
-        """Decide whether the present trial has lasted long enough, if it is time."""
+        """Decide whether the present trial has lasted long enough, if a decision is due."""
         status = self.status
         if not self._target_error or status is None or status.phase is not Phase.PERTURB:
             return None
@@ -264,7 +265,7 @@ class TrialRecorder:
         )
 
     def _fit(self, record: TrialRecord | None) -> FittedColumn | None:
-        """Column k as a record gives it, which is shown from now on."""
+        """Estimate column k from a record, and keep it for progress reports."""
         self._column = None
         if record is not None and record.samples:
             with suppress(DataError):  # too few samples
@@ -272,7 +273,7 @@ class TrialRecorder:
         return self._column
 
     def stop(self) -> None:
-        """Finish all trials that have begun with what there is, and close the bag."""
+        """Finish all trials that have begun, complete or not, and close the bag."""
         while self._statuses:
             self.finish()
         self.close()
@@ -283,7 +284,7 @@ class TrialRecorder:
         Raises
         ------
         BagError
-            If the bag can't be finished; it stays readable.
+            If the bag can't be finished; it remains readable.
         """
         if self._writer is not None:
             writer, self._writer = self._writer, None
@@ -298,7 +299,7 @@ class TrialRecorder:
             self._writer = BagWriter(path, metadata=self._metadata)
 
     def _begin(self, status: TrialStatus, start_ns: int) -> None:
-        """Begin with the samples of a trial, and keep what came before."""
+        """Begin with the samples of a trial, and record the messages kept from before it."""
         self._start_ns, self._began = start_ns, time.monotonic()
         self._look_at = self._began + _SEEN_EVERY
         stamps = np.array([_stamp(message) for message in self._between[PERTURBATION]])
@@ -307,12 +308,12 @@ class TrialRecorder:
         for raws in self._between.values():
             raws.clear()
         latest_ns = start_ns + status.ticks * PERIOD_NS + _STEP_BACK_NS
-        # Of a trial at a later time, as when bags are replayed in any order, nothing is kept.
+        # Messages of a later time, as when bags are replayed in any order, are not recorded.
         if not stamps.size or np.median(stamps[-_STRAY:]) <= latest_ns:
             self._take(waiting)
 
     def _take(self, messages: Mapping[str, Sequence[bytes]]) -> None:
-        """Decode and write what belongs to the present bag: all at once where it is in step."""
+        """Decode and write messages of the present bag, as one block if streams are in step."""
         if self._start_ns is None:
             for topic, raws in messages.items():
                 self._between[topic].extend(raws)
@@ -332,7 +333,7 @@ class TrialRecorder:
                 if tick < len(raws := messages.get(topic, ())):
                     self._take_one(topic, raws[tick])
         if self._writer is not None:
-            self._writer.flush()  # as it does by itself with a block of samples
+            self._writer.flush()  # a block of samples is flushed by the writer itself
 
     def _take_one(self, topic: str, message: bytes) -> None:
         past = self._is_past(0)
@@ -349,11 +350,11 @@ class TrialRecorder:
                 return
             self._count((topic,), (stamp_ns,))
             belongs = not past or stamp_ns < self._end_ns
-        if not belongs:  # but to the next trial
+        if not belongs:  # it is of the next trial
             self._between[topic].append(message)
             return
         self._streams[topic].add((message,))
-        # Readers sort by this time, so it must not fall within a stream.
+        # Readers sort by this time, so it must not decrease within a stream.
         self._log_ns[topic] = max(stamp_ns, self._log_ns[topic])
         self._write_statuses(self._log_ns[topic])
         if self._writer is not None:
@@ -366,7 +367,7 @@ class TrialRecorder:
                 self._before[topic] += sum(stamp_ns < self._start_ns for stamp_ns in stamps)
 
     def _write_statuses(self, time_ns: int | None = None) -> None:
-        """Statuses have no stamp: they get that of the sample beside them, once there is one."""
+        """Write new statuses; they have no stamp and get that of the latest sample, if any."""
         time_ns = max(self._log_ns.values()) if time_ns is None else time_ns
         if time_ns < 0 or self._written == len(self._statuses):
             return
@@ -377,7 +378,7 @@ class TrialRecorder:
                 self._writer.write(TRIAL, encode_trial_status(status), time_ns)
 
     def _is_past(self, beyond_ns: int, *topics: str) -> bool:
-        """Whether streams, by default the perturbation, are this far past the end of the trial."""
+        """Whether streams, by default the perturbation, are this far beyond the trial's end."""
         if self._start_ns is None:
             return False
         end_ns = self._end_ns + beyond_ns
@@ -398,7 +399,7 @@ class TrialRecorder:
             self.finish()
 
     def finish(self) -> None:
-        """Complete the present trial with what there is, if its perturbation has begun."""
+        """Complete the present trial with the samples so far, if its perturbation has begun."""
         begun, statuses, streams = self._start_ns is not None, self._statuses, self._streams
         elapsed = time.monotonic() - self._began
         self._forget()
@@ -411,13 +412,13 @@ class TrialRecorder:
     def _completed(
         self, statuses: Sequence[TrialStatus], streams: Streams, elapsed: float
     ) -> Trial | Problem:
-        """Assemble a trial that took so long (s), and close its bag."""
+        """Assemble a trial that took `elapsed` seconds of wall time, and close its bag."""
         try:
             try:
                 trials = assemble_trials(streams, statuses)
                 if len(trials) != 1:
                     number = statuses[0].trial
-                    raise DataError(f"trial {number}: its statuses speak of {len(trials)} trials")
+                    raise DataError(f"trial {number}: its statuses announce {len(trials)} trials")
                 if self._writer is not None and self.timing is not None:
                     self._writer.add_metadata({RECORD_KEY: self.timing.model_dump_json()})
             finally:
@@ -434,7 +435,7 @@ class TrialRecorder:
 def record_so_far(
     streams: Streams, statuses: Sequence[TrialStatus], samples: int
 ) -> TrialRecord | None:
-    """The first so many samples of a running trial; None where one is missing or can't be used."""
+    """Return the first samples of a running trial; None if one is missing or can't be used."""
     with suppress(DataError):
         for trial in assemble_trials(streams, statuses):
             begun = [one for one in trial.segments if one.start_ns == trial.window.start_ns]
@@ -444,19 +445,19 @@ def record_so_far(
 
 
 class StoppingRule:
-    """Decides on one trial at numbers of samples that depend on nothing but its parameters.
+    """Decides whether one trial may end, at sample counts that depend on its parameters only.
 
     Parameters
     ----------
     bound : float
-        Largest relative standard error (one standard error) of M, B and K of the column that the
-        trial gives, with which it has lasted long enough.
+        The trial has lasted long enough if all relative standard errors (one standard error) of M,
+        B and K of its column are below this.
     least : float
-        Length that every trial has at least, s.
+        Least length of every trial, s.
     trial : int
         Number of the trial, 1-based.
     planned : int
-        Samples that it has at most.
+        Planned number of samples, which is the largest.
     rate : float
         Samples per second, Hz.
     """
@@ -474,19 +475,19 @@ class StoppingRule:
     def decide(
         self, samples: int, column: Callable[[int], FittedColumn | None]
     ) -> StoppingDecision | None:
-        """Decide whether the trial has lasted long enough, if it is time.
+        """Decide whether the trial has lasted long enough, if a decision is due.
 
         Parameters
         ----------
         samples : int
-            Samples that are there.
+            Number of samples so far.
         column : callable
-            Gives the column that follows from the first so many samples; None if there is none.
+            Estimates the column from a number of first samples; None if that is impossible.
 
         Returns
         -------
         StoppingDecision or None
-            The first one of all announces when the next is made.
+            None if no decision is due. The first one only announces when the next is due.
         """
         if self._due is None or samples < self._due:
             return None
@@ -497,7 +498,7 @@ class StoppingRule:
         if not enough:
             later = considered + max(self._every, considered // _GROWTH)
             due = later if considered else self._first
-            # Beyond, it is too late to end the trial before its time.
+            # Any later, the trial could no longer end before its planned end.
             self._due = due if due + NOTICE_TICKS < self._planned else None
         return StoppingDecision(
             trial=self._trial,
@@ -511,9 +512,9 @@ class StoppingRule:
 
 
 def largest_error(column: FittedColumn) -> tuple[float, str]:
-    """Largest relative standard error of a column, and the name of the element, such as ``K21``.
+    """Largest relative standard error of a column, and the name of its element, such as ``K21``.
 
-    One standard error over the absolute value of its parameter; infinite for a parameter of 0.
+    It is one standard error over the absolute value of the parameter; infinite if that is 0.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = column.errors / np.abs(column.values)
@@ -523,9 +524,9 @@ def largest_error(column: FittedColumn) -> tuple[float, str]:
 
 
 def _last_step_back(stamps: IntArray, start_ns: int) -> int:
-    """Index of the first message after time stepped back to a trial; 0 if it did not.
+    """Index of the first message after stamps stepped back to a trial's time; 0 if they did not.
 
-    A few stray messages between the others are no step: they stay where they are, to be found.
+    A few stray messages among the others are not a step: they are kept, so that they get reported.
     """
     for first in reversed(np.flatnonzero(np.diff(stamps) < -_STEP_BACK_NS) + 1):
         if np.median(stamps[max(first - _STRAY, 0) : first]) > start_ns + _STEP_BACK_NS:

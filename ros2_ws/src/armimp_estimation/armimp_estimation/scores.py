@@ -1,6 +1,6 @@
-"""Scores that tell how far an estimate can be trusted, all over the band of the spectra.
+"""Scores that tell how far an estimate can be trusted, each over the band of the spectra.
 
-Means over the band are plain means over its frequencies.
+Band means are unweighted means over the frequencies of the band.
 """
 
 from collections.abc import Sequence
@@ -21,11 +21,11 @@ from armimp_estimation.trial import TrialData
 NORMAL_95 = 1.959963984540054
 """Standard errors on either side of an estimate that make a 95 % confidence interval."""
 CHANCE = 4.0
-"""Standard deviations by which a band mean of coherences exceeds that of unrelated signals."""
+"""Standard deviations above the mean that a band mean of chance coherence hardly ever exceeds."""
 
 
 def vaf(estimate: ImpedanceEstimate, truth: MBK) -> FloatArray:
-    """Variance accounted for, of each element against the true impedance, %.
+    """Variance accounted for (VAF) of each element, relative to the true impedance, %.
 
     ``VAF_ij = 100 (1 - Σ_f |Z_ij - Ẑ_ij|² / Σ_f |Z_ij|²)``; NaN where the true element is zero.
 
@@ -45,7 +45,7 @@ def vaf(estimate: ImpedanceEstimate, truth: MBK) -> FloatArray:
 def coherence(spectra: CrossSpectra, x: int, y: int) -> FloatArray:
     """Ordinary coherence ``γ² = |G_xy|² / (G_xx G_yy)`` of two channels, shape (n_freq,).
 
-    A channel without any power is coherent with nothing: 0.
+    It is 0 where a channel has no power.
     """
     power = spectra.power(x) * spectra.power(y)
     common = np.abs(spectra.matrix[x, y]) ** 2
@@ -57,19 +57,19 @@ def coherence(spectra: CrossSpectra, x: int, y: int) -> FloatArray:
 def derived_coherence(
     trial: TrialData, joint: int, f: FloatArray, impedance: ComplexArray
 ) -> FloatArray:
-    """Coherence between the angle of joint k and the torque of a joint, seen without the loop.
+    """Coherence of the angle of joint k with the torque of joint i, as if there were no loop.
 
-    ``|Ẑ|² G_θθ / (|Ẑ|² G_θθ + G_nn)`` with ``G_nn = (1 - γ²(θ_k, τ_i)) G_ττ``. It says how much of
-    the torque the impedance explains, and stays near 1 even if other joints were not held still.
+    ``|Ẑ|² G_θθ / (|Ẑ|² G_θθ + G_nn)`` with ``G_nn = (1 - γ²(θ_k, τ_i)) G_ττ``. It is the share of
+    the torque that the impedance explains, and stays near 1 even if other joints were not still.
 
     Parameters
     ----------
     trial : TrialData
-        That perturbed joint k.
+        Trial that perturbed joint k.
     joint : int
         Joint i of the torque, 0-based.
     f : ndarray, shape (m,)
-        Frequencies of the impedance, Hz; other than those of the spectra are interpolated.
+        Frequencies of the impedance, Hz. If the spectra have others, it is interpolated to those.
     impedance : ndarray, shape (m,)
         Estimate of ``Z_ik``, N·m/rad.
 
@@ -88,7 +88,7 @@ def derived_coherence(
 
 
 def coherence_significance(averages: float) -> float:
-    """Coherence which independent signals exceed in 5 % of all cases: ``1 - 0.05^{1/(n_d - 1)}``.
+    """Coherence that independent signals exceed in 5 % of all cases: ``1 - 0.05^{1/(n_d - 1)}``.
 
     Parameters
     ----------
@@ -98,22 +98,22 @@ def coherence_significance(averages: float) -> float:
     Returns
     -------
     float
-        Level of γ²; 1 if a single average makes any coherence meaningless.
+        Level of γ²; 1 for a single average, with which any coherence is meaningless.
     """
     return float(1.0 - 0.05 ** (1.0 / (averages - 1.0))) if averages > 1.0 else 1.0
 
 
 def coherence_of_chance(spectra: CrossSpectra) -> float:
-    """Band mean of the coherence which that of unrelated signals hardly ever exceeds.
+    """Level that the band mean of the coherence of unrelated signals hardly ever exceeds.
 
-    At each frequency theirs has a beta distribution of 1 and ``n_d - 1``, with the mean ``1/n_d``;
-    at frequencies with correlated averages (ρ) it is correlated, by ρ². The result is
-    `CHANCE` standard deviations of the band mean above that.
+    At each frequency, that coherence has a beta distribution with the parameters 1 and ``n_d - 1``,
+    whose mean is ``1/n_d``. Where averages at two frequencies are correlated by ρ, coherences are
+    by ρ². The level is `CHANCE` standard deviations of the band mean above ``1/n_d``.
 
     Parameters
     ----------
     spectra : CrossSpectra
-        From which the coherence comes.
+        Spectra from which the coherence is computed.
     """
     averages = spectra.effective_averages
     if not averages > 1.0:
@@ -124,7 +124,7 @@ def coherence_of_chance(spectra: CrossSpectra) -> float:
 
 
 def require_motion(record: TrialRecord) -> None:
-    """Refuse a trial whose perturbed joint rests, or whose transducer there is dead.
+    """Refuse a trial whose perturbed joint rests, or in which its torque transducer is dead.
 
     Raises
     ------
@@ -147,16 +147,16 @@ def require_motion(record: TrialRecord) -> None:
 def lock_ratio(trials: Sequence[TrialData], frf: FrfMatrix) -> FloatArray:
     """Motion of each joint that the perturbation causes, relative to that of the perturbed one.
 
-    ``sqrt(Σ_f |R_ik|² G_xx / Σ_f |R_kk|² G_xx)`` over the band, less what noise alone would give.
-    So neither motion outside the band counts nor such that has another cause, as the dither of
-    locked joints.
+    ``sqrt(Σ_f |R_ik|² G_xx / Σ_f |R_kk|² G_xx)`` over the band, with the expected contribution of
+    noise subtracted. So motion outside the band does not count, nor does motion with another cause,
+    such as the dither of locked joints.
 
     Parameters
     ----------
     trials : sequence of TrialData
-        In order of k.
+        Trials in order of k.
     frf : FrfMatrix
-        Their responses.
+        Their frequency responses.
 
     Returns
     -------
@@ -166,27 +166,27 @@ def lock_ratio(trials: Sequence[TrialData], frf: FrfMatrix) -> FloatArray:
     power = np.stack([trial.input_power for trial in trials])
     noise = frf.variance[: len(frf.R)]
     caused = np.sum((np.abs(frf.R) ** 2 - noise) * power[None], axis=2)
-    # Not a number where the perturbed joint itself moves no more than by chance.
+    # NaN where the perturbed joint itself moves no more than by chance.
     own = np.where(np.diag(caused) > 0.0, np.diag(caused), np.nan)
     ratio: FloatArray = np.sqrt(np.maximum(caused, 0.0) / own[None])
     return ratio
 
 
 def bias_bound(frf: FrfMatrix) -> FloatArray:
-    """Bias of ``T_ik / R_kk`` that motion of locked joints may cause, relative to it.
+    """Relative bias of ``T_ik / R_kk`` that motion of locked joints may cause.
 
-    For a locked joint i it is the band mean of ``|Ẑ_ii R_ik / T_ik|``: the share of its torque
-    that is due to its own motion. For the perturbed joint itself, of which that says nothing, it is
+    For a locked joint i, it is the band mean of ``|Ẑ_ii R_ik / T_ik|``, the share of the joint's
+    torque that is due to its own motion. For the perturbed joint, where that means nothing, it is
     the band mean of ``Σ_j |Ẑ_kj R_jk / T_kk|`` over the locked joints j. ``Ẑ_ij = T_ij / R_jj``.
 
     Returns
     -------
     ndarray, shape (n, n)
-        Row i is the locked, column k the perturbed joint.
+        Row i is the joint of the torque, column k the perturbed joint.
     """
     n = frf.R.shape[0]
     bound = np.zeros((n, n))
-    # What moves beyond chance; its noise would look like bias where torques are small.
+    # Less the power of noise, which would look like bias where torques are small.
     R = np.sqrt(np.maximum(np.abs(frf.R) ** 2 - frf.variance[:n], 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
         for i in range(n):
@@ -199,24 +199,24 @@ def bias_bound(frf: FrfMatrix) -> FloatArray:
 
 
 def realisation(estimate: ImpedanceEstimate, target: MBK | None) -> FloatArray:
-    """How far the robot is from the target impedance of each joint while that is perturbed.
+    """Deviation of the robot from the target impedance of each joint while that is perturbed.
 
-    The law asks for ``Z_rd θ_k = τΔ - τ_k``, so what the robot shows is ``Ẑ_r = (1 - T_kk)/R_kk``,
-    which is ``1/R_kk - Ẑ_kk`` where locked joints are still. Its deviation, relative to the target,
-    is ``sqrt(Σ_f (|Ẑ_r - Z_rd|² - var Ẑ_r) / Σ_f |Z_rd|²)``.
+    The law aims at ``Z_rd θ_k = τΔ - τ_k``, so the robot realises ``Ẑ_r = (1 - T_kk)/R_kk``, which
+    is ``1/R_kk - Ẑ_kk`` where locked joints are still. Its deviation, relative to the target, is
+    ``sqrt(Σ_f (|Ẑ_r - Z_rd|² - var Ẑ_r) / Σ_f |Z_rd|²)``.
 
     Parameters
     ----------
     estimate : ImpedanceEstimate
-        Responses T and R with their covariance.
+        Estimate with the responses T and R and their covariance.
     target : MBK or None
-        Z_rd, of which the diagonal counts, if it is known.
+        Target impedance Z_rd, of which only the diagonal counts, if it is known.
 
     Returns
     -------
     ndarray, shape (n, 3)
-        Deviation by k, and the ends of its 95 % interval, which are NaN without a covariance; all
-        is without a target for these joints.
+        Deviation by k, and the ends of its 95 % interval. The ends are NaN without a covariance,
+        and all values are without a target for these joints.
     """
     if target is None or target.joints != estimate.joints:
         return np.full((estimate.joints, 3), np.nan)
@@ -242,11 +242,11 @@ def realisation(estimate: ImpedanceEstimate, target: MBK | None) -> FloatArray:
 
 
 def _variance_of_power(values: ComplexArray, noise: FloatArray, correlation: FloatArray) -> float:
-    """Variance of ``Σ_f |v|²`` for values that contain circular noise of variance (n_freq,)."""
+    """Variance of ``Σ_f |v|²`` for values v with circular noise of the variance `noise`."""
     scaled = values * np.sqrt(noise)
     least = float(noise @ with_neighbours(noise, correlation**2))
     crossed = float(np.vdot(scaled, with_neighbours(scaled, correlation)).real)
-    # What values have of their own noise counts in `crossed` too; the rest can't be negative.
+    # The values' own noise is part of `crossed`, too; the rest can't be negative.
     return least + 2.0 * max(crossed - least, 0.0)
 
 
@@ -261,7 +261,7 @@ class Coherences:
     torque: FloatArray
     """``γ²(τΔ_k, τ_i)`` by i, k; shape (n, n, n_freq)."""
     derived: FloatArray
-    """See :func:`derived_coherence`; by i, k; shape (n, n, n_freq)."""
+    """Derived coherence, see :func:`derived_coherence`, by i, k; shape (n, n, n_freq)."""
 
     @classmethod
     def of(cls, trials: Sequence[TrialData], estimate: ImpedanceEstimate) -> "Coherences":

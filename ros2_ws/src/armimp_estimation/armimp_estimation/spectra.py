@@ -15,23 +15,24 @@ from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError, DataError
 
 BAND: Final = (0.122, 15.0)
-"""Band of all estimates, Hz, both ends included. The zero-frequency bin is never in it: it only
-holds what is left of the mean. The lower end is the first bin above zero of the default segment at
+"""Band of all estimates, Hz, both ends included. It excludes the zero-frequency bin, which only
+holds the rest of the mean. Its lower end is the first bin above zero of the default segment at
 1 kHz."""
 SEGMENT: Final = 8192
 """Samples in one segment by default (Hann window, periodic)."""
 # The correlation of a Hann-windowed spectrum is below 0.1 % beyond three bins.
 _MAX_LAG = 3
 _SHORTEST_SEGMENT = 1024
+"""Fewest samples of a segment at 1 kHz."""
 
 
 def segment_for_samples(*lengths: int, rate: float = 1000.0) -> int:
-    """Samples of segments that suit a record of so many samples, in one stretch or in several.
+    """Choose a segment length, in samples, for a record of one or several stretches.
 
-    The default from four segments' length on; a shorter record takes the largest power of two that
-    fits four times, so that there is something to average, down to 1024 samples. Only stretches
-    that hold a whole segment count. At other rates than 1 kHz (in Hz) segments are of about the
-    same time.
+    The default length is used if the record is at least four times as long. A shorter record gets
+    the largest power of two that fits four times, so that there is something to average, but no
+    fewer than 1024 samples. Only stretches that hold a whole segment count. At rates (Hz) other
+    than 1 kHz, segments have about the same duration.
     """
     scale = 2.0 ** round(np.log2(rate / 1000.0))
     segment = int(SEGMENT * scale)
@@ -43,12 +44,12 @@ def segment_for_samples(*lengths: int, rate: float = 1000.0) -> int:
 
 
 def step_of(segment: int) -> int:
-    """Samples from the beginning of one segment to that of the next: neighbours share 3/4."""
+    """Samples from the start of one segment to that of the next, which overlaps it by 3/4."""
     return segment - segment * 3 // 4
 
 
 def bins_of(segment: int, rate: float) -> NDArray[np.intp]:
-    """Bins of the band, for segments of so many samples and a sampling rate in Hz.
+    """Bins of the band, for segments of `segment` samples and a sampling rate in Hz.
 
     Raises
     ------
@@ -72,7 +73,7 @@ def hann(length: int) -> FloatArray:
 
 @functools.lru_cache(maxsize=32)
 def _ambiguity(segment: int, step: int) -> FloatArray:
-    """Common energy ``|A(j, l)|²`` of windows j steps and l bins apart, over ``|A(0, 0)|²``.
+    """Overlap ``|A(j, l)|²`` of windows j steps and l bins apart, relative to ``|A(0, 0)|²``.
 
     ``A(j, l) = Σ_n w(n) w(n + j·step) exp(-2πi·l·n/segment)``; rows are j, columns are l.
     """
@@ -91,27 +92,27 @@ def _ambiguity(segment: int, step: int) -> FloatArray:
 
 
 def segment_averages(segment: int, *runs: int) -> tuple[float, FloatArray]:
-    """Worth of averages over overlapping segments, and their correlation between bins.
+    """Effective number of averages over overlapping segments, and correlation between bins.
 
-    Welch (1967): ``K / (1 + 2 Σ_j (1 - j/K) ρ_j)`` independent averages with
+    Welch (1967): K segments are worth ``K / (1 + 2 Σ_j (1 - j/K) ρ_j)`` independent averages, with
     ``ρ_j = (Σ w(n) w(n + jD))² / (Σ w²)²``. A 50 s record at 1 kHz has 21 segments of the default
-    length, worth 11.2 averages. Averaged products (such as ``conj(X)·N``) are correlated by
-    ``|Σ w² exp(-2πi·l·n/N)|² / (Σ w²)²`` if there is one segment, that is 1, 4/9, 1/36 at lags of
-    0, 1, 2 bins. Overlapping segments, whose windows are correlated across bins as well, raise it a
-    little: 1, 0.488, 0.048 for the default length and 50 s.
+    length, worth 11.2 averages. With one segment, products such as ``conj(X)·N`` are correlated by
+    ``|Σ w² exp(-2πi·l·n/N)|² / (Σ w²)²``, that is 1, 4/9, 1/36 at lags of 0, 1, 2 bins. Windows of
+    overlapping segments are correlated across bins as well, which raises the correlation a little:
+    to 1, 0.488, 0.048 for the default length and 50 s.
 
     Parameters
     ----------
     segment : int
-        Samples in one.
+        Samples in one segment.
     runs : int
-        Number of segments in each stretch without a gap, at least one in all; those of different
+        Number of segments in each stretch without a gap, at least one in all. Segments of different
         stretches have no sample in common.
 
     Returns
     -------
     averages : float
-        Number of independent averages.
+        Equivalent number of independent averages.
     correlation : ndarray, shape (4,)
         Correlation at lags of 0, 1, 2 and 3 bins; it is negligible beyond.
     """
@@ -138,13 +139,13 @@ class CrossSpectra:
     segments: int
     """Number of averaged segments."""
     effective_averages: float
-    """Number of independent averages that these are worth."""
+    """Number of independent averages that the segments are worth."""
     bin_correlation: FloatArray
-    """Correlation of averages at each bin and the one 0, 1, 2... places above it; shape
+    """Correlation between averages at each bin and at the one 0, 1, 2... places above it; shape
     (lags, n_freq)."""
 
     def at(self, f: FloatArray) -> "CrossSpectra":
-        """Return those at some frequencies, Hz, such as the lines of a periodic signal."""
+        """Return the spectra at some frequencies, Hz, such as the lines of a periodic signal."""
         kept = np.flatnonzero(np.isin(np.round(self.f, 9), np.round(f, 9)))
         correlation = np.zeros((len(self.bin_correlation), kept.size))
         for lag in range(min(correlation.shape)):
@@ -169,7 +170,7 @@ def cross_spectra(*stretches: FloatArray, rate: float, segment: int = SEGMENT) -
     Parameters
     ----------
     stretches : ndarray, shape (C, N)
-        Samples without a gap, of any length N each.
+        Stretches of samples without a gap; N may differ.
     rate : float
         Samples per second, Hz.
     segment : int

@@ -1,4 +1,4 @@
-"""The files of a result: its numbers in ``summary.json``, its curves in ``frf.npz``."""
+"""The files of a result: its numbers are in ``summary.json``, its curves in ``frf.npz``."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ Intervals = list[Matrix]
 
 
 class TrialSummary(TrialScores, StreamStatistics):
-    """One trial: its scores, and the account of its samples."""
+    """One trial: its scores, and the counts of its samples."""
 
     bag: str | None = None
     """The bag: relative to the directory of the results after a run, else as it was given on the
@@ -45,9 +45,9 @@ class TrialSummary(TrialScores, StreamStatistics):
     ticks: int
     """Samples of the trial: perturbation messages received."""
     rtf: Number = math.nan
-    """Times real time at which the trial ran; null if it was not run live."""
+    """Speed of the trial relative to real time; null if it was not run live."""
     saved: Number = 0.0
-    """Time (s) by which the trial was shorter than planned, as its errors were small enough."""
+    """Time (s) by which the trial ended before its planned end, as its errors were small enough."""
 
 
 class EstimatorSummary(JsonModel):
@@ -75,7 +75,7 @@ class EstimatorSummary(JsonModel):
     covariance: Matrix
     """Covariance of the elements of M row by row, then of B, then of K, 3n² × 3n², SI units."""
     lack_of_fit: Matrix
-    """Misfit of M s² + B s + K over what noise explains."""
+    """Misfit of M s² + B s + K relative to that which noise explains."""
     vaf: Matrix | None
     """VAF, %; null where the truth is not known."""
     r2: Matrix
@@ -89,22 +89,22 @@ class EstimatorSummary(JsonModel):
     lack_limit: Number = math.nan
     """Lack of fit beyond which M, B and K are not valid."""
     decides: bool = True
-    """Whether problems of its own make the result not valid."""
+    """Whether problems of this estimator make the result not valid."""
     delay: CommonDelay | None = None
-    """Delay that was corrected, if one was left open."""
+    """Delay between torques and angles that was fitted and corrected, if it was uncertain."""
     models: dict[str, ModelFit] = Field(default_factory=dict)
-    """Models of the arm that were fitted beside M, B and K."""
+    """Models of the arm that were fitted in addition to M, B and K."""
     model: str | None = None
-    """Of these the one that was declared, or that the data support."""
+    """The one of these that was declared, or that the data support."""
 
     @property
     def offered(self) -> ModelFit | None:
-        """The model whose M, B and K stand beside these."""
+        """Model whose M, B and K are reported in addition to these, if there is one."""
         return None if self.model is None else self.models.get(self.model)
 
     @classmethod
     def of(cls, result: EstimatorResult, *, decides: bool) -> EstimatorSummary:
-        """Summary of the result of one estimator."""
+        """Summarise the result of one estimator."""
         fit = result.fit
         ends = np.array((-NORMAL_95, NORMAL_95))
         found: dict[str, Any] = {
@@ -133,24 +133,24 @@ class WallSummary(JsonModel):
     """From the start of the process to the first sample of the first trial: imports, discovery,
     lifecycle."""
     trials: Number
-    """From there to the last perturbed sample of the last trial, with what lies between trials."""
+    """From there to the last perturbed sample of the last trial, including times between trials."""
     after: Number
     """From there until report and figures were written: the last rest, estimates, lifecycle."""
     result: Number = math.nan
-    """The part of this until M, B and K were on the terminal; null with ``--json``."""
+    """The part of `after` until M, B and K were on the terminal; null with ``--json``."""
 
 
 class OriginSummary(JsonModel):
-    """How a result came about."""
+    """Origin of a result: command line and date."""
 
     command: str
     """Command line."""
     date: str
-    """When it was made: local time with its distance from UTC, ISO 8601."""
+    """When it was made: local time with its offset from UTC, ISO 8601."""
 
     @classmethod
     def of(cls, arguments: Sequence[str]) -> OriginSummary:
-        """Describe the command that runs now, from its program and arguments."""
+        """Describe the running command by its program and arguments."""
         program, *others = arguments
         date = datetime.now().astimezone().isoformat(" ", timespec="minutes")
         return cls(command=shlex.join([Path(program).name, *others]), date=date)
@@ -162,7 +162,7 @@ class Summary(JsonModel):
     schema_version: Literal[1] = Field(default=1, alias="schema")
     """Version of this file, 1."""
     config: dict[str, JsonValue]
-    """The configuration, as in the bags."""
+    """Configuration, as in the bags."""
     joints: int = Field(ge=1)
     """Number of joints n."""
     joint_names: list[str]
@@ -170,7 +170,7 @@ class Summary(JsonModel):
     seed: int | None
     """Seed of the perturbation, if it is known."""
     problems: list[Problem]
-    """What is wrong, and what was found and put right, see below."""
+    """What is wrong, and what was found and corrected, see below."""
     trials: list[TrialSummary]
     """The trials, see below."""
     estimators: dict[str, EstimatorSummary]
@@ -182,8 +182,8 @@ class Summary(JsonModel):
     wall: WallSummary | None = None
     """Wall time of a run from the command line, see below."""
     torque_reading: TorqueReading | None = None
-    """What is known of the torque readings and so was corrected, see below; null if nothing could
-    be estimated."""
+    """Known properties of the torque readings, which were corrected, see below; null if nothing
+    could be estimated."""
     origin: OriginSummary | None = None
     """Command line and date of a result from the command line, see below."""
 
@@ -195,9 +195,9 @@ class Summary(JsonModel):
         joint_names: Sequence[str],
         **content: Any,
     ) -> Self:
-        """Summary of an identification, or of none if nothing could be estimated.
+        """Summarise an identification, which is None if nothing could be estimated.
 
-        Names of the joints are given, too, and all other content as it is.
+        All other fields are given as keywords, and taken as they are.
         """
         found = {} if identification is None else identification.estimators
         deciding = () if identification is None else identification.deciding
@@ -225,33 +225,33 @@ class Summary(JsonModel):
 
     @property
     def faults(self) -> list[Problem]:
-        """The problems for which the result is not valid."""
+        """Problems that make the result not valid."""
         return faults(self.problems, *self.deciding)
 
     @property
     def refusals(self) -> list[Problem]:
-        """The problems for which only estimates that decide nothing are not valid."""
+        """Errors that affect only estimates which do not decide whether the result is valid."""
         errors = (one for one in self.problems if one.severity is Severity.ERROR)
         return [one for one in errors if one not in self.faults]
 
     @property
     def deciding(self) -> list[str]:
-        """The estimators that decide whether the result is valid."""
+        """Names of the estimators that decide whether the result is valid."""
         return [name for name, one in self.estimators.items() if one.decides]
 
     def with_problems(self, problems: Sequence[Problem]) -> Self:
-        """Return the same with these problems before its own, unless it has them already."""
+        """Return the summary with these problems, as far as they are new, ahead of its own."""
         new = [one for one in problems if one not in self.problems]
         return self.model_copy(update={"problems": [*new, *self.problems]})
 
 
 def write_summary(path: Path, summary: Summary, *, anew: bool = False) -> None:
-    """Write ``summary.json``; numbers have as many digits as it takes to read them back exactly.
+    """Write ``summary.json``, with as many digits as it takes to read numbers back exactly.
 
     Raises
     ------
     DataError
-        If the file cannot be written, or exists already and is not to be made `anew`.
+        If the file cannot be written, or exists already and `anew` is false.
     """
     text = summary.model_dump_json(indent=1, by_alias=True) + "\n"
     write_atomically(path, lambda part: part.write_text(text, encoding="utf-8"), anew=anew)
@@ -275,14 +275,14 @@ def read_summary(path: Path) -> Summary:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImpedanceCurve(ImpedanceEstimate):
-    """What ``frf.npz`` holds of an estimate, its covariances in single precision."""
+    """The part of an estimate that ``frf.npz`` holds, with covariances in single precision."""
 
     coherence: Coherences
-    """Over the frequencies of the spectra."""
+    """Coherences at the frequencies of the spectra."""
 
     @classmethod
     def of(cls, result: EstimatorResult) -> ImpedanceCurve:
-        """Return the curve of a result, with the precision that the file has."""
+        """Return the curve of a result, in the precision of the file."""
         estimate = result.estimate
         kept = {name: getattr(estimate, name) for name in _ARRAYS.values()}
         for name in ("covariance", "disturbance"):
@@ -302,14 +302,14 @@ _ARRAYS: Final = {
     "inverse": "inverse",
     "systematics": "systematics",
 }
-"""Attributes of a curve by the beginning of their names in ``frf.npz``; that of the estimator
-follows."""
+"""Attribute of a curve by the prefix of its name in ``frf.npz``; the estimator's name follows."""
 
 
 def write_frf(path: Path, curves: Mapping[str, ImpedanceCurve]) -> None:
     """Write ``frf.npz``; ``docs/interfaces.md`` lists its arrays.
 
-    ``f`` is the grid of the first estimator; one with another grid has its own ``f_<name>``.
+    ``f`` holds the frequencies of the first estimator; those of others, if different, are in
+    ``f_<name>``.
 
     Raises
     ------
@@ -338,7 +338,7 @@ def write_frf(path: Path, curves: Mapping[str, ImpedanceCurve]) -> None:
 
 
 def read_frf(path: Path) -> dict[str, ImpedanceCurve]:
-    """Read ``frf.npz``: the curves by name of the estimator.
+    """Read ``frf.npz``: curves by the name of their estimator.
 
     Raises
     ------
@@ -354,7 +354,7 @@ def read_frf(path: Path) -> dict[str, ImpedanceCurve]:
 
 
 def _curve(file: Mapping[str, NDArray[Any]], name: str) -> ImpedanceCurve:
-    """Take the arrays of one estimator."""
+    """Make the curve of one estimator from its arrays."""
     found: dict[str, Any] = {
         one: file[f"{key}_{name}"] for key, one in _ARRAYS.items() if f"{key}_{name}" in file
     }

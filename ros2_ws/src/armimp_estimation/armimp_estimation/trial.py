@@ -1,14 +1,14 @@
-"""A trial as estimators take it: its record without drift, and the spectra of its signals.
+"""A trial as estimators use it: its record without drift, and the spectra of its signals.
 
-A transducer that drifts adds a ramp to its torque, and through the feedback of the measured torque
-to the angle of the perturbed joint. In the spectrum a ramp falls off with 1/f only, so that it
-reaches the lowest bins of the band, as a disturbance that no average removes. A straight line
-fitted to the signal would also take out what the perturbation does there. But the response to that
-can be told from a ramp: at the lowest bins each output obeys
+A drifting transducer adds a ramp to its torque and, through the feedback of the measured torque, to
+the angle of the perturbed joint. The spectrum of a ramp falls off with 1/f only, so it disturbs the
+lowest bins of the band, and averaging does not remove it. A straight line fitted to the signal
+would also remove part of the response to the perturbation. But the response can be separated from a
+ramp: at the lowest bins each output obeys
 
     Y(k) = G(k) U(k) + T(k) + c·D(k) + V(k)
 
-as in :mod:`armimp_estimation.estimators.local_polynomial`, with the transform D of a ramp, and the
+as in :mod:`armimp_estimation.estimators.local_polynomial`, with the transform D of a ramp. The
 slope c follows by least squares, with its standard error.
 """
 
@@ -30,44 +30,45 @@ from armimp_estimation.spectra import CrossSpectra, cross_spectra, segment_for_s
 from armimp_estimation.torque_timing import TorqueReading
 
 HIGHEST = 2.0
-"""Frequency up to which the bins may reach, Hz: beyond it the arm's resonance is in the way.
+"""Frequency up to which the bins may reach, Hz: beyond it lies the arm's resonance.
 
-What the polynomials do not follow of that would be taken for drift in a short record. Within one a
-drift does little, too.
+In a short record, the part of that which the polynomials miss would be mistaken for drift. Within
+such a record, drift does little anyway.
 """
 _ABSURD = 1e50
+"""Values from this size on are refused, as they are neither angles nor torques."""
 _WINDOW = 2 * HALF_WIDTH + 1
 SIGNIFICANT = 6.0
-"""Standard errors beyond which a slope is taken for drift: in no record does chance get there."""
+"""Standard errors beyond which a slope counts as drift; no record gets there by chance."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Drift:
-    """Slopes of the signals of a trial, beside what the perturbation does."""
+    """Slopes of the signals of a trial, apart from their response to the perturbation."""
 
     slopes: FloatArray
     errors: FloatArray
-    """Of the angles, rad/s, then of the torques, N·m/s, and their standard errors; shape (2n,)."""
+    """Slopes of angles, rad/s, then of torques, N·m/s, and their standard errors; shape (2n,)."""
 
     @property
     def beyond_chance(self) -> FloatArray:
-        """Slopes that no chance explains, others 0, shape (2n,)."""
+        """Significant slopes; 0 in the place of all others; shape (2n,)."""
         return np.where(np.abs(self.slopes) > SIGNIFICANT * self.errors, self.slopes, 0.0)
 
     @property
     def significant(self) -> bool:
-        """Whether there is any beyond chance."""
+        """Whether any slope is significant."""
         return bool(self.beyond_chance.any())
 
     def removed_from(self, record: TrialRecord) -> TrialRecord:
-        """A record of the trial without those slopes that are beyond chance."""
+        """Return a record of the trial without its significant slopes."""
         t = (np.arange(record.samples) - 0.5 * (record.samples - 1)) / record.rate
         position, torque = np.split(self.beyond_chance[:, None] * t, 2)
         return replace(record, position=record.position - position, torque=record.torque - torque)
 
 
 def drift_of(record: TrialRecord) -> Drift | None:
-    """Find the slopes of angles and torques.
+    """Estimate the slopes of angles and torques.
 
     Parameters
     ----------
@@ -77,8 +78,7 @@ def drift_of(record: TrialRecord) -> Drift | None:
     Returns
     -------
     Drift or None
-        None if the record is too short (see :data:`HIGHEST`), or its perturbation too poor, to
-        tell.
+        None if the record is too short (see :data:`HIGHEST`) or its perturbation too poor.
     """
     places = np.arange(1, _WINDOW + 1)
     record = record.whole_periods
@@ -90,7 +90,7 @@ def drift_of(record: TrialRecord) -> Drift | None:
     if not scale > 0.0:
         return None
     if record.periods is not None:
-        # Between its harmonics a periodic perturbation does nothing.
+        # A periodic perturbation has no power between its harmonics.
         places = places[places % record.periods.count != 0]
     ramp = np.fft.rfft(np.arange(samples) / record.rate)[places]
     size = np.sqrt(np.mean(np.abs(ramp) ** 2))
@@ -113,9 +113,9 @@ def drift_of(record: TrialRecord) -> Drift | None:
 
 
 def segment_for(trials: Sequence[Sequence[TrialRecord]]) -> int:
-    """Samples of Welch segments that suit all trials, by that with the shortest intact parts.
+    """Choose the length of Welch segments, in samples, to suit the trial with the shortest parts.
 
-    Where all have the same periodic perturbation, they are as long as its period.
+    If all trials have the same periodic perturbation, segments follow its period.
     """
     longest = [max(parts, key=lambda part: part.samples) for parts in trials]
     periods = common_periods([record.periods for record in longest])
@@ -133,13 +133,13 @@ class TrialData:
     """A finished trial."""
 
     record: TrialRecord
-    """Samples without a gap; of a trial with gaps the longest stretch."""
+    """Samples without a gap: the longest stretch if the trial has gaps."""
     spectra: CrossSpectra
-    """Of ``[tau_delta_k, theta_1..theta_n, tau_1..tau_n]`` in all stretches, N·m and rad."""
+    """Of ``[tau_delta_k, theta_1..theta_n, tau_1..tau_n]`` over all stretches, N·m and rad."""
     problems: tuple[Problem, ...] = ()
-    """What of the record was mended."""
+    """Readings of the record that were mended."""
     at_lines: bool = False
-    """Whether the spectra are at the lines of a periodic perturbation alone."""
+    """Whether the spectra are only at the lines of a periodic perturbation."""
 
     @classmethod
     def of(
@@ -150,15 +150,15 @@ class TrialData:
     ) -> TrialData:
         """Compute the spectra of a whole record, or of the intact stretches of a trial.
 
-        Segments are of so many samples, by default as suits it. None spans a gap. Torques are taken
-        without the delay and the filter of their ``reading``. Lost readings are interpolated.
-        Drift, as the longest stretch tells it, is taken out of record and spectra. Where segments
-        are those of its periods, spectra are taken at the lines of the perturbation.
+        Segments have `segment` samples, by default those of :func:`segment_for`; none spans a gap.
+        The delay and the filter of the torque `reading` are removed from the spectra. Lost readings
+        are interpolated. Drift, estimated from the longest stretch, is removed from record and
+        spectra. If segments fit the periods of the perturbation, spectra are taken at its lines.
 
         Raises
         ------
         DataError
-            If none of them is as long as one segment, or values are absurd.
+            If no stretch is as long as one segment, or values are absurdly large.
         """
         for stretch in stretches:
             given = (stretch.position, stretch.torque, stretch.perturbation, stretch.command)
@@ -221,7 +221,7 @@ class TrialData:
 
 
 def _read_at_once(spectra: CrossSpectra, reading: TorqueReading) -> CrossSpectra:
-    """Spectra as if torques had been read without delay and filter; coherences stay."""
+    """Remove delay and filter of the torque readings from spectra; coherences stay the same."""
     if reading.prompt:
         return spectra
     count = len(spectra.matrix)

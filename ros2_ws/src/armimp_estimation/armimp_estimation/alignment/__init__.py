@@ -1,1 +1,1 @@
-"""From streams of messages to trials whose samples belong together."""
+"""Alignment of message streams to trials whose samples belong together."""

@@ -1,13 +1,13 @@
 """Joining the streams of a trial into records.
 
-Live node, replay and offline estimate all come here with the decoded streams, so that they get
-bit-identical arrays from the same messages.
+The live node, replay and offline estimation all pass their decoded streams through this module, so
+they get bit-identical arrays from the same messages.
 
 A sample belongs to the control period that its stamp names. Positions, torque readings and
-perturbation of one period carry the same stamp, or nearly; commands carry none, and are counted.
-The periods that should be there are counted from the stamps of all streams together, so a sample
-that only one stream lost shows as well as one that all of them lost. While a trial runs, the
-controller counts what it misses, too (`armimp_control.trial_sequencer`).
+perturbation of one period carry the same stamp, or nearly; commands carry none and are counted.
+The expected periods are counted from the stamps of all streams together, so a sample that only one
+stream lost is detected as well as one that all of them lost. While a trial runs, the controller
+also counts the samples that it misses (`armimp_control.trial_sequencer`).
 """
 
 from __future__ import annotations
@@ -78,18 +78,18 @@ class Trial:
     window: TrialWindow
     """What the trial was meant to be."""
     segments: tuple[TrialRecord, ...]
-    """The longest runs of usable periods, in their order. Duplicates are dropped (the first one
-    stays, if all say the same) and the order is that of the stamps. Periods are not usable if a
-    stream with stamps has no sample of them, one that is not finite, or several that contradict
-    each other, nor while the controller clipped its command."""
+    """The longest runs of usable periods, in order. Samples are in the order of their stamps, and
+    duplicates are dropped (if equal, the first one stays). A period is not usable if a stream with
+    stamps has no sample of it, one that is not finite, or several that contradict each other, or
+    if the controller clipped its command."""
     statistics: StreamStatistics
-    """The account of the samples."""
+    """The counts of the samples."""
     problems: tuple[Problem, ...] = ()
     """Problems that were found in the trial."""
     bag: str | None = None
-    """Where it is stored, if it is."""
+    """Bag in which it is stored, if any."""
     rtf: float = math.nan
-    """Times real time at which it ran; NaN if it was not run live."""
+    """Speed relative to real time; NaN if it was not run live."""
 
     @property
     def trial(self) -> int:
@@ -103,28 +103,28 @@ class Trial:
 
     @property
     def record(self) -> TrialRecord | None:
-        """The samples, if there is a usable one for every control period."""
+        """The samples as one record, if every control period has a usable one."""
         return self.segments[0] if self.segments and not self.statistics.excluded else None
 
     def refusals(self, *, allow_gaps: bool = False) -> list[Problem]:
-        """Return the problems with which the trial must not be estimated.
+        """Return the problems because of which nothing may be estimated from the trial.
 
         Parameters
         ----------
         allow_gaps : bool
-            Estimate from the intact parts of a trial that was aborted or lost samples, or had some
-            that were repeated, out of order or not finite.
+            Estimate from the intact parts of a trial that was aborted or lost samples, or that has
+            samples which are repeated, out of order or not finite.
         """
         refused = _REFUSED if allow_gaps and self.segments else _ANY_REFUSED
         return [one for one in self.problems if one.code in refused]
 
     def judged(self, *, allow_gaps: bool, most_excluded: float) -> list[Problem]:
-        """Return all problems of the trial, those that its intact parts do not have as notes.
+        """Return all problems of the trial, with those that spare its intact parts as notes.
 
         Parameters
         ----------
         allow_gaps : bool
-            As of :meth:`refusals`.
+            As in :meth:`refusals`.
         most_excluded : float
             Largest share of the samples that may be left out of a valid result, from 0 to 1.
         """
@@ -141,14 +141,14 @@ class Trial:
         return found
 
     def intact(self, *, allow_gaps: bool = False) -> tuple[TrialRecord, ...]:
-        """Return the parts of the trial that an estimate may use, in their order.
+        """Return the parts of the trial that an estimate may use, in order.
 
         A trial without gaps has one part; intervals of clipped commands divide it.
 
         Raises
         ------
         DataError
-            If there are none; the message names the bag and the trial.
+            If the trial is refused; the message names the bag and the trial.
         """
         if refusals := self.refusals(allow_gaps=allow_gaps):
             where = f"{self.bag}: " if self.bag else ""
@@ -161,17 +161,17 @@ class Trial:
 def assemble_trials(
     streams: Streams, statuses: Sequence[TrialStatus], *, bag: str | None = None
 ) -> tuple[Trial, ...]:
-    """Assemble every trial in a recording, or in what a node has received.
+    """Assemble every trial in a recording, or in the messages that a node has received.
 
     Parameters
     ----------
     streams : Streams
-        Everything that was received.
+        All messages that were received.
     statuses : sequence of TrialStatus
-        The trial statuses in order. Without any, the trials are inferred from the perturbation,
-        as `infer_windows` says.
+        The trial statuses in order. If there are none, `infer_windows` infers the trials from the
+        perturbation.
     bag : str, optional
-        Where the messages come from.
+        Bag from which the messages come.
 
     Returns
     -------
@@ -182,7 +182,7 @@ def assemble_trials(
     Raises
     ------
     DataError
-        If a stream is foreign, or the trials cannot be inferred.
+        If stamps give no valid sampling rate, or trials are absurd or cannot be inferred.
     """
     streams.decode()
     period = sampling_period({topic: one.stamps for topic, one in streams.stamped.items()})
@@ -207,7 +207,7 @@ def assemble_trials(
 
 
 def _assemble(window: TrialWindow, streams: Streams, bag: str | None, period: float) -> Trial:
-    """Join the streams of one trial, at a sampling period in ns; other trials may be in them."""
+    """Join the streams of one trial, at a sampling period in ns; they may hold others, too."""
     aligned, last_ns = _align(window, streams.stamped, period)
     leading, names = aligned[PERTURBATION], streams.joint_names
     counts, wrong = account_for(window, streams, aligned, last_ns)
@@ -217,7 +217,7 @@ def _assemble(window: TrialWindow, streams: Streams, bag: str | None, period: fl
     for one in aligned.values():
         usable &= np.isfinite(one.values).all(axis=0) & ~one.contradicted
     for first, last in window.clipped_intervals:
-        # A command acts until the next sample, which is the first to show it.
+        # A command acts until the next sample, which is the first to show its effect.
         usable[first : last + 2] = False
     runs = _runs(usable)
     segments: tuple[TrialRecord, ...] = ()
@@ -253,7 +253,7 @@ def _assemble(window: TrialWindow, streams: Streams, bag: str | None, period: fl
 def _align(
     window: TrialWindow, stamped: Mapping[str, Stream], period: float
 ) -> tuple[dict[str, AlignedStream], int]:
-    """Lay the streams of a trial out by control period; with its last stamp in any of them, ns."""
+    """Align the streams of a trial by control period, and find its last stamp in them, ns."""
     aligned = {t: AlignedStream(one, window.start_ns, period) for t, one in stamped.items()}
     stamps = _union([one.stamps for one in aligned.values()])
     numbers = tick_numbers(stamps, period)
@@ -278,16 +278,16 @@ def _union(stamps: Sequence[IntArray]) -> IntArray:
 
 
 def _span(window: TrialWindow, aligned: Mapping[str, AlignedStream]) -> int:
-    """Number of control periods that should be there."""
+    """Number of control periods that are expected."""
     if not all(one.numbers.size for one in aligned.values()):
         # The recording broke off before every stream had a sample of the trial.
         return window.ticks if window.ended and window.fault is None else 0
     span = window.ticks
     if not window.ended or window.fault is not None:
-        # Cut while the last period was being recorded: it does not count as lost.
+        # A last period that was cut while it was recorded does not count as lost.
         span = min(span, *(int(one.numbers[-1]) + 1 for one in aligned.values()))
     if window.fault is not None:
-        # From the moment of the fault on the perturbation is zero.
+        # The perturbation is zero from the moment of the fault on.
         leading = aligned[PERTURBATION]
         order = leading.order[: int(np.searchsorted(leading.numbers, span))]
         active = np.flatnonzero(leading.stream.values[:, order].any(axis=0))
@@ -340,7 +340,7 @@ def _record(
 
 
 def _commands(streams: Streams, leading: AlignedStream) -> FloatArray:
-    """Commands by control period, as far as they can be matched with their perturbations."""
+    """Commands by control period; NaN where they can't be matched with their perturbations."""
     commands, laid = streams.commands, np.full_like(leading.values, np.nan)
     # A recording may be cut between the two messages of a tick.
     if commands.defect or abs(leading.stream.count - commands.count) > 1:

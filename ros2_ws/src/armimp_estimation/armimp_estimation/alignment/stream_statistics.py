@@ -1,6 +1,6 @@
-"""The account of the samples of a trial, stream by stream: what is lost, repeated or out of turn.
+"""Counts of the samples of a trial, stream by stream: lost, repeated, or out of order.
 
-Each stream with stamps is laid out by control period. Commands have no stamps, and are counted.
+Each stream with stamps is aligned by control period. Commands have no stamps and are counted.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
 
 _STILL = 0.02
-"""Motion of a joint that nobody perturbs, relative to the perturbed one, that counts as none."""
+"""Motion of a joint that is never perturbed, relative to the perturbed one, that is neglected."""
 _LATE = 0.25
 """Periods by which a step between stamps may be too long."""
 _APART, _SCATTER = 0.4, 0.15
-"""Periods by which stamps of two streams may differ, and to which the difference may vary (rms):
-those of two streams that scatter by a tenth each."""
+"""Largest mean difference between stamps of two streams, and largest scatter of it (rms), periods:
+two streams that scatter by a tenth of a period each differ by 0.14."""
 _TOGETHER = 0.01
-"""Periods of difference that nobody need know of."""
+"""Difference between stamps that is not reported, periods."""
 
 
 class StreamCount(JsonModel):
@@ -38,35 +38,35 @@ class StreamCount(JsonModel):
     """
 
     expected: int
-    """Control periods in the span; 0 of commands that nobody recorded."""
+    """Control periods in the span; 0 for commands that were not recorded."""
     received: int
     """Messages that arrived, repetitions included."""
     lost: int
     """Periods without a message."""
     duplicated: int = 0
-    """Messages whose stamp was already there."""
+    """Messages with the stamp of an earlier message."""
     contradictory: int = 0
-    """Periods with several messages of one stamp and different numbers: none of them is used."""
+    """Periods with several messages of one stamp but different values: none of them is used."""
     reordered: int = 0
-    """Messages, without repetitions, that came after one with a later stamp."""
+    """Messages, without repetitions, that arrived after one with a later stamp."""
     late: int = 0
     """Samples stamped over a quarter of a period after the whole number of periods that separates
     them from the sample before."""
 
 
 class StreamStatistics(JsonModel):
-    """How many samples of a trial there should be, and how many there are."""
+    """Expected and received samples of a trial."""
 
     streams: dict[str, StreamCount] = Field(default_factory=dict)
-    """By topic of the contract, see below. Commands carry no stamp, so that neither repetitions nor
-    order show."""
+    """Counts by topic of the contract, see below. As commands carry no stamp, their repetitions and
+    order cannot be seen."""
     clipped: int = 0
-    """Commands that the controller had to limit, by its own account."""
+    """Commands that the controller reports to have clipped."""
     excluded: int = 0
     """Control periods that no estimate may use: lost, contradictory or not finite on a stream with
     stamps, or under a command that was clipped."""
     stretches: int = 1
-    """Runs of at least two periods between those."""
+    """Runs of at least two usable periods."""
 
     def total(self, kind: str) -> int:
         """Sum of one of the counts over all streams."""
@@ -80,13 +80,13 @@ class StreamStatistics(JsonModel):
 
     @property
     def without_commands(self) -> bool:
-        """Whether nobody recorded the commands."""
+        """Whether the commands were not recorded."""
         commands = self.streams.get(COMMANDS)
         return commands is not None and not commands.expected
 
     @property
     def span(self) -> int:
-        """Control periods that should be there."""
+        """Number of control periods that are expected."""
         return max((count.expected for count in self.streams.values()), default=0)
 
     @property
@@ -96,26 +96,26 @@ class StreamStatistics(JsonModel):
 
 
 class AlignedStream:
-    """One stream from the start of a trial on, by control period."""
+    """One stream from the start of a trial on, aligned by control period."""
 
     def __init__(self, stream: Stream, start_ns: int, period: float) -> None:
         self.stream, self.start_ns, self.period = stream, start_ns, period
         stamps, order, contradicted = stream.ordered()
         first = int(np.searchsorted(stamps, start_ns - period / 2.0))
-        # Of each message that is kept: stamp (ns), place in the stream, number of its period.
+        # Stamp (ns), index in the stream, and period number of each message that is kept.
         self.stamps, self.order = stamps[first:], order[first:]
         self._contradicted = contradicted[first:]
         self.numbers: IntArray = np.empty(0, np.int64)
 
     def number(self, stamps: IntArray, numbers: IntArray) -> None:
-        """Take the period numbers from those of all stamps, and keep one message for each."""
+        """Look up the period number of each message, and keep one message for each period."""
         self.numbers = numbers[np.searchsorted(stamps, self.stamps)]
         early = int(np.searchsorted(self.numbers, 0))
         self._keep(slice(early, None))
         self._keep(np.diff(self.numbers, prepend=-1) > 0)
 
     def cut(self, span: int) -> None:
-        """Keep what is within so many periods, and lay it out by period."""
+        """Keep the messages of the first `span` periods, and arrange them by period."""
         self._keep(slice(int(np.searchsorted(self.numbers, span))))
         self.values = np.full((len(self.stream.values), span), np.nan)
         self.values[:, self.numbers] = self.stream.values[:, self.order]
@@ -128,7 +128,7 @@ class AlignedStream:
         self._contradicted, self.numbers = self._contradicted[chosen], self.numbers[chosen]
 
     def statistics(self, last_ns: int) -> StreamCount:
-        """The account of the periods, the last stamp of which is given (ns)."""
+        """Count the messages up to the last stamp of the trial (ns)."""
         span, distinct = self.present.size, self.numbers.size
         stamps = self.stream.stamps
         first_ns = self.stamps[0] if distinct else self.start_ns
@@ -146,7 +146,7 @@ class AlignedStream:
         )
 
     def when(self, ticks: BoolArray) -> dict[str, Any]:
-        """Count periods, and tell when the first begins and the last ends, s."""
+        """Count the periods of a mask, and tell when the first begins and the last ends, s."""
         places = np.flatnonzero(ticks)
         return {
             "count": places.size,
@@ -165,11 +165,11 @@ def account_for(
     window : TrialWindow
         What the trial was meant to be.
     streams : Streams
-        Everything that was received.
+        All messages that were received.
     aligned : mapping of str to AlignedStream
-        The streams with stamps, laid out by period, by topic.
+        The aligned streams with stamps, by topic.
     last_ns : int
-        Last stamp of the trial in any of them, ns.
+        Last stamp of the trial in any of these, ns.
     """
     leading = aligned[PERTURBATION]
     counts = {topic: one.statistics(last_ns) for topic, one in aligned.items()}
@@ -184,7 +184,7 @@ def account_for(
 
 
 def _judge_offsets(aligned: Mapping[str, AlignedStream]) -> list[Problem]:
-    """Report how far stamps of angles, torques and perturbation of one period are apart."""
+    """Report differences between the stamps of angles, torques and perturbation of one period."""
     found, one = [], aligned[JOINT_STATES]
     for topic in (TORQUE_SENSORS, PERTURBATION):
         other = aligned[topic]
@@ -213,7 +213,7 @@ def _judge_offsets(aligned: Mapping[str, AlignedStream]) -> list[Problem]:
 def _judge_streams(
     aligned: Mapping[str, AlignedStream], counts: Mapping[str, StreamCount]
 ) -> Iterator[Problem]:
-    """Report what is missing, or not as it should be, in the streams with stamps."""
+    """Report missing and faulty samples in the streams with stamps."""
     missing: dict[bytes, list[str]] = {}
     for topic, one in aligned.items():
         missing.setdefault(one.present.tobytes(), []).append(topic)
@@ -247,17 +247,17 @@ def _judge_streams(
 
 
 def _count_commands(streams: Streams, leading: AlignedStream) -> tuple[StreamCount, int]:
-    """Count commands by their place, as every one goes with one perturbation.
+    """Count commands by their order, as each belongs to one perturbation; also count foreign ones.
 
-    And those that nobody asked for: whose number is none or not above that before or, where all
-    have none, that are more than perturbations in the whole recording.
+    A command is foreign if it has no number, or one that is not above the previous. If no command
+    has a number, those in excess of the perturbations of the whole recording are foreign.
     """
     span, commands = leading.present.size, streams.commands
     before = int((leading.stream.stamps < leading.start_ns).sum())
     received = min(max(commands.count - before, 0), span)
     numbers = commands.stamps[: before + span]
     if numbers.any():
-        # Lost ones leave a step forward; whatever somebody else sends, there is one that is not.
+        # Lost commands leave a step forward; those of another sender leave a step back, too.
         back = numbers[1:] <= numbers[:-1]
         back[:before] &= ~begins_anew(numbers)[:before]
         foreign = max(int(back.sum()), int((numbers == 0).sum()))
@@ -269,22 +269,22 @@ def _count_commands(streams: Streams, leading: AlignedStream) -> tuple[StreamCou
 
 
 def begins_anew(numbers: IntArray) -> BoolArray:
-    """Whether each command after the first is that of a controller that counts from 1 again."""
+    """Mask of the commands after the first at which a controller counts from 1 again."""
     return np.asarray((numbers[1:] == 1) & (np.append(numbers[2:], 0) == 2))
 
 
 def _judge_commands(
     window: TrialWindow, leading: AlignedStream, count: StreamCount, foreign: int
 ) -> Iterator[Problem]:
-    """Report problems of the commands; a recording without any has none of these."""
+    """Report problems of the commands; there are none if no command was recorded."""
     if not count.received:
         return
-    cut = not window.ended or window.fault is not None  # maybe between the messages of a tick
+    cut = not window.ended or window.fault is not None  # may be between messages of one tick
     if foreign:
         yield problem(ProblemCode.COMMANDS_FOREIGN, count=foreign)
     elif count.lost > cut:
         yield problem(ProblemCode.COMMANDS_MISSING, count=count.lost)
-    # Messages of other times keep commands from being matched by counting.
+    # Perturbations with stamps of other times make it impossible to match commands by counting.
     stamps = leading.stream.stamps
     before = stamps[stamps < leading.start_ns]
     back = int((before[1:] <= np.maximum.accumulate(before)[:-1]).sum()) if before.size else 0
@@ -294,7 +294,7 @@ def _judge_commands(
 
 
 def moved_further(streams: Streams, segments: Sequence[TrialRecord]) -> Iterator[Problem]:
-    """Find joints which nobody perturbs, so that no impedance accounts for their motion."""
+    """Report joints that moved but are never perturbed, so no impedance explains their motion."""
     others = sorted(streams[JOINT_STATES].further.items())
     for (name, further), record in product(others, segments):
         k, last_ns = record.perturbed_joint, record.start_ns + NS_PER_S * record.duration

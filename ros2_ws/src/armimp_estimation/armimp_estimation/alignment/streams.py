@@ -1,4 +1,4 @@
-"""The samples of a recording: each message is decoded once, into arrays that grow."""
+"""The samples of a recording: each message is decoded once, into growing arrays."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ from armimp_common.topics import (
 )
 
 _DECODED_TOGETHER = 1000
-"""Messages that wait until they are decoded at once, which is far cheaper than one by one."""
+"""Messages that are decoded as a block, which is far cheaper than one by one."""
 _HEAD = struct.Struct("<4siI")
 """Beginning of a message with a ``std_msgs/Header``: encapsulation and stamp."""
 _LITTLE_ENDIAN = b"\0\1\0\0"
 
 
 class Stream:
-    """The numbers of one topic in order of arrival.
+    """The values of one topic in order of arrival.
 
     Parameters
     ----------
     topic : str
-        Of the contract.
+        Topic of the contract.
     joint_names : sequence of str
-        Order of the rows of all values; messages may have any other. Those of sensors may have
-        further joints, which are passed over, but for their angles.
+        Order of the rows of all values; messages may use any other order. Messages of sensors may
+        have further joints, of which only the angles are kept, in `further`.
     """
 
     def __init__(self, topic: str, joint_names: Sequence[str]) -> None:
@@ -50,17 +50,17 @@ class Stream:
         self._stamped = topic != COMMANDS
         self._decoder: JointStateDecoder | CommandDecoder = CommandDecoder(n)
         if self._stamped:
-            # Joints of a whole robot may be published together, but the perturbed are known.
+            # Sensors may publish all joints of a robot, but perturbations only have known joints.
             others, field = topic != PERTURBATION, VALUE_FIELD[topic]
             self._decoder = JointStateDecoder(joint_names, field, others=others)
         self.further: dict[str, Stream] = {}
-        """Angles of further joints by name, rad; nobody perturbs these, so they must not move."""
+        """Angles of further joints by name, rad; never perturbed, these must not move."""
         self.count = 0
-        """Number N of messages so far that have been decoded."""
+        """Number N of messages decoded so far."""
         self.malformed = 0
-        """Messages with a stamp that were left out because they could not be decoded."""
+        """Messages of a topic with stamps that were left out because they can't be decoded."""
         self.defect = ""
-        """What is wrong with the first that could not be decoded."""
+        """What is wrong with the first message that can't be decoded."""
 
     @property
     def received(self) -> int:
@@ -68,13 +68,13 @@ class Stream:
         return self.count + self.malformed + len(self._pending)
 
     def add(self, messages: Sequence[bytes]) -> None:
-        """Take serialised messages, in order of arrival."""
+        """Add serialised messages, in order of arrival."""
         self._pending += messages
         if len(self._pending) >= _DECODED_TOGETHER:
             self.decode()
 
     def decode(self) -> None:
-        """Decode what has not been decoded yet."""
+        """Decode all pending messages."""
         messages, self._pending = self._pending, []
         if not messages:
             return
@@ -89,14 +89,14 @@ class Stream:
                     if self._stamped:
                         self.malformed += 1
                         continue
-                    # It keeps its place, since a missing one would shift all those after it.
+                    # A command keeps its place, since a missing one would shift all later ones.
                     number, values = command_number(message), (np.nan,) * len(self._values)
                 self.append(np.array([number]), np.array(values)[:, None])
         if self._topic == JOINT_STATES:
             self._follow_further(messages)
 
     def _follow_further(self, messages: Sequence[bytes]) -> None:
-        """Take the angles of further joints, where all messages have those of the first."""
+        """Decode the angles of further joints, if all messages have those of the first."""
         with suppress(MalformedMessageError):
             others = set(joint_names_of(messages[0])).difference(self._joint_names)
             for name in filter(None, others):
@@ -105,16 +105,16 @@ class Stream:
 
     @property
     def stamps(self) -> IntArray:
-        """Stamps (ns), (N,); of commands, which have none, their numbers, 0 for none."""
+        """Stamps (ns), (N,); for commands, which have none, their numbers, or 0 without one."""
         return self._stamps[: self.count]
 
     @property
     def values(self) -> FloatArray:
-        """Numbers of the joints in SI units, (n, N)."""
+        """Values of the joints in SI units, (n, N)."""
         return self._values[:, : self.count]
 
     def append(self, stamps: IntArray, values: FloatArray) -> None:
-        """Add messages, which have come after all others."""
+        """Append decoded messages, which arrived after all others."""
         end = self.count + stamps.size
         if end > self._stamps.size:
             room = max(end, 2 * self._stamps.size)
@@ -125,7 +125,7 @@ class Stream:
         self.count = end
 
     def ordered(self) -> tuple[IntArray, NDArray[np.intp], BoolArray]:
-        """The messages in the order of their stamps, without repetitions.
+        """Sort the messages by their stamps, without repetitions.
 
         Returns
         -------
@@ -134,7 +134,7 @@ class Stream:
         order : ndarray, shape (M,)
             Index of the first message with each stamp.
         contradicted : ndarray, shape (M,)
-            Whether another one with the same stamp has other numbers.
+            Whether another message with the same stamp has different values.
         """
         if (np.diff(self.stamps) > 0).all():
             return self.stamps, np.arange(self.count), np.zeros(self.count, np.bool_)
@@ -154,7 +154,7 @@ class Streams:
     Parameters
     ----------
     joint_names : sequence of str
-        As of :class:`Stream`.
+        As in :class:`Stream`.
     """
 
     def __init__(self, joint_names: Sequence[str]) -> None:
@@ -169,7 +169,7 @@ class Streams:
         return self._streams[topic]
 
     def decode(self) -> Streams:
-        """Decode what has not been decoded yet."""
+        """Decode all pending messages."""
         for stream in self._streams.values():
             stream.decode()
         return self
@@ -195,9 +195,9 @@ def decode_streams(joint_names: Sequence[str], messages: Mapping[str, Sequence[b
 
 
 def stamps_in_step(messages: Mapping[str, Sequence[bytes]], after_ns: int = -1) -> list[int]:
-    """Stamps (ns) of messages of the four streams that are those of ticks one after the other.
+    """Stamps (ns) of the ticks of messages, if the four streams are in step.
 
-    All messages of a stream are of one length then.
+    Each then has one message for each tick, all of one length, with equal stamps in a tick.
 
     This is plain Python on purpose: it is called once in fifty ticks, when the code of numpy has
     left the caches of the processor, and a few of its operations take longer than this loop.
@@ -205,8 +205,8 @@ def stamps_in_step(messages: Mapping[str, Sequence[bytes]], after_ns: int = -1) 
     Returns
     -------
     list of int
-        Rising from above `after_ns` on; empty if the streams are not in step: then each message
-        has to be looked at for itself.
+        Rising stamps, all above `after_ns`; empty if the streams are not in step, so that each
+        message has to be examined by itself.
     """
     count = len(messages.get(PERTURBATION, ()))
     if not count or any(len(messages.get(topic, ())) != count for topic in DATA_STREAMS):

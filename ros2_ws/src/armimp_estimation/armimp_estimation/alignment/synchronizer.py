@@ -1,4 +1,4 @@
-"""Collecting the messages of the four streams, so that many samples are recorded at once."""
+"""Collection of the messages of the four streams, so that many samples are recorded at once."""
 
 from __future__ import annotations
 
@@ -7,26 +7,26 @@ from collections.abc import Callable, Mapping, Sequence
 from armimp_common.topics import DATA_STREAMS, PERTURBATION, RECEIVED_EVERY
 
 TOGETHER = 50
-"""Samples that are recorded at a time; those that still wait are lost if the process is killed."""
+"""Samples that are recorded at a time; if the process is killed, those still waiting are lost."""
 _PATIENCE = 20
-"""A perturbation, mostly the last message of its sample, waits for the others of it until this many
-more have come."""
+"""A perturbation, usually the last message of its sample, waits for the other messages until this
+many more perturbations have come."""
 _KEPT = 2000
-"""Messages of the other streams wait for their perturbation until this many more have come: whoever
-answers samples may have stalled."""
+"""Messages of other streams wait for their perturbation until this many more have come, as the
+controller may have stalled."""
 
 
 class StreamSynchronizer:
-    """Keeps the messages of the four streams, each in its order, until they are taken out.
+    """Keeps the messages of the four streams, each in order of arrival, until they are taken out.
 
     Parameters
     ----------
     sources : mapping of str to callable
-        For each of :data:`armimp_common.topics.DATA_STREAMS`: gives the messages that have come
-        since it was called last.
+        One for each of :data:`armimp_common.topics.DATA_STREAMS`, which returns the messages that
+        have come since its last call.
     on_samples : callable, optional
-        Called with the number of samples of which all messages have come, whenever it has passed
-        another multiple of :data:`armimp_common.topics.RECEIVED_EVERY`; with that multiple.
+        Called whenever the number of complete samples has passed another multiple of
+        :data:`armimp_common.topics.RECEIVED_EVERY`, with that multiple.
     """
 
     def __init__(
@@ -39,7 +39,7 @@ class StreamSynchronizer:
         self.open()
 
     def open(self) -> None:
-        """Begin anew, as if nothing had come."""
+        """Start anew, and discard all messages that have come."""
         self._open = True
         self._fetch()
         for waiting in self._waiting.values():
@@ -48,12 +48,12 @@ class StreamSynchronizer:
         self._announced = 0
 
     def close(self) -> None:
-        """Take no more messages than have come; what waits can still be taken out."""
+        """Fetch for the last time; messages that are waiting can still be taken out."""
         self._fetch()
         self._open = False
 
     def poll(self) -> None:
-        """Fetch what has come, and announce how many samples are complete."""
+        """Fetch new messages, and announce how many samples are complete."""
         self._fetch()
         samples = min(self._counts().values()) // RECEIVED_EVERY * RECEIVED_EVERY
         if self._open and samples > self._announced:
@@ -61,12 +61,12 @@ class StreamSynchronizer:
             self._on_samples(samples)
 
     def take(self, *, incomplete: bool = False) -> dict[str, list[bytes]]:
-        """Take out what waits, by topic.
+        """Take out the waiting messages, by topic.
 
         Parameters
         ----------
         incomplete : bool
-            Whether to take messages, too, that others of the same sample may still follow.
+            Whether to include messages of samples that are not complete yet.
         """
         self._fetch()
         counts = self._counts()
@@ -88,5 +88,5 @@ class StreamSynchronizer:
                 self._waiting[topic].extend(fetch())
 
     def _counts(self) -> dict[str, int]:
-        """Number of messages so far, of each stream."""
+        """Number of messages of each stream so far."""
         return {topic: self._taken[topic] + len(raws) for topic, raws in self._waiting.items()}

@@ -1,4 +1,4 @@
-"""When each trial of a recording took place and in which joint, and the rate of its stamps."""
+"""Time window and perturbed joint of each trial of a recording, and the rate of its stamps."""
 
 from __future__ import annotations
 
@@ -16,27 +16,30 @@ from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_estimation.problems import Problem, ProblemCode, problem
 
 PAUSE_NS: Final = 250_000_000
-"""Zero perturbation for this long (ns) separates two trials where no status tells them apart."""
+"""Zero perturbation for this long (ns) separates two trials if there are no statuses."""
 
 
 MOST_TICKS: Final = 10_000_000
-"""Samples of the longest trial that is believed: almost three hours."""
+"""Most samples of a trial that are believed: almost three hours at 1 kHz."""
 
 _LATEST_NS: Final = 1 << 61  # the stamp of a message has 32 bits of seconds
 
 _MOST_TRIALS: Final = 1000
 
 LOWEST, HIGHEST = 200.0, 4000.0
-"""Sampling rates that are taken, Hz."""
+"""Sampling rates that are accepted, Hz."""
 TOLERANCE = 5e-4
-"""Relative difference of a rate from a customary one: five times that of a poor crystal."""
+"""Largest relative difference from a customary rate: five times that of a poor crystal."""
 _DRIFT = 1e-3
+"""Largest relative difference in rate between streams, and between halves of a trial."""
 _SCATTER = 0.1
 _LARGEST = 0.45
+"""Rms and largest distance of stamps from a regular grid that are accepted, periods."""
 _MISSING = 1.85
+"""Steps between stamps below this are one period with jitter; longer ones span missing samples."""
 
 _GRID: Final = 51
-"""Stamps from which the phase of the clock is taken: enough to average jitter out."""
+"""Stamps over which the phase of the clock is averaged: enough to average out jitter."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +57,7 @@ class TrialWindow:
     joint: int
     """Perturbed joint, 0-based, in the order of the controller."""
     joint_name: str
-    """Its name, which prevails over the number; may be empty."""
+    """Its name, which takes precedence over the number; may be empty."""
     start_ns: int
     """Stamp of the first perturbed sample (ns)."""
     ticks: int
@@ -62,19 +65,19 @@ class TrialWindow:
     seed: int | None
     """Seed of the experiment, if known."""
     ended: bool
-    """Whether the recording goes on after the trial, so that all of its samples should be there;
-    else it may end within the trial."""
+    """Whether the recording goes on after the trial, so that all of its samples are expected;
+    otherwise it may end within the trial."""
     fault: Problem | None = None
     """What spoiled the trial, according to the controller."""
     clipped: int = 0
-    """Joint commands that the controller had to limit."""
+    """Joint commands that the controller clipped."""
     clipped_intervals: tuple[tuple[int, int], ...] = ()
-    """First and last tick of the trial, from 0, of each run of such commands."""
+    """First and last tick of the trial, from 0, of each run of clipped commands."""
     saved: int = 0
-    """Samples that were planned beyond `ticks`, before the controller ended the trial earlier."""
+    """Planned samples beyond `ticks`, by which the controller ended the trial early."""
     tare: tuple[float, ...] = ()
-    """What the controller took from the torques of each joint, N·m, in its order of joints; not
-    taken from the samples. Empty without a tare."""
+    """Torque that the controller subtracted from the readings of each joint, N·m, in its order of
+    joints. The samples still contain it. Empty without a tare."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.ticks <= MOST_TICKS:
@@ -84,12 +87,12 @@ class TrialWindow:
 
 
 class AnnouncedTrials:
-    """Remembers how long trials were announced to be, to find statuses that no controller can send.
+    """Remembers the announced lengths of trials, to detect statuses that contradict these.
 
     Parameters
     ----------
     strict : bool
-        Whether a trial may end early only if a decision was :meth:`note`-d that it is long enough.
+        Whether a trial may end early only after :meth:`note` got a decision that it may.
     """
 
     def __init__(self, *, strict: bool) -> None:
@@ -98,12 +101,12 @@ class AnnouncedTrials:
         self._enough: set[int] = set()
 
     def note(self, decision: StoppingDecision) -> None:
-        """Take a decision of the stopping rule."""
+        """Note a decision of the stopping rule."""
         if decision.enough:
             self._enough.add(decision.trial)
 
     def contradiction(self, status: TrialStatus) -> str:
-        """Return in words how a status contradicts those before; empty if it does not."""
+        """Say how a status contradicts earlier ones; return an empty text if it does not."""
         trial, ticks = status.trial, status.ticks
         planned = self._planned.setdefault(trial, ticks)
         if ticks > planned:
@@ -122,17 +125,17 @@ def windows_from_statuses(statuses: Sequence[TrialStatus]) -> tuple[TrialWindow,
     Parameters
     ----------
     statuses : sequence of TrialStatus
-        In the order in which they were published.
+        Statuses in the order of publication.
 
     Returns
     -------
     tuple of TrialWindow
-        One for every trial whose perturbation began, in their order.
+        One for every trial whose perturbation began, in order.
     """
     found: dict[tuple[int, int], list[TrialStatus]] = {}
     for status in statuses:
         if status.phase is not Phase.SETTLE and status.start_ns is not None:
-            # Those of a trial may come again later, as a latched topic repeats the last one.
+            # A status may come again later, as a latched topic repeats its last message.
             found.setdefault((status.trial, status.start_ns), []).append(status)
     return tuple(
         _window(start_ns, of_trial, ended=statuses[-1] is not of_trial[-1])
@@ -181,10 +184,10 @@ def fault_of(status: TrialStatus) -> Problem | None:
 def infer_windows(
     stamps: IntArray, perturbation: FloatArray, period: float = PERIOD_NS
 ) -> tuple[TrialWindow, ...]:
-    """Find the trials of a recording without statuses from its perturbation alone.
+    """Find the trials of a recording without statuses, from its perturbation alone.
 
-    A trial lasts from the first to the last sample with a torque that is not zero. Another one
-    begins when another joint is perturbed, or after `PAUSE_NS` without any torque.
+    A trial lasts from the first to the last sample with a nonzero perturbation. Another one begins
+    when another joint is perturbed, or after `PAUSE_NS` without perturbation.
 
     Parameters
     ----------
@@ -231,10 +234,10 @@ def infer_windows(
 
 
 def tick_numbers(stamps: IntArray, period: float = PERIOD_NS) -> IntArray:
-    """Number the control periods of ascending stamps, the first one 0.
+    """Number the control periods of ascending stamps, starting from 0.
 
-    Stamps are rounded to a grid whose phase is the circular mean of those around. So neither does
-    a clock that runs a little fast or slow add up, nor need steps between stamps be regular.
+    Stamps are rounded to a grid whose phase is the circular mean over neighbouring stamps. So the
+    error of a slightly fast or slow clock does not add up, and steps need not be regular.
 
     Parameters
     ----------
@@ -246,7 +249,7 @@ def tick_numbers(stamps: IntArray, period: float = PERIOD_NS) -> IntArray:
     Returns
     -------
     ndarray, shape (N,)
-        Not descending; equal numbers where several stamps belong to one period.
+        Never decreasing; equal numbers where several stamps belong to one period.
     """
     if not stamps.size:
         return np.zeros(0, np.int64)
@@ -258,22 +261,22 @@ def tick_numbers(stamps: IntArray, period: float = PERIOD_NS) -> IntArray:
 
 
 def require_few_trials(trials: int) -> None:
-    """Refuse a recording with more trials than anyone makes without a pause.
+    """Refuse a recording with more trials than an experiment can have.
 
     Raises
     ------
     DataError
-        If there are so many.
+        If there are more than 1000.
     """
     if trials > _MOST_TRIALS:
         raise DataError(f"{trials} trials are more than the {_MOST_TRIALS} of one recording")
 
 
 def sampling_period(streams: Mapping[str, IntArray]) -> float:
-    """Mean time between samples, ns; that of the contract if it is within the tolerance.
+    """Mean time between samples, ns, or the period of the contract if it is within `TOLERANCE`.
 
-    Each step is rounded to whole periods by the median step, so that samples which are missing,
-    late or repeated don't count: ``L = Σ steps / Σ periods``. Of several streams it is the median.
+    Each step is rounded to a whole number of median steps, so that missing, late and repeated
+    samples don't matter: ``L = Σ steps / Σ periods``. Several streams give the median of theirs.
 
     Parameters
     ----------
@@ -298,16 +301,16 @@ def sampling_period(streams: Mapping[str, IntArray]) -> float:
     rate = NS_PER_S / period
     if not LOWEST * (1.0 - TOLERANCE) <= rate <= HIGHEST * (1.0 + TOLERANCE):
         raise DataError(
-            f"stamps give a sampling rate of {rate:.6g} Hz; rates from {LOWEST:g} to "
-            f"{HIGHEST:g} Hz can be estimated from"
+            f"stamps give a sampling rate of {rate:.6g} Hz; only rates from {LOWEST:g} to "
+            f"{HIGHEST:g} Hz are supported"
         )
     return float(PERIOD_NS) if abs(period / PERIOD_NS - 1.0) <= TOLERANCE else period
 
 
 def is_customary(rate: float) -> bool:
-    """Whether a rig may well have this sampling rate, Hz.
+    """Whether a sampling rate, Hz, is a customary one for a rig.
 
-    Customary are powers of two, and 1 kHz times a ratio of whole numbers up to 5.
+    Customary are powers of two, 128 to 4096 Hz, and 1 kHz times a ratio of whole numbers up to 5.
     """
     ratios = {1000.0 * p / q for p in range(1, 6) for q in range(1, 6)}
     customary = ratios | {2.0**power for power in range(7, 13)}
@@ -343,10 +346,10 @@ def judge_stamps(streams: Mapping[str, IntArray], period: float) -> Iterator[Pro
 
 
 def _off_grid(stamps: IntArray) -> tuple[float, float, float] | None:
-    """How far stamps are from the straight line through them; None for fewer than 20.
+    """Deviation of stamps from a regular grid; None for fewer than 20 stamps.
 
-    Relative change of the rate from the first half to the second, rms and largest distance of a
-    stamp from the line, periods.
+    These are the relative change of the rate from the first half to the second, and rms and largest
+    distance of a stamp from the straight line through all, periods.
     """
     period = _period(stamps)
     if stamps.size < 20 or period is None:
@@ -372,11 +375,11 @@ def _period(stamps: IntArray) -> float | None:
 
 
 def _steps(stamps: IntArray) -> IntArray:
-    """From each stamp to the next later one, ns."""
+    """Steps from each distinct stamp to the next, ns."""
     steps = np.diff(np.sort(stamps))
     return np.asarray(steps[steps > 0])
 
 
 def _whole(steps: FloatArray) -> FloatArray:
-    """Whole periods of steps: one that is only a little longer or shorter than one is jitter."""
+    """Number of whole periods in each step; a step of about one period has jitter only."""
     return np.where(steps < _MISSING, 1.0, np.rint(steps))

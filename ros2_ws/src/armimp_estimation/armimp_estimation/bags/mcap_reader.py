@@ -1,8 +1,8 @@
-"""Reading of MCAP files from their first record on, complete or cut.
+"""Reading of MCAP files from their first record on, whether complete or truncated.
 
-Neither the summary nor the indexes are used: what is wanted is nearly everything, and a file
-whose writer was killed has no summary. All records but messages and chunks are parsed by the
-mcap package; messages are cut out of their chunk directly.
+Neither the summary nor the indexes are used: nearly all messages are wanted anyway, and a file
+whose writer was killed has no summary. The mcap package parses all records except messages, which
+are cut directly out of their chunk.
 """
 
 import struct
@@ -24,10 +24,10 @@ METADATA_RECORD: Final = "armimp"
 MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
 """Head of a message record: opcode, length, channel, sequence, log time, publish time."""
 BEYOND_LENGTH: Final = 22
-"""Bytes of it that the length counts."""
+"""Bytes of the head that the length counts."""
 MESSAGE: Final = int(Opcode.MESSAGE)
 _RECORD_HEAD: Final = struct.Struct("<BQ")
-"""Opcode and length, with which every record begins."""
+"""Head of every record: opcode and length."""
 _USED: Final = frozenset(
     {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.METADATA}
 )
@@ -35,7 +35,7 @@ _DAMAGE: Final = (
     *(struct.error, ValueError, EOFError, RuntimeError, OverflowError, MemoryError),
     *(McapError, zstandard.ZstdError),
 )
-"""What parsing can raise on bytes that are not what they claim to be."""
+"""Errors that parsing can raise on damaged bytes."""
 
 
 def read_mcap(file: BinaryIO, size: int, into: RawMessages) -> None:
@@ -44,11 +44,11 @@ def read_mcap(file: BinaryIO, size: int, into: RawMessages) -> None:
     Parameters
     ----------
     file : binary file
-        At its beginning.
+        File, positioned at its beginning.
     size : int
         Its length in bytes.
     into : RawMessages
-        Takes topics, messages, metadata and a note of the cut.
+        Receives topics, messages, metadata and a note of the cut.
 
     Raises
     ------
@@ -84,7 +84,7 @@ class _McapReading:
         self._into = into
         self._spend = into.spend
         self._types: dict[int, str] = {}
-        # Index of the topic of each channel whose messages are wanted.
+        # Topic index of each channel whose messages are wanted.
         self._channels: dict[int, int] = {}
 
     def record(self, opcode: int, head: bytes, content: bytes) -> None:
@@ -112,7 +112,7 @@ class _McapReading:
             self._channels[channel.id] = topic
 
     def _uncompressed(self, chunk: Chunk) -> bytes:
-        """Records of a chunk."""
+        """Return the records of a chunk, decompressed and checked."""
         records, size, compression = chunk.data, chunk.uncompressed_size, chunk.compression
         if compression == "zstd":
             records = self._into.unzstd(records, size)
@@ -128,7 +128,7 @@ class _McapReading:
         return records
 
     def _messages(self, records: bytes) -> None:
-        """Walk through a chunk, or what stands outside of chunks, record by record."""
+        """Walk record by record through a chunk, or through a message outside of chunks."""
         unpack, head_size = MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size
         topic_of = self._channels.get
         found: list[RawMessage] = []

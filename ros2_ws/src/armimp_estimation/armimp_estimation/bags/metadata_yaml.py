@@ -1,4 +1,4 @@
-"""``metadata.yaml`` of a rosbag2 directory: written as Jazzy does, read from any version."""
+"""``metadata.yaml`` of a rosbag2 directory: written as in Jazzy, read from any version."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ _DUMPER: Final[Any] = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 @cache
 def message_definition(type_name: str) -> tuple[str, str]:
-    """Definition of a message type of ROS 2 Jazzy, by its full name.
+    """Look up the definition of a message type of ROS 2 Jazzy by its full name.
 
     Returns
     -------
     text : str
-        The definition followed by those of all types it is made of (encoding ``ros2msg``).
+        The definition, followed by those of all types that it uses (encoding ``ros2msg``).
     type_hash : str
         RIHS01 hash of the type description, by which ROS 2 compares types.
 
     Raises
     ------
     KeyError
-        If the type is not part of the standard messages.
+        If the type is not one of the standard messages.
     """
-    # Reading needs no definitions, and no time for loading them.
+    # Imported here, as reading bags needs no definitions and need not wait for the import.
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_JAZZY)
@@ -51,7 +51,7 @@ def message_definition(type_name: str) -> tuple[str, str]:
 
 
 def qos_profiles(topic: str) -> list[dict[str, Any]]:
-    """Offered QoS of the publisher of a topic of the contract, as rosbag2 writes it."""
+    """Offered QoS of the publisher of a topic of the contract, in the form of rosbag2."""
     depth, reliability, durability = QOS[topic]
     return [
         {
@@ -69,7 +69,7 @@ def qos_profiles(topic: str) -> list[dict[str, Any]]:
 
 
 def dump(value: object) -> str:
-    """Serialise a document to YAML, in block style and with its keys in their order."""
+    """Serialise a document to YAML in block style, keeping the order of its keys."""
     style: dict[str, Any] = {"sort_keys": False, "default_flow_style": False, "width": 1_000_000}
     text: str = yaml.dump(value, Dumper=_DUMPER, allow_unicode=True, **style)
     return text
@@ -87,13 +87,13 @@ def write_metadata(
     Parameters
     ----------
     directory : Path
-        Of the bag.
+        Directory of the bag.
     file_name : str
-        The storage file within the directory.
+        Name of the storage file within the directory.
     topics : mapping of str to int
-        Name in the contract of each topic in the bag, and its number of messages.
+        Number of messages of each topic in the bag, by its name in the contract.
     time_range : tuple of int
-        Log times of the first and of the last message (ns).
+        Earliest and latest log time of the messages (ns).
     custom : mapping of str to str
         The ``custom_data``.
 
@@ -143,12 +143,12 @@ def write_metadata(
 
 
 def read_metadata(file: Path) -> tuple[list[Path], dict[str, str]]:
-    """Read what is needed from a ``metadata.yaml`` of any version.
+    """Read storage files and custom data from a ``metadata.yaml`` of any version.
 
     Returns
     -------
     files : list of Path
-        The storage files, in their order.
+        The storage files, in order.
     custom : dict of str to str
         The ``custom_data``; empty if there is none.
 
@@ -168,17 +168,17 @@ def read_metadata(file: Path) -> tuple[list[Path], dict[str, str]]:
         raise BagError(f"{file}: not the metadata of a bag: {one_line(reason)}") from None
     if not information.relative_file_paths:
         raise BagError(f"{file}: lists no storage files in relative_file_paths")
-    # Old versions wrote the path from the parent directory; the files are always beside.
+    # Old versions wrote paths from the parent directory, but the files are always beside this one.
     paths = [file.parent / Path(path).name for path in information.relative_file_paths]
     return list(dict.fromkeys(paths)), information.custom_data
 
 
 def _or_empty(given: object) -> object:
-    return given if isinstance(given, dict) else {}  # as others write an empty one
+    return given if isinstance(given, dict) else {}  # other writers have other empty values
 
 
 class _Information(BaseModel):
-    """What is read of a ``metadata.yaml``."""
+    """The keys of a ``metadata.yaml`` that are read."""
 
     relative_file_paths: list[str] = []
     custom_data: Annotated[dict[str, str], BeforeValidator(_or_empty)] = {}

@@ -1,4 +1,4 @@
-"""The messages of a bag as they are stored, and what it may cost to read them."""
+"""The messages of a bag as they are stored, and the limit on the cost of reading them."""
 
 from collections.abc import Iterable
 from io import BytesIO
@@ -11,34 +11,36 @@ from armimp_common.errors import BagError
 from armimp_common.topics import MESSAGE_TYPES
 
 RECORD_COST: Final = 200
-"""Bytes of memory that a message takes beside its content, nearly; as many could be read in the
-time that another small record takes, or one byte of YAML."""
+"""Approximate bytes of memory that a message takes in addition to its content. Other small records,
+and a byte of YAML, take the time in which as many bytes could be read."""
 
-# Bags of experiments hold up to twelve times their size, by this account.
+# Allowed cost of a bag: a fixed part and a multiple of its size. Experiments cost up to 12 times.
 _FREE: Final = 128 << 20
 _RATIO: Final = 20
 _LARGEST: Final = 64 << 20
+"""Most bytes of one decompressed piece, such as a chunk."""
 _PIECE: Final = 1 << 20
 
 
 RawMessage: TypeAlias = tuple[int, int, bytes]
 """Index of the topic, log time (ns) and bytes of a message."""
 _LONGEST: Final = 300
+"""Most characters of a line in a message for users."""
 
 
 def one_line(text: object) -> str:
-    """Return a text, or that of an error, as a short line, whatever a damaged file holds."""
+    """Shorten a text, or that of an error, to one line, whatever a damaged file put into it."""
     line = " ".join(str(text).split()) or type(text).__name__
     return line if len(line) <= _LONGEST else f"{line[:_LONGEST]} ..."
 
 
 def absolute(topic: str) -> str:
-    """Full name of a topic of the contract in the root namespace, where bags are recorded."""
+    """Full name of a topic of the contract in the root namespace, in which bags are recorded."""
     return topic if topic.startswith("/") else f"/{topic}"
 
 
 def namespace_of(name: str, topic: str) -> str | None:
-    """What stands before a topic of the contract; None if the name is not that of the topic."""
+    """Namespace of a topic of the contract; None if the name is not one of this topic."""
     if name == topic:
         return ""
     tail = absolute(topic)
@@ -46,23 +48,23 @@ def namespace_of(name: str, topic: str) -> str | None:
 
 
 class RawMessages:
-    """Messages of one or more storage files in recorded order, and what more of them may cost.
+    """Messages of one or more storage files in recorded order, and the budget for reading more.
 
-    The cost, in bytes of memory or as much work, may grow with the bag, so that recordings of any
-    length can be read, but not files that hold thousands of times their size. Given are the name of
-    the bag and the bytes of all of its files.
+    The budget, in bytes of memory or equivalent work, grows with `size`, the bytes of all files of
+    the bag: recordings of any length can be read, but not files that expand to thousands of times
+    their size.
     """
 
     def __init__(self, name: str, size: int) -> None:
         self.name = name
-        """The bag, or the file of it that is being read, for errors."""
+        """The bag, or the file of it that is being read, for error messages."""
         self._left = _FREE + _RATIO * size
-        # Making one takes longer than the decompression of a chunk.
+        # Made once, as that takes longer than the decompression of a chunk.
         self._zstd = zstandard.ZstdDecompressor()
         self._indices: dict[tuple[str, str], int] = {}
         self.topics: list[tuple[str, str]] = []
-        """Name and message type of each recorded topic; the type is empty where the file does not
-        say."""
+        """Name and message type of each recorded topic; the type is empty if the file does not
+        state it."""
         self.messages: list[RawMessage] = []
         self.metadata: dict[str, str] = {}
         """Metadata of the recording."""
@@ -70,12 +72,12 @@ class RawMessages:
         """Where and how the recording ends early; empty if it is complete."""
 
     def spend(self, cost: int) -> None:
-        """Charge a cost.
+        """Charge a cost to the budget.
 
         Raises
         ------
         BagError
-            If it exceeds what is left.
+            If it exceeds the rest of the budget.
         """
         self._left -= cost
         if self._left < 0:
@@ -86,29 +88,29 @@ class RawMessages:
         return BagError(f"{self.name}: {reason}")
 
     def unzstd(self, data: bytes, most: int | None = None) -> bytes:
-        """Decompress one frame of zstd, of at most so many bytes.
+        """Decompress one frame of zstd to at most `most` bytes.
 
         Raises
         ------
         BagError
-            If it holds more than the largest piece may, or than is left.
+            If it holds more than one piece may, or than the budget allows.
         zstandard.ZstdError
             If it is damaged, or holds more than `most`.
         """
         most = min(_LARGEST, self._left) if most is None else most
-        # The library would make room for whatever the frame claims to hold.
+        # The library would allocate whatever size the frame claims.
         self._require(max(most, zstandard.frame_content_size(data)))
         content = self._zstd.decompress(data, max_output_size=most)
         self.spend(len(content))
         return content
 
     def unlz4(self, data: bytes, most: int) -> bytes:
-        """Decompress one frame of lz4 up to so many bytes.
+        """Decompress one frame of lz4, up to `most` bytes.
 
         Raises
         ------
         BagError
-            If that is more than is left.
+            If `most` is more than one piece may hold, or than the budget allows.
         RuntimeError
             If it is damaged.
         """
@@ -118,12 +120,12 @@ class RawMessages:
         return content
 
     def unzstd_file(self, source: BinaryIO) -> BinaryIO:
-        """Decompress a file of zstd, as far as it goes.
+        """Decompress a file of zstd, as far as it is complete.
 
         Raises
         ------
         BagError
-            If it holds more than is left.
+            If it holds more than the budget allows.
         zstandard.ZstdError
             If it is damaged.
         """
@@ -136,19 +138,19 @@ class RawMessages:
         return content
 
     def _require(self, size: int) -> None:
-        """Refuse a piece that is too large before there is room made for it."""
+        """Refuse a piece that is too large before memory is allocated for it."""
         if size > min(_LARGEST, self._left):
             raise self.refusal(f"a piece of it claims to hold {size} bytes")
 
     def topic_index(self, name: str, message_type: str, encoding: str) -> int | None:
-        """Index of a topic in `topics`, which it joins if it is new; None if nobody wants it.
+        """Return the index of a topic in `topics`, adding it if it is new; None if not wanted.
 
-        Wanted are those whose name is that of a topic of the contract, under any namespace.
+        Topics of the contract are wanted, under any namespace.
 
         Raises
         ------
         BagError
-            If it is wanted, but its messages are not CDR.
+            If the topic is wanted, but its messages are not CDR.
         """
         entry = (one_line(name), one_line(message_type) if message_type else "")
         if (index := self._indices.setdefault(entry, len(self.topics))) == len(self.topics):
@@ -160,12 +162,12 @@ class RawMessages:
         return index
 
     def extend(self, messages: Iterable[RawMessage]) -> None:
-        """Add messages, whose content has been charged.
+        """Add messages, whose content has been charged already.
 
         Raises
         ------
         BagError
-            If they are more than may be.
+            If they are more than the budget allows.
         """
         before = len(self.messages)
         self.messages += messages

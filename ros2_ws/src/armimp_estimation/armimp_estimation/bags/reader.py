@@ -1,4 +1,4 @@
-"""Reading of bags, recorded here or elsewhere: finding their files, into trials and messages."""
+"""Reading of bags, recorded here or elsewhere, from their files to trials and messages."""
 
 import os
 import re
@@ -24,14 +24,14 @@ from armimp_estimation.bags.raw import RawMessages, namespace_of, one_line
 from armimp_estimation.bags.sqlite_reader import read_sqlite
 
 BAGS: Final = "bags"
-"""Where the directory of a run has its bags."""
+"""Folder of the bags within the directory of a run."""
 _SQLITE_MAGIC: Final = b"SQLite format 3\0"
 _ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 _ROS1_MAGIC: Final = b"#ROSBAG V"
 _SUFFIXES: Final = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 _MOST_JOINTS: Final = 100
 _MOST_STATUSES: Final = 20_000
-"""A trial has four, and one more for each thing that goes wrong in it."""
+"""Most statuses that are read. A trial has four, and one more for each fault in it."""
 
 _NEEDED: Final[dict[str, str]] = {
     topics.JOINT_STATES: "joint positions",
@@ -42,7 +42,7 @@ _NEEDED: Final[dict[str, str]] = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BagContent:
-    """What a bag holds."""
+    """Content of a bag."""
 
     path: Path
     """The bag."""
@@ -51,11 +51,11 @@ class BagContent:
     joint_names: tuple[str, ...]
     """Order of the joints in the records."""
     trials: tuple[Trial, ...]
-    """At least one; each says whether it can be estimated."""
+    """Trials, at least one; each knows whether it can be used for an estimate."""
     topics: Mapping[str, str]
     """Name in the bag of each topic of the contract that has messages in it."""
     notes: tuple[str, ...]
-    """What a user should know of the bag, one line each: a cut, damaged messages."""
+    """What a user should know about the bag, one line each: a cut, damaged messages."""
     _raw: RawMessages
     _contract_names: Mapping[int, str]
 
@@ -69,17 +69,17 @@ class BagContent:
 def read_bag(path: Path, *, namespace: str | None = None) -> BagContent:
     """Read a bag with everything that an estimate needs.
 
-    Taken are rosbag2 directories with or without ``metadata.yaml``, and single
-    MCAP or SQLite3 files, compressed or not, complete or cut. Topics may be under a namespace,
-    to be given where a bag holds those of several rigs, and the joints of every message in any
-    order, with further ones in those of sensors. Where there is no trial status, the trials are
-    inferred from the perturbation, as `infer_windows` says.
+    The path may be a rosbag2 directory with or without ``metadata.yaml``, or a single MCAP or
+    SQLite3 file, compressed or not, complete or truncated. Topics may be under a namespace, which
+    has to be given if the bag holds those of several rigs. Messages may have the joints in any
+    order, and those of sensors may have further joints. Without trial statuses, `infer_windows`
+    infers the trials from the perturbation.
 
     Raises
     ------
     BagError
-        If the path is not a readable bag, or the bag lacks something; the message is one line
-        that names the file. A trial that is there but spoiled raises only where it is estimated.
+        If the path is not a readable bag, or the bag lacks something; the message is one line that
+        names the file. A spoiled trial raises only when something is estimated from it.
     """
     raw = read_storage(path)
     cut = f" (the file {raw.cut})" if raw.cut else ""
@@ -111,7 +111,7 @@ def read_bag(path: Path, *, namespace: str | None = None) -> BagContent:
     if defect:
         notes.append(f"{path}: damaged messages of {topics.TRIAL}: {one_line(defect)}")
     for topic in (topics.JOINT_STATES, topics.TORQUE_SENSORS):
-        # Something could be decoded, but it need not be the first message.
+        # Some message could be decoded, but not necessarily the first one.
         with suppress(MalformedMessageError):
             others = set(joint_names_of(messages[topic][0])).difference(joint_names)
             if others:
@@ -131,14 +131,14 @@ def read_bag(path: Path, *, namespace: str | None = None) -> BagContent:
 
 
 def _joint_names(metadata: Mapping[str, str], perturbation: Sequence[bytes]) -> tuple[str, ...]:
-    """Joint order: that of the recording's metadata, else that of the controller."""
+    """Joint order: that of the recording's metadata, or else that of the perturbation messages."""
     with suppress(ValidationError):
         if names := TypeAdapter(tuple[str, ...]).validate_json(metadata.get("joint_names", "[]")):
             return names
     for message in perturbation:
         with suppress(MalformedMessageError):
             return joint_names_of(message)
-    return joint_names_of(perturbation[0])  # which says what is wrong
+    return joint_names_of(perturbation[0])  # raises the error that says what is wrong
 
 
 def resolve_topics(
@@ -146,27 +146,27 @@ def resolve_topics(
 ) -> dict[str, int]:
     """Find the topics of the contract among those of a bag.
 
-    A topic matches if its name ends with that of the contract, at a slash. Where several do,
-    the namespace decides under which all needed topics are.
+    A topic matches if its name ends, after a slash, with that of the contract. If several match,
+    the namespace that holds all needed topics is chosen.
 
     Parameters
     ----------
     recorded : sequence of tuple of str
         Name and message type of each topic of the bag; the type may be empty.
     bag : str
-        The bag for error messages.
+        Name of the bag for error messages.
     namespace : str, optional
         Accept only topics under this namespace.
 
     Returns
     -------
     dict of str to int
-        Name in the contract, to index in `recorded`. Only what is there is in it.
+        Index in `recorded` of each topic that was found, by its name in the contract.
 
     Raises
     ------
     BagError
-        If the choice is not clear, or a topic has another type than it must have.
+        If the choice is ambiguous, or a topic has a type other than that of the contract.
     """
     matches = {topic: _candidates(recorded, topic) for topic in topics.MESSAGE_TYPES}
     if namespace is not None:
@@ -179,7 +179,7 @@ def resolve_topics(
     found: dict[str, int] = {}
     for topic, prefixes in matches.items():
         chosen = [i for i, prefix in prefixes.items() if prefix in (*rigs, "")] if rigs else []
-        if not chosen and namespace is None:  # those not needed may be elsewhere, if only once
+        if not chosen and namespace is None:  # others may be elsewhere, if they are unique
             chosen = list(prefixes)
         if len(chosen) > 1 and (topic in _NEEDED or topic == topics.TRIAL):
             names = one_line(", ".join(sorted({recorded[i][0] for i in chosen})))
@@ -194,7 +194,7 @@ def resolve_topics(
 
 
 def _candidates(recorded: Sequence[tuple[str, str]], topic: str) -> dict[int, str]:
-    """Prefixes of the topics with the right name, and where there are such, the right type."""
+    """Prefixes of topics with the right name; only of those with the right type, if any has it."""
     prefixes = {i: namespace_of(name, topic) for i, (name, _) in enumerate(recorded)}
     named = {i: prefix for i, prefix in prefixes.items() if prefix is not None}
     typed = {i: named[i] for i in named if recorded[i][1] == topics.MESSAGE_TYPES[topic]}
@@ -204,7 +204,7 @@ def _candidates(recorded: Sequence[tuple[str, str]], topic: str) -> dict[int, st
 def read_storage(path: Path) -> RawMessages:
     """Read all messages of a bag under names of the contract, in the order of log times.
 
-    BagError if the path is not a readable bag, or beyond the limits.
+    Raises BagError if the path is not a readable bag, or exceeds the limits.
     """
     custom: dict[str, str] = {}
     try:
@@ -223,9 +223,9 @@ def read_storage(path: Path) -> RawMessages:
             _read_file(file, messages)
         messages.name = str(path)
         _decompress_messages(messages)
-        messages.messages.sort(key=itemgetter(1))  # those of one time stay in their order
+        messages.messages.sort(key=itemgetter(1))  # stable for messages with equal times
     except OSError as error:
-        prefix = "cannot be read: " if error.errno else ""  # else the reason is ours
+        prefix = "cannot be read: " if error.errno else ""  # without errno, we raised it
         raise BagError(f"{error.filename or path}: {prefix}{error.strerror}") from None
     except (zstandard.ZstdError, MemoryError) as error:
         raise BagError(f"{path}: damaged: {one_line(error)}") from None
@@ -250,26 +250,26 @@ def _files_of(directory: Path) -> tuple[list[Path], dict[str, str]]:
 
 
 def find_bags(paths: Sequence[Path]) -> list[Path]:
-    """Bags behind paths: those of the directory of a run, or of a folder of bags, in their order.
+    """Replace each path to the directory of a run, or to a folder of bags, by its bags in order.
 
-    Whatever is neither stays as it is, for the reader to judge.
+    Other paths stay as they are, for the reader to judge.
 
     Raises
     ------
     BagError
-        If two are one and the same, by another path, link or name of their files.
+        If two bags are the same, reached by different paths, links or names of their files.
     """
     found: list[Path] = []
     for path in paths:
         folder = path / BAGS if (path / BAGS).is_dir() else path
         bags: list[Path] = []
-        with suppress(OSError):  # no directory, or one that cannot be read, as the reader will say
+        with suppress(OSError):  # no readable directory, which the reader will report
             if not _holds_bag(folder):
                 bags = [one for one in folder.iterdir() if one.is_dir() and _holds_bag(one)]
         found += sorted(bags, key=_natural) or [path]
     known: dict[tuple[int, int], Path] = {}
     for bag in found:
-        with suppress(OSError):  # as the reader will say
+        with suppress(OSError):  # the reader will report it
             for file in bag.iterdir() if bag.is_dir() else (bag,):
                 if file == bag or file.name.endswith(_SUFFIXES):
                     status = file.stat()
@@ -321,8 +321,8 @@ def _read_uncompressed(path: Path, file: BinaryIO, into: RawMessages) -> None:
 def _decompress_messages(messages: RawMessages) -> None:
     """Decompress messages that were compressed one by one.
 
-    CDR begins with two bytes that are 0 or 1, so such messages are known by their own first
-    bytes, even without the ``metadata.yaml`` that says so.
+    The first two bytes of CDR are 0 or 1, so the first bytes of a compressed message identify it
+    even without a ``metadata.yaml`` that declares the compression.
     """
     if messages.messages and messages.messages[0][2].startswith(_ZSTD_MAGIC):
         messages.messages = [

@@ -1,4 +1,4 @@
-"""Reading of the SQLite3 files of rosbag2, all versions of their schema."""
+"""Reading of the SQLite3 files of rosbag2, with all versions of its schema."""
 
 import shutil
 import sqlite3
@@ -10,11 +10,11 @@ from typing import BinaryIO, Final
 from armimp_estimation.atomic_write import open_regular
 from armimp_estimation.bags.raw import RECORD_COST, RawMessages, one_line
 
-# Of a damaged file even the text of an error need not be UTF-8.
+# With a damaged file, not even the text of an error need be UTF-8.
 _DAMAGE: Final = (sqlite3.Error, UnicodeDecodeError)
 
-# A row takes some ten steps of the virtual machine of SQLite, and at least as many bytes; a tree
-# whose branches are one has rows without end.
+# A row takes some ten steps of SQLite's virtual machine, and at least as many bytes. In a damaged
+# tree, a branch may lead back to itself, so that rows never end.
 _STEPS: Final = 10_000
 _FREE_STEPS: Final = 10_000_000
 _STEPS_PER_BYTE: Final = 4
@@ -23,19 +23,19 @@ _STEPS_PER_BYTE: Final = 4
 def read_sqlite(file: BinaryIO, log: Path, into: RawMessages) -> None:
     """Read an SQLite3 storage file, up to the first damaged page.
 
-    Only plain tables are read: views and generated columns are programs of whoever made the file.
-    SQLite opens a copy, as it wants to write where a killed writer left its last messages in a
+    Only plain tables are read, as views and generated columns are programs from an unknown author.
+    SQLite opens a copy, since it writes to a file whose killed writer left its last messages in a
     write-ahead log. A rollback journal is ignored: the recorders of ROS 2 leave none, and it may
-    name other files that SQLite deletes.
+    name other files, which SQLite would delete.
 
     Parameters
     ----------
     file : binary file
-        At its beginning.
+        File, positioned at its beginning.
     log : Path
-        Where its write-ahead log is, if it has one.
+        Path of its write-ahead log, which need not exist.
     into : RawMessages
-        Takes topics, messages and a note of the cut.
+        Receives topics, messages and a note of the cut.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def _read(path: Path, into: RawMessages) -> None:
 
 
 def _is_plain(database: sqlite3.Connection, table: str) -> bool:
-    """Tell whether there is such a table whose columns are stored as they are."""
+    """Tell whether a table of this name exists and has stored columns only."""
     query = "SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = ? AND sql LIKE ?"
     if database.execute(query, (table, "CREATE TABLE %")).fetchone() is None:
         return False
@@ -92,7 +92,7 @@ def _topics(database: sqlite3.Connection, into: RawMessages) -> dict[int, int]:
 
 def _messages(database: sqlite3.Connection, topics: dict[int, int], into: RawMessages) -> None:
     marks = ",".join("?" * len(topics))
-    # In the order of the rows, so that all rows before a damaged page are found.
+    # Unsorted, so that all rows before a damaged page are found.
     query = f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({marks})"
     for identity, log_time, data in database.execute(query, list(topics)):
         if not isinstance(log_time, int) or not isinstance(data, bytes):

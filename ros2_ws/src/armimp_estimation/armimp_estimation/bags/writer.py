@@ -1,8 +1,8 @@
 """Recording of raw messages into a rosbag2 directory with one MCAP file.
 
-The writer of the mcap package spends about 5 µs on every message and hands on its chunks when
-they are full. Here messages are packed directly, and chunks are closed by count and by time as
-well, so that a killed process loses little. All other records are those of the mcap package.
+The writer of the mcap package spends about 5 µs on every message and writes a chunk only when it is
+full. Here, messages are packed directly, and chunks are also closed by count and by time, so that a
+killed process loses little. The mcap package encodes all other records.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ from armimp_estimation.bags.raw import RawMessages, absolute
 from armimp_estimation.bags.reader import BAGS, read_storage
 
 RECORDED: Final = (*DATA_STREAMS, TRIAL, CLOCK, DIAGNOSTICS)
-"""Topics of the contract that bags have."""
+"""Topics of the contract that are recorded in bags."""
 FLUSH_INTERVAL_NS: Final = 50_000_000
 """A chunk is closed when it spans this much log time (ns)."""
 FLUSH_MESSAGES: Final = 256
@@ -67,12 +67,13 @@ FLUSH_MESSAGES: Final = 256
 _HEAD_BYTES: Final = 64_000
 _MESSAGE_BYTES: Final = 200
 _JOINT_BYTES: Final = 40
+"""Bounds on the disk space of a bag: per bag, per message, and per joint of a message, bytes."""
 _COMPRESSION: Final = "zstd"
 _INDEX_HEAD: Final = struct.Struct("<BQHI")
-"""Head of a message index: opcode, length (of which 6 bytes here), channel, bytes of entries."""
+"""Head of a message index: opcode, length (counting 6 bytes of it), channel, bytes of entries."""
 _ENTRY: Final = struct.Struct("<QQ")
 """Entry of a message index: log time and offset in the chunk."""
-# Level 1: on these streams it compresses as well as level 3 in less than half of the time.
+# On these streams, level 1 compresses as well as level 3 in less than half of the time.
 _LEVEL: Final = 1
 
 
@@ -85,19 +86,19 @@ def _encoded(*records: McapRecord) -> bytes:
 
 
 HEAD: Final = MAGIC + _encoded(Header(profile="ros2", library="armimp"))
-"""First bytes of all files that are written here."""
+"""First bytes of all files that :class:`BagWriter` writes."""
 
 
 @cache
 def _row(lengths: tuple[int, ...]) -> struct.Struct:
-    """Message records of these lengths, one after the other."""
+    """Format of consecutive message records with contents of these lengths."""
     head = MESSAGE_HEAD.format[1:]
     return struct.Struct("<" + "".join(f"{head}{length}s" for length in lengths))
 
 
 @cache
 def _definitions() -> tuple[list[Schema], dict[str, Channel]]:
-    """Schemas and, by topic, channels with which each file begins."""
+    """Schemas, and channels by topic, with which each file begins."""
     schemas: dict[str, Schema] = {}
     channels: dict[str, Channel] = {}
     for number, topic in enumerate(RECORDED, 1):
@@ -121,12 +122,12 @@ class BagWriter:
     """Writes the messages of an experiment into a new bag.
 
     A process that is killed loses at most the messages since the last chunk: 50 ms of log time
-    or 256 messages, whichever is less. What it leaves behind is opened by `read_bag` as it is, and
-    made a finished bag by `finish_bag`.
+    or 256 messages, whichever is less. `read_bag` opens the unfinished bag as it is, and
+    `finish_bag` finishes it.
 
-    The file is locked as long as it is open, by which others can tell that it is being written
-    from one whose writer was killed. What cannot be written leaves no trace in the file, so that
-    it always ends with a complete record, unless the process dies within a system call.
+    The file is locked as long as it is open, which distinguishes it from one whose writer was
+    killed. A failed write is undone, so that the file always ends with a complete record, unless
+    the process dies within a system call.
 
     Parameters
     ----------
@@ -148,11 +149,11 @@ class BagWriter:
         self._chunks: list[ChunkIndex] = []
         self._metadata: list[MetadataIndex] = []
         self._counts = {channel.id: 0 for channel in self._channels.values()}
-        """Messages of each channel that were flushed."""
+        """Number of flushed messages of each channel."""
         self._chunk = bytearray()
         self._pending = 0
         self._start_ns = self._end_ns = 0
-        # Log time and offset of each message of the chunk, by channel, as they are written.
+        # Log time and offset of each message of the chunk, by channel, in the form of the file.
         self._index: defaultdict[int, bytearray] = defaultdict(bytearray)
         self._compress = zstandard.ZstdCompressor(level=_LEVEL).compress
         self._position = 0
@@ -161,7 +162,7 @@ class BagWriter:
             path.mkdir(parents=True)
             self._file = (path / storage_name(path)).open("xb", buffering=0)
             try:
-                with suppress(OSError):  # Not every file system has locks.
+                with suppress(OSError):  # not every file system has locks
                     fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 self._append(HEAD + _encoded(*self._schemas, *self._channels.values()))
                 self.add_metadata(metadata)
@@ -170,22 +171,22 @@ class BagWriter:
                 raise
 
     def write(self, topic: str, raw: bytes, log_time_ns: int) -> None:
-        """Append one message of a topic at a time (ns), as `write_block` does."""
+        """Append one message of a topic with its log time (ns), as `write_block` does."""
         self.write_block((log_time_ns,), {topic: (raw,)})
 
     def write_block(
         self, log_times: Sequence[int], messages: Mapping[str, Sequence[bytes]]
     ) -> None:
-        """Append messages of several topics for each of some times at once.
+        """Append a block of messages: one of each topic for each log time.
 
         Parameters
         ----------
         log_times : sequence of int
             Times of reception (ns), not negative, in rising order.
         messages : mapping of str to sequence of bytes
-            A message (CDR with its encapsulation header) for each of them, by topic of
-            :data:`RECORDED`, in the order in which those of one time are written. All of a topic
-            are of one length.
+            Messages (CDR with encapsulation header), one for each time, by topic of
+            :data:`RECORDED`. Topics are in the order in which messages of one time are written;
+            all messages of a topic have one length.
 
         Raises
         ------
@@ -201,7 +202,7 @@ class BagWriter:
                 fixed = (MESSAGE, BEYOND_LENGTH + length, channel, 0)
                 columns += *map(repeat, fixed), log_times, log_times, raws
             block = b"".join(map(row.pack, *columns))
-            # Nothing has changed so far, if a time is impossible.
+            # An impossible time has raised by now, while nothing has changed yet.
             begin = len(self._chunk)
             for channel, length in zip(channels, lengths, strict=True):
                 begins = range(begin, begin + row.size * len(log_times), row.size)
@@ -214,7 +215,7 @@ class BagWriter:
             self._chunk += block
             count = len(log_times) * len(channels)
             self._pending += count
-            # Another block like this must not lead beyond what may be lost.
+            # With another block like this, a kill must not lose more than the limits allow.
             if (
                 2 * last_ns - first_ns >= self._start_ns + FLUSH_INTERVAL_NS
                 or self._pending + count > FLUSH_MESSAGES
@@ -222,7 +223,7 @@ class BagWriter:
                 self._flush()
 
     def add_metadata(self, values: Mapping[str, str]) -> None:
-        """Add to the metadata what is known only after recording.
+        """Add entries to the metadata, such as those known only after recording.
 
         Raises
         ------
@@ -237,23 +238,23 @@ class BagWriter:
             self._custom.update(values)
 
     def flush(self) -> None:
-        """Hand everything written so far to the operating system, where a kill cannot reach it.
+        """Hand all messages so far to the operating system, where they survive a kill.
 
-        What cannot be written is kept for another attempt. Call it from a timer where messages may
-        stop while the process lives on.
+        If that fails, they are kept for another attempt. Call this from a timer if messages may
+        stop while the process goes on.
 
         Raises
         ------
         BagError
-            If that fails.
+            If they cannot be written.
         """
         with self._one_line():
             self._flush()
 
     def close(self) -> None:
-        """Finish the file and write ``metadata.yaml``; harmless if repeated.
+        """Finish the file and write ``metadata.yaml``; further calls do nothing.
 
-        Where there is no room for that, the bag stays unfinished, but readable.
+        Without disk space for that, the bag remains unfinished, but readable.
 
         Raises
         ------
@@ -269,7 +270,7 @@ class BagWriter:
                     topic: self._counts[channel.id] for topic, channel in self._channels.items()
                 }
                 self._append_summary()
-                # Last, since a bag that has it counts as finished.
+                # Last, since a bag with metadata.yaml counts as finished.
                 name = storage_name(self._path)
                 write_metadata(self._path, name, counts, self._time_range, self._custom)
         finally:
@@ -332,7 +333,7 @@ class BagWriter:
 
     @property
     def _time_range(self) -> tuple[int, int]:
-        """Earliest and latest log time of what was flushed (ns); zeros if there is nothing."""
+        """Earliest and latest log time of flushed messages (ns); zeros if there are none."""
         return (
             min((chunk.message_start_time for chunk in self._chunks), default=0),
             max((chunk.message_end_time for chunk in self._chunks), default=0),
@@ -369,7 +370,7 @@ class BagWriter:
                 self._position += written
                 view = view[written:]
         except OSError:
-            # Nothing may follow a record that is cut.
+            # Nothing may follow an incomplete record.
             try:
                 self._file.truncate(start)
                 self._file.seek(start)
@@ -380,7 +381,7 @@ class BagWriter:
 
     @contextmanager
     def _one_line(self) -> Iterator[None]:
-        """Say in one line why something cannot be written."""
+        """Turn errors of writing into BagErrors of one line."""
         reason: object = "the bag is closed"
         try:
             if not self._closed:
@@ -403,19 +404,19 @@ def storage_name(path: Path) -> str:
 
 
 def require_free_space(path: Path, ticks: int, joints: int) -> None:
-    """Check that there is room where a bag will be made for the largest one that it can become.
+    """Check that there is disk space for the largest bag that a recording can become.
 
     Parameters
     ----------
     path : Path
-        Directory of the bag.
+        Directory of the bag, which need not exist.
     ticks, joints : int
         Control periods to record, and number of joints.
 
     Raises
     ------
     BagError
-        If there is too little room, or that cannot be found out.
+        If there is too little space, or the free space cannot be determined.
     """
     needed = _HEAD_BYTES + ticks * len(DATA_STREAMS) * (_MESSAGE_BYTES + _JOINT_BYTES * joints)
     place = path.absolute()
@@ -424,7 +425,7 @@ def require_free_space(path: Path, ticks: int, joints: int) -> None:
     try:
         free = shutil.disk_usage(place).free
     except OSError as error:
-        raise BagError(f"{path}: free space cannot be found out: {error.strerror}") from None
+        raise BagError(f"{path}: free space cannot be determined: {error.strerror}") from None
     if free < needed:
         raise BagError(
             f"{path}: {needed / 1e6:.1f} MB of disk space needed, {free / 1e6:.1f} MB free"
@@ -432,12 +433,12 @@ def require_free_space(path: Path, ticks: int, joints: int) -> None:
 
 
 def finish_bag(path: Path) -> str:
-    """Finish a bag which a killed `BagWriter` left behind; any other is left alone.
+    """Finish a bag that a killed `BagWriter` left behind; any other is left alone.
 
-    Its messages are written into a new bag, which takes the place of the storage file at once and
-    then adds its ``metadata.yaml``. A bag that is still being recorded is known by its lock, one
-    that is complete by its metadata. A bag behind a link stays as it is, since that may lead
-    anywhere. What was done is returned, or why it could not be, in one line, empty for nothing.
+    Its messages are written into a new bag, whose storage file replaces the old one atomically,
+    before ``metadata.yaml`` is added. A bag that is still being recorded is recognised by its lock,
+    a complete one by its metadata. A bag behind a link stays as it is, since the link may lead
+    anywhere. Returns one line that says what was done or why it failed; empty if nothing was to do.
     """
     if path.is_symlink() or path.parent.is_symlink() or (path / FILE_NAME).exists():
         return ""
@@ -453,7 +454,7 @@ def finish_bag(path: Path) -> str:
             except (BagError, OSError) as error:
                 return f"{unfinished}, and it cannot be finished now: {error}"
     except (BagError, OSError):
-        return ""  # It is being recorded, or whoever reads it will say what is wrong.
+        return ""  # it is being recorded, or reading it will report what is wrong
     return f"{unfinished}: finished now, with {len(messages.messages)} messages"
 
 
@@ -463,7 +464,7 @@ def finish_bags(directory: Path) -> list[str]:
 
 
 def _write_anew(path: Path, messages: RawMessages) -> None:
-    """Replace the files of a bag by new ones with the same messages."""
+    """Replace the storage file of a bag by a finished one with the same messages."""
     names = {absolute(topic): topic for topic in RECORDED}
     with tempfile.TemporaryDirectory(prefix=".finishing.", dir=path) as work:
         copy = Path(work) / path.name

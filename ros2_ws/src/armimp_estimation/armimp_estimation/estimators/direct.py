@@ -1,10 +1,10 @@
-"""Baseline that ignores the loop: from the measured angle straight to the measured torque.
+"""Baseline that ignores the feedback loop and regresses measured torque on measured angle.
 
 In the trial that perturbs joint k, ``Z_ik = G_{θk τi}/G_{θk θk}``. That would be right if the angle
-were an input of its own. But a voluntary torque d moves the joints through the loop, so that the
-angle is correlated with the disturbance of the torque it is to explain: ``G_{θk d}`` is not zero.
-Where d outweighs the perturbation, the estimate tends to the impedance of the controller, with
-opposite sign. Averaging does not help. Noise of the encoder biases it, too. It is here to compare.
+were an exogenous input. But a voluntary torque d moves the joints through the loop, so the angle is
+correlated with the disturbance of the torque that it is to explain: ``G_{θk d}`` is not zero. Where
+d outweighs the perturbation, the estimate tends to the impedance of the controller with opposite
+sign, and averaging does not help. Encoder noise biases it, too. It serves for comparison only.
 """
 
 from collections.abc import Sequence
@@ -26,11 +26,11 @@ class Direct:
     name: str = "direct"
 
     def estimate(self, trials: Sequence[TrialData]) -> ImpedanceEstimate:
-        """Whole matrix from n trials in any order, one for each joint.
+        """Estimate the whole matrix from n trials, one for each joint, in any order.
 
-        The variance of a column is ``G_ee / ((n_d - 1) G_θθ)`` with ``e = τ_i - Z_ik θ_k``, which
-        describes the scatter. The bias shows in the difference to `welch_siso`, which is none where
-        the perturbation is the angle itself; that is a standard error, too.
+        The random error of a column has the variance ``G_ee / ((n_d - 1) G_θθ)`` with
+        ``e = τ_i - Z_ik θ_k``. The bias shows in the difference from `welch_siso`, which vanishes
+        where the perturbation is the angle itself; it is added as a systematic standard error.
 
         Raises
         ------

@@ -2,9 +2,9 @@
 
 Pintelon & Schoukens, *System Identification: A Frequency Domain Approach*, 2nd ed., ch. 7. A record
 that is cut out of an ongoing experiment obeys, between the discrete Fourier transforms of its input
-and outputs, ``Y(k) = G(k) U(k) + T(k) + V(k)``. T is what the ends of the record leave behind
-(leakage); like G it is smooth over frequency, whereas U is not. So within a few bins around k both
-are taken as polynomials, whose coefficients follow by least squares; the residual gives the noise.
+and outputs, ``Y(k) = G(k) U(k) + T(k) + V(k)``. T is the transient at the ends of the record
+(leakage); like G, it is smooth over frequency, whereas U is not. Within a few bins around k, G and
+T are therefore modelled as polynomials, fitted by least squares; the residual gives the noise V.
 """
 
 from __future__ import annotations
@@ -21,19 +21,20 @@ from armimp_common.errors import DataError
 from armimp_estimation.periods import Periods, has_power
 
 Mix = Callable[[FloatArray], ComplexArray]
+"""Gives, at frequencies (n,) in Hz, the coefficients (m, C, n) that combine C outputs to m."""
 
 ORDER = 2
 """Degree of the polynomials in frequency, for response and leakage alike."""
 HALF_WIDTH = 12
-"""Bins on either side that take part in the estimate at a bin. At the ends of the spectrum the
-window of twice as many and one is not centred."""
+"""Bins on either side of a bin that enter its estimate. At the ends of the spectrum, the window
+of ``2 HALF_WIDTH + 1`` bins is not centred."""
 _ENOUGH = 19
-"""Degrees of freedom from which on noise is known well: those of windows of 25 bins."""
+"""Degrees of freedom with which noise counts as well known: those of windows of 25 bins."""
 _NEIGHBOURS = 1.1
-"""Distance up to which noise is alike, Hz."""
-# Smallest ratio of the parts of the regressors that are independent of each other.
+"""Largest distance over which noise levels are averaged, Hz."""
+# Ratio of diagonal elements of the triangular factor below which regressors count as collinear.
 _DEGENERATE = 1e-9
-# Lines on either side over which a response is a polynomial, and over which its scatter is alike.
+# Lines on either side over which a polynomial is fitted, and over which its scatter is averaged.
 _LINES, _ALIKE = 6, 10
 
 
@@ -46,8 +47,8 @@ class LocalResponse:
     response: ComplexArray
     """Frequency responses, in units of output over input; shape (C, n_freq)."""
     noise: ComplexArray
-    """``E[V_c conj(V_d)]`` of the Fourier transforms of the outputs, from the residuals; shape
-    (C, C, n_freq)."""
+    """Noise covariance ``E[V_c conj(V_d)]`` of the Fourier transforms of the outputs, estimated
+    from the residuals; shape (C, C, n_freq)."""
     weights: ComplexArray
     """``response = Σ_w weights[:, w] · Y(first + w)`` for any output Y; shape (n_freq, window)."""
     first: NDArray[np.intp]
@@ -65,11 +66,11 @@ class LocalResponse:
 
     @property
     def variance(self) -> FloatArray:
-        """Of each response, (C, n_freq)."""
+        """Variance of each response, (C, n_freq)."""
         return np.asarray(self.gain * np.einsum("ccf->cf", self.noise).real)
 
     def at(self, kept: BoolArray) -> LocalResponse:
-        """Return the same at some of the frequencies."""
+        """Return the responses at the frequencies that a mask selects."""
         return replace(
             self,
             f=self.f[kept],
@@ -81,16 +82,16 @@ class LocalResponse:
         )
 
     def with_scatter_of_lines(self, outputs: slice) -> LocalResponse:
-        """Return the same with the noise of some outputs at least what their lines scatter by.
+        """Raise the noise of some outputs to the scatter of their lines, where that is larger.
 
-        What comes back in each period, as what friction and rounding make of the motion, is not in
-        the scatter of periods. But where the response is smooth over frequency, it makes that of a
-        line another than its neighbours tell (Pintelon & Schoukens, ch. 7: the robust method).
+        Distortion that repeats in each period, as from friction and rounding, does not show in the
+        scatter between periods. But where the response is smooth over frequency, it makes a line
+        deviate from what its neighbours predict (Pintelon & Schoukens, ch. 7: the robust method).
 
         Parameters
         ----------
         outputs : slice
-            Those whose responses are smooth.
+            Outputs whose responses are smooth over frequency.
         """
         size, window = self.f.size, 2 * _LINES + 1
         if self.line_power is None or size < window:
@@ -115,7 +116,7 @@ class LocalResponse:
         return replace(self, noise=factors[:, None] * factors[None] * self.noise)
 
     def bin_correlation(self) -> FloatArray:
-        """Correlation of the errors of each bin and the one 0, 1, 2... places above it.
+        """Correlation between the errors at each bin and at the one 0, 1, 2... places above it.
 
         Noise of different bins is uncorrelated, so the covariance of two estimates is the sum of
         the products of their weights over the bins that both use.
@@ -132,7 +133,7 @@ class LocalResponse:
         for lag in range(1, len(correlation)):
             lower, upper = self.weights[:-lag], np.conj(self.weights[lag:])
             sums = np.empty(size - lag)
-            # Windows are as far apart as their bins, but for those that are shifted at the ends.
+            # Windows are as far apart as their bins, unless the end of the spectrum shifts one.
             shift = self.first[lag:] - self.first[:-lag]
             for apart in np.unique(shift):
                 rows = shift == apart
@@ -164,7 +165,7 @@ def local_response(
     periods: Periods | None = None,
     mix: Mix | None = None,
 ) -> LocalResponse:
-    """Estimate the responses of outputs to one input at every bin of a band where it has power.
+    """Estimate the responses of outputs to one input at all bins of a band where that has power.
 
     Parameters
     ----------
@@ -177,13 +178,13 @@ def local_response(
     band : tuple of float
         Lowest and highest frequency, Hz.
     half_width : int
-        Bins on either side that take part, at least ``ORDER + 1``.
+        Bins on either side of a bin that enter its estimate, at least ``ORDER + 1``.
     f : ndarray, shape (n_freq,), optional
         Frequencies, Hz, in place of the bins of the band; they need not be bins of the record.
     periods : Periods, optional
-        Those of an input that is periodic; then it is estimated at all its lines in the band.
+        Periods of a periodic input; the estimates are then at all its lines in the band.
     mix : callable, optional
-        Combinations of the outputs to take in their place, (m, C, n) at frequencies (n,), Hz.
+        Gives the coefficients of the combinations that take the place of the outputs.
 
     Raises
     ------
@@ -234,7 +235,7 @@ def local_response(
     residual = observed - basis @ (adjoint @ observed)
     freedom = np.full(bins.size, window - 2 * (ORDER + 1))
     width = window * float(rate / samples)
-    found = _found(f, weights, observed, residual, freedom, first, width)
+    found = _assembled(f, weights, observed, residual, freedom, first, width)
     if not perturbed.any():
         raise DataError(
             f"perturbation has too few spectral lines between {band[0]:.4g} and {band[1]:.4g} Hz"
@@ -243,8 +244,8 @@ def local_response(
 
 
 def at_common_frequencies(columns: Sequence[LocalResponse]) -> list[LocalResponse]:
-    """Responses of all trials where each of them has power."""
-    # Lines of different periods are the same but for rounding.
+    """Restrict the responses of all trials to the frequencies that all have."""
+    # Frequencies of lines of different periods are equal up to rounding only.
     places = [np.round(one.f, 9) for one in columns]
     f: FloatArray = reduce(np.intersect1d, places)
     return [
@@ -262,10 +263,10 @@ def _periodic_response(
     periods: Periods,
     mix: Mix | None,
 ) -> LocalResponse:
-    """As :func:`local_response`, at the lines of a periodic input.
+    """Estimate as :func:`local_response` does, at the lines of a periodic input.
 
-    Between the harmonics of whole periods is leakage, a polynomial in frequency, and noise: the
-    scatter of the periods. Without that leakage, the response at a line is output over input.
+    Between the harmonics, the spectrum of whole periods holds leakage, a polynomial in frequency,
+    and noise, by which periods differ. Less the leakage, the response is output over input.
     """
     window, used = 2 * half_width + 1, periods.used
     centres = periods.lines_in(rate, band) * periods.count
@@ -287,11 +288,11 @@ def _periodic_response(
     freedom = np.sum(between, axis=1) - (ORDER + 1)
     f = np.asarray(centres * float(rate / used), dtype=np.float64)
     width = window * float(rate / used)
-    found = _found(f, weights.astype(np.complex128), observed, residual, freedom, first, width)
+    found = _assembled(f, weights.astype(np.complex128), observed, residual, freedom, first, width)
     return replace(found, line_power=np.abs(inputs) ** 2)
 
 
-def _found(
+def _assembled(
     f: FloatArray,
     weights: ComplexArray,
     observed: ComplexArray,
@@ -300,7 +301,7 @@ def _found(
     first: NDArray[np.intp],
     width: float,
 ) -> LocalResponse:
-    """Responses and noise by weights (n_freq, window) and residuals, (n_freq, window, C)."""
+    """Responses and noise from weights (n_freq, window) and residuals (n_freq, window, C)."""
     noise = np.swapaxes(residual, 1, 2) @ np.conj(residual) / freedom[:, None, None]
     noise, least = _with_neighbours(noise, f, int(np.min(freedom)), width)
     return LocalResponse(
@@ -316,10 +317,10 @@ def _found(
 def _with_neighbours(
     noise: ComplexArray, f: FloatArray, freedom: int, width: float
 ) -> tuple[ComplexArray, int]:
-    """Noise (n_freq, C, C) at f of few degrees of freedom, and of windows around, up to `_ENOUGH`.
+    """Average noise (n_freq, C, C) with that of windows around, up to `_ENOUGH` degrees of freedom.
 
-    Weights that follow what noise of few degrees of freedom is by chance would rest on the windows
-    where it seems to be least. Windows span a width, Hz.
+    A noise level with few degrees of freedom scatters, and weights by its inverse would favour the
+    windows where it is small by chance. Each window spans `width`, Hz.
     """
     reach = min(0.5 * width * _ENOUGH / freedom, _NEIGHBOURS)
     total = min(round(freedom * 2.0 * reach / width), _ENOUGH)
@@ -335,7 +336,7 @@ def _with_neighbours(
 def _observed(
     outputs: FloatArray, rate: float, places: NDArray[np.intp], mix: Mix | None
 ) -> ComplexArray:
-    """Fourier transforms of outputs (C, N), or of what is mixed of them, by window, place, row."""
+    """Fourier transforms of outputs (C, N), or of their combinations, by window, bin and output."""
     lowest = int(np.min(places))
     spectra = _transform(outputs)[:, lowest : int(np.max(places)) + 1]
     if mix is not None:
@@ -345,7 +346,7 @@ def _observed(
 
 
 def _transform(signal: FloatArray) -> ComplexArray:
-    """Fourier transform along the last axis, without the mean, whose rounding would leak."""
+    """Fourier transform along the last axis; the mean is removed, as its rounding would leak."""
     centred = signal - signal.mean(axis=-1, keepdims=True)
     transform: ComplexArray = np.fft.rfft(centred, axis=-1)
     return transform

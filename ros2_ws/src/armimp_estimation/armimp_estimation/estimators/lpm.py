@@ -36,27 +36,26 @@ from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData, drift_of
 
 _SPARE_BINS = 3
-"""Bins on either side beyond the degree of the polynomials, so that enough of them tell the noise.
-"""
-_MOST_NEAR = 64
-"""Frequencies at which an arm is taken from the responses that is near to the one which is sought.
-"""
-_NEARER = 3
+"""Bins on either side beyond the degree of the polynomials, for degrees of freedom of the noise."""
+_REFERENCE_BINS = 64
+"""Largest number of frequencies from which the reference arm is fitted."""
+_REFERENCE_STEPS = 3
+"""Fits of the reference arm, each relative to the one before."""
 _TINY = float(np.finfo(np.float64).tiny)
 _SPAN = 0.25
-"""Hz on either side of a bin that local polynomials may span: in shorter records, where bins are
-wider, fewer take part. The responses of an arm have a resonance around 1 Hz."""
+"""Hz on either side of a bin that local polynomials may span, as arms have a resonance near 1 Hz.
+In shorter records, whose bins are wider, fewer bins take part."""
 _FLOOR = 0.0003
-"""Relative error that the weights of the fit allow responses beside their variance."""
+"""Relative error that the M-B-K fit adds in quadrature to that of each value for its weight."""
 _BY_CHANCE, _SCATTER = 1.1, 2.5
-"""Variance by the scatter of F lines, per that of noise, that chance makes: its mean, and by how
-much it is hardly exceeded, times √F."""
+"""Ratio of the variance by the scatter of F lines to that by noise that arises by chance: its mean,
+and the excess over it that is hardly ever reached, times √F."""
 _SKEW = 0.002
-"""Relative standard error of the correction of what jumps, which no residual shows, as far as it is
-of the inertial torque. In simulation D is within 0.7 %, half of the times within 0.2 %."""
+"""Relative standard error of the jump correction, which no residual shows, for its part of inertial
+torque. In simulation D is within 0.7 % of the truth, and half of the time within 0.2 %."""
 _RUBBING = 0.3
-"""And as far as it is of torque that overcomes friction, at the times when commands that chatter
-reverse the motion within a control period, so that friction answers within it."""
+"""The same for its part of torque that overcomes friction, while chattering commands reverse the
+motion within a control period, so that friction responds within the period."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,13 +63,12 @@ class LpmConfig:
     """Options of the estimator ``lpm_full``."""
 
     reading: TorqueReading = field(default_factory=TorqueReading)
-    """How the readings of torque come about, and so what is corrected: see
-    :mod:`armimp_estimation.torque_timing`. What jumps with the commands is told by
-    :mod:`armimp_estimation.hold_correction`. Without commands in the records it has to be
-    everything."""
+    """How torques are read, and so what is corrected: see :mod:`armimp_estimation.torque_timing`.
+    :mod:`armimp_estimation.hold_correction` identifies the part of the torques that jumps with the
+    commands. Without commands in the records, the M-B-K fit estimates a common delay instead."""
     timing_uncertainty: float = 20e-6
-    """Standard error with which the instant of torque readings is known where it was told, s. Where
-    it was not, or the records refute that torques jump as it says, it is half a period."""
+    """Standard error of the instant of torque readings where it was declared, s. Half a period
+    takes its place where it was not, or where the records contradict the jumps that it implies."""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.timing_uncertainty < np.inf:
@@ -89,10 +87,10 @@ class FittedColumn:
     """M (kg·m²), B (N·m·s/rad) and K (N·m/rad) from the angle of joint k to each torque; shape
     (3, n)."""
     errors: FloatArray
-    """Their standard errors, in the same units, which know of random errors alone; shape (3, n)."""
+    """Their standard errors, in the same units, which cover random errors only; shape (3, n)."""
     preliminary: bool
-    """Whether the motion of a locked joint is not accounted for, as it had no trial yet. The values
-    may then be off by many standard errors."""
+    """Whether the motion of a locked joint is not accounted for, as that joint had no trial yet.
+    The values may then be off by many standard errors."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,14 +102,15 @@ class LpmFull:
     """Name of the estimator."""
 
     def estimate(self, trials: Sequence[TrialData]) -> ImpedanceEstimate:
-        """Whole matrix from n trials in any order, one for each joint.
+        """Estimate the whole matrix from n trials, one for each joint, in any order.
 
-        What is estimated is not T, but the response E of ``e = τ - Z_0 θ`` with an arm Z_0 of M, B
-        and K that is near: ``Z = Z_0 + E R⁻¹``. Torques τ have the steps of the command added that
-        skew makes them lack. Motion that the perturbation doesn't cause, as by friction, moves T as
-        Z_0 does, bin by bin, so it is not in E; nor is the resonance, which polynomials follow
-        worst. Whatever Z_0 is, the estimate is right, and its variance is that of
-        ``(δE - (Z - Z_0) δR) R⁻¹``, from the joint covariance of all channels of each trial.
+        The estimated response is not T, but the response E of ``e = τ - Z_0 θ``, where Z_0 is a
+        reference arm with M, B and K close to those sought: ``Z = Z_0 + E R⁻¹``. The torques τ
+        include the steps of the command that they lack because of skew. Motion that the
+        perturbation does not cause, as by friction, adds to T, bin by bin, about what Z_0 predicts,
+        so E is almost free of it, and of the resonance, which polynomials follow worst. The
+        estimate is right for any Z_0. Its variance is that of ``(δE - (Z - Z_0) δR) R⁻¹``, from the
+        joint covariance of all channels of each trial.
 
         Trials may differ in length: all are estimated at the frequencies of the shortest.
 
@@ -123,45 +122,45 @@ class LpmFull:
         return self._estimate([trial.record for trial in order_trials(trials)])
 
     def _estimate(self, records: Sequence[TrialRecord]) -> ImpedanceEstimate:
-        """As :meth:`estimate`, from one record for each joint, in their order.
+        """Do what :meth:`estimate` does, with one record for each joint, in their order.
 
-        Without a trial of each joint it has the columns of m trials alone, (n, m, n_freq), as if
-        all other joints were still.
+        If only m joints have a record, estimate their columns alone, (n, m, n_freq), as if all
+        other joints were still.
         """
         jump = self.jump(records)
         rate, n = records[0].rate, records[0].joints
         joints = [record.perturbed_joint for record in records]
-        near = self._arm_near(records, jump)
-        mixed = self._beside(near, jump, rate)
+        reference = self._reference_arm(records, jump)
+        mixed = self._residual_mix(reference, jump, rate)
         plain = self._columns(records, with_steps=jump is not None, mix=mixed)
         columns = [column.with_scatter_of_lines(slice(n, 2 * n)) for column in plain]
         f = columns[0].f
         stacked = np.stack([column.response for column in columns], axis=1)
         R = stacked[joints]
         inverse = invert(R, f)
-        beside, added = (multiply(part, inverse) for part in (stacked[n : 2 * n], stacked[2 * n :]))
-        impedance = near.impedance(f)[:, joints] + beside
+        offset, added = (multiply(part, inverse) for part in (stacked[n : 2 * n], stacked[2 * n :]))
+        impedance = reference.impedance(f)[:, joints] + offset
         torque = multiply(impedance, R)
         reversing, bending = _reversals(records, impedance, f)
         skewed = self._doubts(added, f, jump, reversing, bending)
 
         every = _unit(2 * n, 3 * n, f)
         coefficients = every[n:].copy()
-        every[n:, :n], coefficients[:, joints] = near.impedance(f), -beside
+        every[n:, :n], coefficients[:, joints] = reference.impedance(f), -offset
         half_period = 0.5 / rate
         delay_uncertainty = self._delay_uncertainty(jump, rate)
-        told: list[ComplexArray] = []
+        bounds: list[ComplexArray] = []
         lost: list[ComplexArray] = []
         whole = len(records) == n
         if whole:
             hidden = HiddenMotion(records, R, torque, inverse, f)
-            ahead, told, lost = hidden.effects(impedance)
+            ahead, bounds, lost = hidden.effects(impedance)
             impedance = impedance + ahead
             if jump is None and delay_uncertainty == half_period:
-                told += _joints_held(impedance, f, half_period)
+                bounds += _joints_held(impedance, f, half_period)
                 lost += _untold_friction(records, impedance, f, bending)
             lost += _postures_apart(records, impedance, R, inverse, f)
-        systematics = (*told, *lost, *skewed)
+        systematics = (*bounds, *lost, *skewed)
         disturbance = covariance_of(columns, coefficients)
         return ImpedanceEstimate(
             name=self.name,
@@ -174,7 +173,7 @@ class LpmFull:
             R=R,
             perturbed=() if whole else tuple(joints),
             systematics=systematics,
-            bounded=len(told),
+            bounded=len(bounds),
             power=1.0 / np.stack([column.gain for column in columns]),
             weight_floor=_FLOOR,
             friction_skew=added.real.astype(np.complex128),
@@ -190,18 +189,18 @@ class LpmFull:
         )
 
     def column(self, record: TrialRecord, others: Sequence[TrialRecord] = ()) -> FittedColumn:
-        """Column k of M, B and K from the trial of joint k so far, and trials that are over.
+        """Fit column k of M, B and K to the trial of joint k so far, and to finished trials.
 
-        With a trial of every other joint, it is that of :meth:`estimate`. Else it is preliminary:
-        what joints without one move nonetheless is in the values. The standard errors are those of
-        the whole estimate as far as these joints are locked.
+        With a trial of every other joint, the column is that of :meth:`estimate`. Otherwise it is
+        preliminary: motion of joints without a trial biases the values. The standard errors are
+        those of the whole estimate, provided that these joints do not move.
 
         Parameters
         ----------
         record : TrialRecord
             The trial so far.
         others : sequence of TrialRecord
-            Trials of other joints; of two trials of one joint, the later counts.
+            Trials of other joints; the last one counts if a joint has several.
 
         Raises
         ------
@@ -234,11 +233,12 @@ class LpmFull:
         reversing: FloatArray,
         bending: FloatArray,
     ) -> tuple[ComplexArray, ...]:
-        """Standard errors of what was added to an impedance for the skew.
+        """Standard errors of the skew correction of an impedance.
 
-        It is ``jωL/2`` times what jumps: imaginary for the inertial torque, which goes with s²,
-        and real for that of friction, which goes with s, and is in doubt where motion reverses.
-        What friction bends there within a period is not in it at all, and looks like viscosity.
+        The correction is ``jωL/2`` times the torque that jumps: imaginary for inertial torque,
+        proportional to s², and real for friction torque, proportional to s, which is uncertain
+        where motion reverses. It does not cover the curvature of friction within a period, whose
+        effect looks like viscosity and is the third of the errors that are returned.
         """
         error = np.zeros(len(correction)) if jump is None else jump.error
         known = np.hypot(_SKEW, error)[:, None, None]
@@ -249,7 +249,7 @@ class LpmFull:
         return inertial, rubbing, np.asarray(bent, dtype=np.complex128)
 
     def jump(self, records: Sequence[TrialRecord]) -> HoldCorrection | None:
-        """Jump of torques with the commands, if that is what is late and can be known."""
+        """Jump of torques with the commands, if readings miss it and the records identify it."""
         reading = self.config.reading.at_rate(records[0].rate)
         if reading.timing is TorqueTiming.UNKNOWN:
             reading = reading.model_copy(update={"timing": TorqueTiming.BEFORE_UPDATE})
@@ -259,55 +259,55 @@ class LpmFull:
         return None
 
     def _delay_uncertainty(self, jump: HoldCorrection | None, rate: float) -> float:
-        """Standard error with which torques and angles are of one instant, s."""
+        """Standard error of the delay between torques and angles, s."""
         reading = self.config.reading
         jumps_told = jump is not None and reading.timing is not TorqueTiming.UNKNOWN
         if reading.without_jumps or jumps_told:
             return self.config.timing_uncertainty
         return 0.5 / rate
 
-    def _beside(self, near: MBK, jump: HoldCorrection | None, rate: float) -> Mix:
-        """What is mixed of all channels to estimate an arm beside one that is near.
+    def _residual_mix(self, reference: MBK, jump: HoldCorrection | None, rate: float) -> Mix:
+        """Combinations of the channels from which the deviation from a reference arm is estimated.
 
-        Angles, torques less those of the near arm, and what skew adds to torques, n rows each.
+        Angles, torques less those of the reference arm, and skew corrections of torques, n each.
         """
-        n = near.joints
+        n = reference.joints
 
         def mixed(f: FloatArray) -> ComplexArray:
             skew = without_skew(f, rate, n, self.config.reading, jump)
             chosen = _unit(3 * n, n + skew.shape[1], f)
-            chosen[n : 2 * n, :n] = -near.impedance(f)
+            chosen[n : 2 * n, :n] = -reference.impedance(f)
             chosen[n:, n:] = np.concatenate((skew, skew))
             chosen[2 * n :, n : 2 * n] = 0.0
             return chosen
 
         return mixed
 
-    def _arm_near(self, records: Sequence[TrialRecord], jump: HoldCorrection | None) -> MBK:
-        """M, B and K by least squares of relative errors, at some frequencies.
+    def _reference_arm(self, records: Sequence[TrialRecord], jump: HoldCorrection | None) -> MBK:
+        """Fit M, B and K by least squares of relative errors, at some frequencies.
 
-        What the polynomials miss is in proportion to the distance from the arm that was near
-        before, so that the second time little of it is left, however few the bins.
+        The polynomials' error is proportional to the distance from the reference arm of the step
+        before, so little of it is left after the second step, however few the bins.
         """
         n, rate = records[0].joints, records[0].rate
         joints = [record.perturbed_joint for record in records]
         found, f = np.zeros((3, n, n)), _strongest(records)
-        for _ in range(_NEARER):
-            near = MBK(M=found[0], B=found[1], K=found[2])
+        for _ in range(_REFERENCE_STEPS):
+            reference = MBK(M=found[0], B=found[1], K=found[2])
             columns = self._columns(
                 records,
                 with_steps=jump is not None,
-                mix=self._beside(near, jump, rate),
+                mix=self._residual_mix(reference, jump, rate),
                 f=f,
             )
             stacked = np.stack([column.response for column in columns], axis=1)
-            R, beside = stacked[joints], stacked[n : 2 * n]
+            R, residual = stacked[joints], stacked[n : 2 * n]
             s = 2j * np.pi * columns[0].f
             motion = np.stack((s**2, s, np.ones_like(s)))[:, None, None] * R
-            torques = beside + multiply(near.impedance(columns[0].f)[:, joints], R)
-            for row, (torque, left) in enumerate(zip(torques, beside, strict=True)):
+            torques = residual + multiply(reference.impedance(columns[0].f)[:, joints], R)
+            for row, (torque, left) in enumerate(zip(torques, residual, strict=True)):
                 size = np.abs(torque)
-                # Of a transducer that shows nothing, nothing is no error.
+                # Keep relative errors finite for a transducer that reads zero.
                 size = np.maximum(size, np.finfo(np.float64).eps * np.max(size) or 1.0)
                 design, aim = (motion / size).reshape(3 * len(R), -1), (left / size).ravel()
                 parts = np.concatenate((design.real, design.imag), axis=1)
@@ -325,7 +325,7 @@ class LpmFull:
         mix: Mix | None = None,
         f: FloatArray | None = None,
     ) -> list[LocalResponse]:
-        """Responses of angles, torques and, if wanted, steps of the commands, or a mix of them."""
+        """Responses of angles, torques and, if wanted, command steps, or of a mix of them."""
         channels = []
         for record in records:
             steps = [command_steps(record)] if with_steps else []
@@ -340,22 +340,23 @@ def responses(
     mix: Mix | None = None,
     f: FloatArray | None = None,
 ) -> list[LocalResponse]:
-    """Responses of trials to their perturbations, all at the same frequencies.
+    """Estimate the responses of trials to their perturbations, all at the same frequencies.
 
-    They are lines that periodic perturbations have in common, or bins of the shortest trial.
+    These are the lines that periodic perturbations have in common, or the bins of the shortest
+    trial.
 
     Parameters
     ----------
     records : sequence of TrialRecord
         Trials.
     outputs : sequence of ndarray, shape (C, N)
-        Signals of each.
+        Output signals of each trial.
     band : tuple of float
         Lowest and highest frequency, Hz.
     mix : callable, optional
         As :func:`local_response` takes it.
     f : ndarray, shape (n_freq,), optional
-        In the place of those bins, Hz.
+        Frequencies in place of those bins, Hz.
     """
     rate = records[0].rate
     lines = common_lines((record.periods for record in records), rate, band)
@@ -373,10 +374,9 @@ def responses(
 
 
 def _half_width(duration: float, *, periodic: bool) -> int:
-    """Half width of the window of local polynomials for a record of so many seconds, in bins.
+    """Half width of the window of local polynomials, in bins, for a record of `duration` seconds.
 
-    Between the lines of a periodic perturbation they follow leakage alone, and take all bins of the
-    span.
+    For a periodic perturbation, polynomials model leakage alone and use all bins of the span.
     """
     within = max(int(_SPAN * duration * (1.0 + 1e-12)), ORDER + _SPARE_BINS)
     return within if periodic else min(HALF_WIDTH, within)
@@ -389,23 +389,23 @@ def _bins(records: Sequence[TrialRecord], band: tuple[float, float]) -> FloatArr
 
 
 def _strongest(records: Sequence[TrialRecord]) -> FloatArray:
-    """Of `_MOST_NEAR` parts of the band, the bin at which all perturbations are strongest, Hz."""
+    """Bin with the strongest perturbations in each of `_REFERENCE_BINS` parts of the band, Hz."""
     f = _bins(records, BAND)
     strength = np.full(f.size, np.inf)
     for record in records:
         amplitudes = np.abs(np.fft.rfft(record.perturbation[record.perturbed_joint]))
         strength = np.minimum(strength, amplitudes[np.rint(f * record.duration).astype(np.intp)])
-    parts = np.array_split(np.arange(f.size), max(min(_MOST_NEAR, f.size), 1))
+    parts = np.array_split(np.arange(f.size), max(min(_REFERENCE_BINS, f.size), 1))
     return f[[part[np.argmax(strength[part])] for part in parts if part.size]]
 
 
 def _moved(columns: Sequence[LocalResponse], records: Sequence[TrialRecord]) -> list[LocalResponse]:
-    """Responses of trials where each perturbed joint's motion stands out from other motion.
+    """Keep responses where the motion of every perturbed joint stands out from its noise.
 
     Raises
     ------
     DataError
-        If that is nearly nowhere.
+        If too few frequencies are left.
     """
     kept = np.ones(columns[0].f.size, dtype=np.bool_)
     for column, record in zip(columns, records, strict=True):
@@ -428,15 +428,15 @@ def _uneven(
     T: ComplexArray,
     joints: Sequence[int],
 ) -> tuple[float, ...]:
-    """Share of each trial's own torque by which lines scatter, if that is beyond noise.
+    """Scatter of lines beyond noise, as a share of the power of each perturbed joint's torque.
 
     Parameters
     ----------
     plain, scattered : sequence of LocalResponse
-        With the variance by noise alone, and with that of the lines' scatter.
+        Responses with the variance by noise alone, and with that of the lines' scatter.
     T : ndarray, shape (n, m, n_freq)
     joints : sequence of int
-        Those that are perturbed.
+        Perturbed joints, 0-based.
     """
     n, _, lines = T.shape
     limit = _BY_CHANCE + _SCATTER / math.sqrt(lines)
@@ -454,12 +454,12 @@ def _without_drift(record: TrialRecord) -> TrialRecord:
 
 
 class HiddenMotion:
-    """Motion of locked joints that their encoders don't show.
+    """Effect on the impedance of motion of locked joints that their encoders don't show.
 
-    Readings are ahead of the responses R by a lead, a share of ``jω`` times that. Rounding takes
-    a share off them, or adds it. What isn't seen at all follows the torque on the joint, which is a
-    spring to that, or a damper: with ``S = T`` or ``T/s``, a motion of a is a response
-    ``δR = a S / rms(S x)``.
+    Readings lead the motion, which adds ``jω`` times the lead to the responses R, relative to R.
+    Rounding takes a share off R, or adds it. Motion that isn't seen at all follows the torque on
+    the joint, which yields like a spring or a damper: with ``S = T`` or ``T/s``, an rms motion a is
+    a response ``δR = a S / rms(S x)``.
 
     Parameters
     ----------
@@ -498,15 +498,15 @@ class HiddenMotion:
     def effects(
         self, impedance: ComplexArray
     ) -> tuple[ComplexArray, list[ComplexArray], list[ComplexArray]]:
-        """What it may do to an impedance: of a response δR it is ``δZ = -Z δR R⁻¹``.
+        """Effects on an impedance: an error δR of a response causes ``δZ = -Z δR R⁻¹``.
 
         Returns
         -------
         ahead : (n, n, n_freq) NDArray
-            What the impedance lacks, as readings lead.
+            Correction to add to the impedance, as readings lead.
         leads, lost : list of (n, n, n_freq) NDArray
-            Standard errors, of that and of the rest. The shape over frequency of leads alone is
-            known so well that data can tell their size.
+            Standard errors of that correction, and of the other effects. Only the leads have a
+            shape over frequency so well known that the data can tell their size.
         """
 
         def effect(joint: int, k: int, response: ComplexArray) -> ComplexArray:
@@ -521,22 +521,22 @@ class HiddenMotion:
 
 
 _APART = 0.02
-"""Distance of the postures of two trials that is none, rad."""
+"""Distance between the postures of two trials that is neglected, rad."""
 _FRICTION, _OVERCOME = 2.0, 3.0
-"""Assumption: what a robot's joint may have of Coulomb friction F_c, N·m, and relative to the rms
-of a perturbation that moves it nonetheless."""
+"""Assumption: largest Coulomb friction F_c of a robot's joint, N·m, and relative to the rms of a
+perturbation that moves it nonetheless."""
 
 
 def _untold_friction(
     records: Sequence[TrialRecord], impedance: ComplexArray, f: FloatArray, bending: FloatArray
 ) -> list[ComplexArray]:
-    """What commands that nobody recorded may do to the impedance where their instant is not known.
+    """Errors of the impedance from friction of the perturbed joint where jumps are not identified.
 
-    With each update Δu the torque on the arm jumps by ``D Δu``, ``D = M_h (M_r + M_h)⁻¹``. As far
-    as u moves the arm, reading before the jump is a delay, which is fitted. The rest overcomes
-    friction, like ``jω c θ`` with ``c = 4 F_c/(π V)`` at a velocity of amplitude V (describing
-    function), and its jumps are missing by half: ``δZ = -ω² L D c/2``, which looks like inertia,
-    and so is what it bends (`_reversals`), which looks like viscosity.
+    With each update Δu, the torque on the arm jumps by ``D Δu``, ``D = M_h (M_r + M_h)⁻¹``. For the
+    part of u that moves the arm, reading before the jump is a delay, which is fitted. The rest
+    overcomes friction, like ``jω c θ`` with ``c = 4 F_c/(π V)`` at a velocity of amplitude V
+    (describing function). Readings miss half of its jumps: ``δZ = -ω² L D c/2``, which looks like
+    inertia. They also miss its curvature (`_reversals`), which looks like viscosity.
     F_c up to `_FRICTION` or `_OVERCOME` and ``D_ik = M_ik/(2 M_kk)`` are assumptions.
     """
     turning = 2j * np.pi * f
@@ -556,12 +556,12 @@ def _untold_friction(
 
 
 def _joints_held(impedance: ComplexArray, f: FloatArray, half_period: float) -> list[ComplexArray]:
-    """What friction of locked joints may do to the impedance where it is not known what jumps.
+    """Errors of the impedance from friction of locked joints where jumps are not identified.
 
-    Reading before the jump, half a period, delays the torque ``-ω² M_ik θ_k`` if commands cause it.
-    If friction holds joint i, it takes what accelerates the joint off the command, which then
-    doesn't jump: up to all of the delay is missing, differently for each element. The shapes over
-    frequency of these standard errors are known so well that data can tell their size.
+    Reading before the jump delays the torque ``-ω² M_ik θ_k`` by half a period if commands cause
+    it. If friction holds joint i, it supplies the torque instead of the command, which then does
+    not jump: some or all of the delay is missing, differently for each element. The shapes over
+    frequency of these standard errors are known so well that the data can tell their size.
     """
     cubed = half_period / np.sqrt(3.0) * (2j * np.pi * f) ** 3
     effects = []
@@ -579,12 +579,12 @@ def _postures_apart(
     inverse: ComplexArray,
     f: FloatArray,
 ) -> list[ComplexArray]:
-    """What inertia that changes with the posture does to the impedance, if trials have others.
+    """Errors of the impedance where trials differ in posture, and so in inertia.
 
-    A joint that is locked in trial k shows the inertia at the posture there, with its small motion
-    R_jk, not that of its own trial. By a distance of postures M_ij changes by that share of
-    ``√(M_ii M_jj)`` at most, of all rows i in proportion. Data don't tell the size of this: where
-    joints are held softly, R_jk is mostly what the person moves.
+    The small motion R_jk of a joint j that is locked in trial k acts on the inertia at the posture
+    of that trial, not at that of its own. Between postures a distance apart, in rad, M_ij changes
+    by at most that times ``√(M_ii M_jj)``, in proportion for all rows i. The data don't tell the
+    size of this: where joints are held softly, the person causes most of R_jk.
     """
     postures = np.stack([record.position.mean(axis=1) for record in records])
     size = np.sqrt(np.abs(np.diag(_inertia(impedance, f))))
@@ -600,25 +600,25 @@ def _postures_apart(
 def _reversals(
     records: Sequence[TrialRecord], impedance: ComplexArray, f: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """How much friction of the perturbed joint answers commands that chatter, within periods.
+    """How friction of the perturbed joint responds to chattering commands within control periods.
 
     Torques on the arm that step by Δτ from reading to reading change its speed by ``Δv = M⁻¹ Δτ L``
-    in between, which reverses any speed below. A force F that bends with speed is then, on average
-    over the period, not the mean of those at its ends, but lacks ``F'' Δv²/12``. Of F that changes
-    its sign with v this is like ``E[v F'']/E[v²] = -2 p(0) E[v F]/(E|v| E[v²])`` of viscosity, with
-    the density p of v, and half of ``L E[v F]/E[v²]`` is the inertia that is added for the skew.
+    in between, which reverses any lower speed. The mean over the period of a force F that is not
+    linear in speed is then less than the mean of its values at the ends, by ``F'' Δv²/12``. For F
+    with the sign of v, this acts like a viscosity ``E[v F'']/E[v²] = -2 p(0) E[v F]/(E|v| E[v²])``,
+    with the density p of v; the skew correction adds half of ``L E[v F]/E[v²]`` as inertia.
 
     Returns
     -------
     reversing : ndarray, shape (trials,)
         Share of the time in which the motion of the joint is reversed.
     bending : ndarray, shape (trials,)
-        Viscosity per inertia that is added for the skew, 1/s.
+        That viscosity relative to the inertia that the skew correction adds, 1/s.
     """
     reversing, bending = np.zeros((2, len(records)))
     inertia = _inertia(impedance, f)
-    # With one trial alone, no more is known than the inertia of its joint. All of it may be
-    # singular, as of channels that show the same, of which the verdict tells.
+    # With some trials only, no more is known than the inertia of each perturbed joint. The whole
+    # matrix may be singular, as from identical channels, which the verdict reports.
     whole = np.linalg.pinv(_possible(inertia)) if len(records) == len(inertia) else None
     for number, record in enumerate(records):
         k = record.perturbed_joint
@@ -633,16 +633,16 @@ def _reversals(
 
 
 def _inertia(impedance: ComplexArray, f: FloatArray) -> FloatArray:
-    """Inertia from the upper end of the band."""
+    """Inertia, kg·m², from the real part of the impedance in the upper fifth of the band."""
     high = f >= 0.8 * f[-1]
     squared = (2.0 * np.pi * f[high]) ** 2
     return np.asarray(-np.mean(impedance.real[..., high] / squared, axis=-1))
 
 
 def _possible(inertia: FloatArray) -> FloatArray:
-    """Inertia, (n, n), of joints that have as much of their own as their coupling asks for.
+    """Inertia, (n, n), with diagonal elements raised to what the coupling requires.
 
-    ``M_kk ≥ M_ik²/M_ii`` for any i; a transducer that shows nothing quick shows less.
+    ``M_kk ≥ M_ik²/M_ii`` for any i; a transducer that misses quick changes shows less.
     """
     own = np.maximum(np.abs(np.diag(inertia)), _TINY)
     possible: FloatArray = inertia.copy()
@@ -651,17 +651,17 @@ def _possible(inertia: FloatArray) -> FloatArray:
 
 
 def _unit(rows: int, channels: int, f: FloatArray) -> ComplexArray:
-    """Coefficients that take the first channels as they are, (rows, channels, n_freq)."""
+    """Coefficients, (rows, channels, n_freq), that pick the first channels unchanged."""
     return np.repeat(np.eye(rows, channels, dtype=np.complex128)[:, :, None], f.size, axis=2)
 
 
 def covariance_of(columns: Sequence[LocalResponse], coefficients: ComplexArray) -> ComplexArray:
-    """Covariance of combinations (m, C, n_freq) of the responses of each trial, (n, m, m, ...)."""
+    """Covariance of combinations (m, C, n_freq) of each trial's responses, (n, m, m, n_freq)."""
     return np.stack([one.gain * combined(coefficients, one.noise) for one in columns])
 
 
 def _mean(correlations: Sequence[FloatArray]) -> FloatArray:
-    """Mean of correlations (lags, n_freq), those that end earlier being 0 from there on."""
+    """Mean of correlations (lags, n_freq), each taken as 0 beyond its last lag."""
     longest = max(len(one) for one in correlations)
     padded = [np.pad(one, ((0, longest - len(one)), (0, 0))) for one in correlations]
     mean: FloatArray = np.mean(padded, axis=0)

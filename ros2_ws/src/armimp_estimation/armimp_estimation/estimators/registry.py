@@ -1,4 +1,4 @@
-"""The estimators by name. A new one is a file with its class and a line here."""
+"""The estimators by name. To add one, write a module with its class and add a line here."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -20,19 +20,19 @@ class IdentifyConfig:
     Raises
     ------
     ConfigurationError
-        If there is no such model.
+        If there is no model of that name.
     """
 
     lpm: LpmConfig = field(default_factory=LpmConfig)
     """Options of the estimator ``lpm_full``."""
     model: str = AUTO
-    """Model of the arm to fit beside M, B and K, see :mod:`armimp_estimation.arm_models`; by
-    default those that it takes where M, B and K don't fit."""
+    """Model of the arm to fit in addition to M, B and K, see :mod:`armimp_estimation.arm_models`,
+    which by default chooses models where M, B and K don't fit."""
     calibration: Calibration = field(default_factory=Calibration)
-    """What is known of the torque transducers."""
+    """Uncertainties of the torque transducers and encoders."""
     target: MBK | None = None
-    """Target impedance of the law, if it is known; a score compares the robot with its
-    diagonal."""
+    """Target impedance of the control law, if known. A score compares the robot's impedance with
+    its diagonal."""
 
     def __post_init__(self) -> None:
         require_model(self.model)
@@ -47,17 +47,17 @@ _FACTORIES: dict[str, Callable[[IdentifyConfig], Estimator]] = {
 
 
 def estimator_names() -> tuple[str, ...]:
-    """Names that :func:`make_estimator` knows, in the order of tables."""
+    """Names that :func:`make_estimator` knows, in the order in which tables list them."""
     return tuple(_FACTORIES)
 
 
 def make_estimator(name: str, config: IdentifyConfig) -> Estimator:
-    """Estimator of that name.
+    """Make the estimator of a name.
 
     Raises
     ------
     ConfigurationError
-        If there is none; the message lists those there are.
+        If the name is unknown; the message lists the known ones.
     """
     if name not in _FACTORIES:
         raise ConfigurationError(

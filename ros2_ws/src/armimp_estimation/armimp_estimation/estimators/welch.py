@@ -1,9 +1,9 @@
 """Impedance by averaged spectra: one column at a time, or all columns together.
 
-Both take the frequency responses of :mod:`armimp_estimation.frf`. In the trial that perturbs joint
-k the torque obeys ``τ_i = Σ_j Z_ij θ_j + v_i`` with a disturbance v that the perturbation does not
-cause, so ``T = Z R + V`` where ``V_ik = G_{x v_i}/G_xx`` has the variance ``G_vv/(n_d G_xx)``. The
-disturbance also moves the joints through the loop, but that only has an effect of second order.
+Both estimators use the frequency responses of :mod:`armimp_estimation.frf`. In the trial that
+perturbs joint k, the torque obeys ``τ_i = Σ_j Z_ij θ_j + v_i``, where the perturbation x does not
+cause the disturbance v. So ``T = Z R + V``, and ``V_ik = G_{x v_i}/G_xx`` has the variance
+``G_vv/(n_d G_xx)``. Motion that it causes through the loop only has an effect of second order.
 """
 
 from collections.abc import Sequence
@@ -22,15 +22,15 @@ from armimp_estimation.trial import TrialData
 class WelchSiso:
     """The estimator of Kang & Zhang, eq. 17-18: ``Z_ik = T_ik / R_kk``.
 
-    It takes locked joints as still. What they move nonetheless shows in two ways: motion that
-    follows the perturbation biases the estimate, by ``Σ_{j≠k} Z_ij R_jk / R_kk``; other motion
+    It assumes that locked joints are still. If they move, it matters in two ways: motion that
+    follows the perturbation biases the estimate by ``Σ_{j≠k} Z_ij R_jk / R_kk``; other motion
     acts as noise and is part of the variance.
     """
 
     name: str = "welch_siso"
 
     def estimate(self, trials: Sequence[TrialData]) -> ImpedanceEstimate:
-        """Whole matrix from n trials in any order, one for each joint.
+        """Estimate the whole matrix from n trials, one for each joint, in any order.
 
         The variance of a column is ``G_ee / ((n_d - 1) G_xx |R_kk|²)`` with ``e = τ_i - Z_ik θ_k``;
         see :func:`armimp_estimation.frf.noise_gain` for the ``n_d - 1``.
@@ -38,7 +38,7 @@ class WelchSiso:
         Raises
         ------
         DataError
-            If a joint has no trial, there are too few segments, no perturbation or no motion.
+            If a joint has no trial, or there are too few segments, no perturbation or no motion.
         """
         ordered = order_trials(trials)
         frf = frf_matrix(ordered)
@@ -49,7 +49,7 @@ class WelchSiso:
                 f"joint {k + 1} does not follow its perturbation at {frf.f[f]:.4g} Hz",
                 "joint_does_not_move",
             )
-        # Each column takes its own angle alone.
+        # Each column uses the angle of the perturbed joint only.
         still = frf.R * np.eye(n)[:, :, None]
         inverse, impedance = invert(still, frf.f), frf.T / own
         taken = np.einsum("ikf,kl->kilf", impedance, np.eye(n))
@@ -67,9 +67,9 @@ class WelchFull:
     name: str = "welch_full"
 
     def estimate(self, trials: Sequence[TrialData]) -> ImpedanceEstimate:
-        """Whole matrix from n trials in any order, one for each joint.
+        """Estimate the whole matrix from n trials, one for each joint, in any order.
 
-        The error is ``V R⁻¹`` and the columns of V are independent, being from different trials:
+        The error is ``V R⁻¹``. Columns of V come from different trials and are so independent:
         ``var(Z_ij) = Σ_k var(V_ik) |R⁻¹_kj|²``, with ``var(V_ik)`` from the residual
         ``e = τ_i - Σ_j Z_ij θ_j`` in trial k.
 
@@ -90,20 +90,20 @@ class WelchFull:
 def known_biases(
     estimate: ImpedanceEstimate, R: ComplexArray, trial: TrialData
 ) -> tuple[ComplexArray, ...]:
-    """Biases that averaged spectra are known to have, as standard errors of the impedance.
+    """Known biases of averaged spectra, as systematic standard errors of the impedance.
 
-    Leakage: a Hann window takes the mean of a response over its neighbours with weights 1/6, 2/3,
+    Leakage: a Hann window averages a response over neighbouring bins with the weights 1/6, 2/3,
     1/6, which adds a sixth of the second difference: ``(ΔΔT - Z ΔΔR) R⁻¹ / 6``. Skew: torques that
     are read before the update of the command are late by half a sample, ``jωL/2 Z``.
 
     Parameters
     ----------
     estimate : ImpedanceEstimate
-        Impedance, its T, and the inverse of R.
+        Estimated impedance, with T and the inverse of R.
     R : ndarray, shape (n, n, n_freq)
-        Responses of the angles that it takes into account.
+        Responses of those angles that the estimator uses.
     trial : TrialData
-        One of the trials. At the lines of a periodic perturbation, nothing leaks.
+        One of the trials. At the lines of a periodic perturbation, there is no leakage.
     """
     if estimate.f.size < 3 or estimate.inverse is None:
         return ()
@@ -116,7 +116,7 @@ def known_biases(
 
 
 def with_biases(estimate: ImpedanceEstimate, biases: tuple[ComplexArray, ...]) -> ImpedanceEstimate:
-    """Add standard errors of known biases to an estimate."""
+    """Add known biases to an estimate, as systematic standard errors."""
     variance = estimate.variance + sum(np.abs(bias) ** 2 for bias in biases)
     return replace(estimate, variance=variance, systematics=(*estimate.systematics, *biases))
 
@@ -127,14 +127,14 @@ def _second_difference(values: ComplexArray) -> ComplexArray:
 
 
 def invert(matrix: ComplexArray, f: FloatArray) -> ComplexArray:
-    """Inverse at each frequency of a matrix of shape (n, n, n_freq).
+    """Invert a matrix of shape (n, n, n_freq) at each frequency.
 
     Raises
     ------
     DataError
         If the matrix is singular at a frequency, which the message names.
     """
-    # A fresh array, so that the place of the matrix in memory cannot matter.
+    # A fresh array, so that the result cannot depend on the memory layout of the matrix.
     stack = np.ascontiguousarray(np.moveaxis(matrix, 2, 0))
     try:
         inverse = np.linalg.inv(stack)
@@ -163,7 +163,7 @@ def matrix_estimate(
     disturbance: ComplexArray,
     inverse: ComplexArray,
 ) -> ImpedanceEstimate:
-    """Put together what an estimator on averaged spectra has found from trials in order of k."""
+    """Assemble the estimate of an estimator by averaged spectra, from trials in order of k."""
     # Trials may differ in length: the shortest has the least certain variance.
     shortest = min(trials, key=lambda trial: trial.spectra.effective_averages).spectra
     return ImpedanceEstimate(

@@ -1,4 +1,4 @@
-"""Reports: one self-contained HTML file for a result, from templates that other reports can use."""
+"""Reports: a self-contained HTML file for a result, from templates that other reports can reuse."""
 
 from armimp_estimation.report.run import REPORT_FILE, report_page, write_report
 

@@ -1,4 +1,4 @@
-"""How numbers, symbols and streams are written in a report."""
+"""Formats of numbers, symbols and streams in a report."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from markupsafe import Markup
 
 from armimp_common import topics
 
-# Control characters have no place in HTML; those for the direction of writing can make a text
-# look like another one.
+# Control characters are not allowed in HTML; those for the direction of writing can make one text
+# look like another.
 _UNWANTED = re.compile(
     "[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]"
 )
 NONE = "–"
-"""What stands for a number that is not there."""
+"""Placeholder for a number that is missing."""
 STREAMS: Mapping[str, str] = {
     topics.JOINT_STATES: "joint angles",
     topics.TORQUE_SENSORS: "torques on the arm",
@@ -28,15 +28,15 @@ STREAMS: Mapping[str, str] = {
 
 
 def plain(value: object) -> str:
-    """Write a value as text of a page, in which unwanted and impossible characters are replaced."""
+    """Write a value as text of a page, with unwanted and impossible characters replaced."""
     possible = str(value).encode("utf-8", "replace").decode("utf-8")
     return _UNWANTED.sub("\N{REPLACEMENT CHARACTER}", possible)
 
 
 def number(value: float, spec: str = ".4g", unit: str = "") -> str:
-    """Write a number as `format` does, a dash for one that is not finite.
+    """Write a number as `format` does, or a dash if it is not finite.
 
-    A unit follows after a narrow space, the sign for degrees without.
+    A unit follows after a narrow space; the degree sign follows without a space.
     """
     if not math.isfinite(value):
         return NONE
@@ -47,12 +47,12 @@ def number(value: float, spec: str = ".4g", unit: str = "") -> str:
 
 
 def percent(ratio: float, spec: str = ".2f") -> str:
-    """Write a ratio in per cent."""
+    """Write a ratio as a percentage."""
     return number(100.0 * ratio, spec, "%")
 
 
 def uncertain(value: float, error: float) -> str:
-    """Write an estimate with its standard error, which gets two significant digits."""
+    """Write an estimate with its standard error to two significant digits."""
     if not (math.isfinite(error) and error > 0.0):
         return f"{number(value, '.5g')} ± {NONE}"
     decimals = min(max(1 - math.floor(math.log10(error)), 0), 12)
@@ -60,7 +60,7 @@ def uncertain(value: float, error: float) -> str:
 
 
 def difference(value: float, true: float) -> str:
-    """Write the error of a value relative to the true one, in per cent."""
+    """Write the error of a value relative to the true one as a percentage."""
     return number(100.0 * (value / true - 1.0), "+.2f", "%") if true else NONE
 
 
@@ -71,22 +71,22 @@ def symbol(letter: str, *indices: object) -> Markup:
 
 
 def code(value: object) -> Markup:
-    """Write a name as it is in files and programs."""
+    """Mark up a name from files and programs as code."""
     return Markup("<code>{}</code>").format(plain(value))
 
 
 def alarming(value: object) -> Markup:
-    """Mark up a value so that it stands out, as it is not what it should be."""
+    """Mark up a value so that it stands out as wrong."""
     return Markup('<strong class="beyond">{}</strong>').format(value)
 
 
 def mark(met: bool) -> object:
-    """Mark that a limit is met or not."""
+    """Write whether a limit is met."""
     return "✓\N{NO-BREAK SPACE}within" if met else alarming("✗\N{NO-BREAK SPACE}beyond")
 
 
 def written(value: object) -> str:
-    """Write a value; long numbers are cut to seven digits, as nobody reads the rest."""
+    """Write a value; numbers are rounded to seven digits, as nobody reads more."""
     if isinstance(value, float):
         return f"{value:.7g}"
     if isinstance(value, list):
@@ -99,7 +99,7 @@ def written(value: object) -> str:
 
 
 def setting(config: Mapping[str, Any], *path: str) -> Any:
-    """Look up a value in a configuration of any form; None if it is not there."""
+    """Look up a value in a configuration of any structure; None if it is not there."""
     found: Any = config
     for key in path:
         if not isinstance(found, Mapping) or key not in found:

@@ -1,6 +1,6 @@
-"""The engine of all reports: templates in, one page that holds everything it needs out.
+"""The engine of all reports: it renders templates into one self-contained page.
 
-No request leaves a page, and none could: its policy lets only its own scripts run.
+A page sends no requests, and could not: its content security policy lets only its own scripts run.
 """
 
 from __future__ import annotations
@@ -33,22 +33,22 @@ from armimp_estimation.report.plots import style_rule
 
 Content = dict[str, Any]
 Rows = list[list[object]]
-"""Of a table: the first cell of each row is its header."""
+"""Rows of a table; the first cell of each row is its header."""
 _FUNCTIONS = (symbol, code, setting, mark, uncertain, difference, written)
-"""Functions of all templates."""
+"""Functions that all templates can call."""
 
 
 @dataclass(frozen=True)
 class Section:
-    """A section of a page; without content there is none."""
+    """A section of a page; it is left out if it has no content."""
 
     identifier: str
     title: str
-    """In the contents."""
+    """Title in the table of contents."""
     content: Content | None
-    """What the template takes."""
+    """Variables of the template."""
     template: str = ""
-    """By default that of the name ``report/<identifier>.html``."""
+    """Name of the template, by default ``report/<identifier>.html``."""
 
 
 def _shown(value: object) -> object:
@@ -63,18 +63,18 @@ def render_page(
     packages: Mapping[str, str] | None = None,
     **content: Any,
 ) -> str:
-    """Put a page together; whatever is not markup is escaped.
+    """Render a page; all text that is not markup is escaped.
 
     Parameters
     ----------
     title : str
-        Of the document.
+        Title of the document.
     header : str
-        Template of heading and introduction, which takes `content`.
+        Template of heading and introduction, with the variables `content`.
     sections : sequence of Section
-        In their order.
+        Sections in order.
     packages : mapping of str to str
-        Packages with ``templates/`` of their own, by the prefix of their names.
+        Further packages with ``templates/``, by the prefix of the names of these.
     """
     loaders = {
         prefix: PackageLoader(name)

@@ -1,14 +1,14 @@
-"""What is drawn of a result, as plain data, and how it looks in every report and figure.
+"""Charts of a result as plain data, and their style in every report and figure.
 
-A chart says what is drawn; pages draw it with ``plots.js``, `armimp_estimation.figures` for paper.
-Lines and bands carry tags (``meta``), by which controls of a page switch them off and on in all
+A chart describes what to draw; ``plots.js`` draws it on pages, `armimp_estimation.figures` on
+paper. Lines and bands carry tags (``meta``), with which controls of a page hide or show them in all
 plots at once.
 
-One colour stands for one thing. Estimators have those of Okabe and Ito, joints those that Tol calls
-muted, elements those that he calls bright, levels steps from light to dark: all can be told apart
-by colour-blind people. Lines differ in their dashes as well. A page has them as variables of its
-style, with a lighter set for the dark mode in ``style.css``; charts name them so,
-``--estimator-0``. A page looks them up in ``plots.js``, a figure with `printed`.
+One colour stands for one thing. Estimators have the colours of Okabe and Ito, joints those of Tol's
+muted scheme, elements those of his bright scheme, and levels steps from light to dark: colour-blind
+people can distinguish them all. Lines also differ in their dashes. Charts name colours as variables
+of the page's style, such as ``--estimator-0``; ``style.css`` has a lighter set for the dark mode.
+A page looks them up in ``plots.js``, a figure with `printed`.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from armimp_estimation.spectra import BAND as PERTURBED
 from armimp_estimation.summary import ImpedanceCurve
 
 Options: TypeAlias = dict[str, Any]
-"""As plotly.js takes them."""
+"""Options in the form of plotly.js."""
 Band: TypeAlias = tuple[FloatArray, FloatArray]
 """Lower and upper end."""
 
@@ -54,30 +54,30 @@ _PALETTES: Mapping[str, Sequence[str]] = {
     "link": ("#005a94",),
 }
 LEVEL_DASHES = ("solid", "dash", "dashdot", "dot")
-"""Of friction and resolution in a study."""
+"""Dashes of levels of friction and resolution in a study."""
 DASHES = ("solid", "dash", "dashdot", "longdash", "longdashdot", "dot")
-"""As plotly names them; dotted is the truth's own, so it comes last."""
+"""Dashes by plotly's names; dotted comes last, as it stands for the truth."""
 _KNOWN = ("welch_siso", "welch_full", "lpm_full", "direct", "mimo")
 
 IMPEDANCE = "N·m/rad"
 SIDE_BY_SIDE = 3
-"""Joints up to which the elements of a matrix are shown beside each other."""
+"""Most joints with which the elements of a matrix are shown side by side."""
 BAND = 2.0 * PERTURBED[1]
-"""Up to where signals are shown: what is estimated ends at half of it, Hz."""
+"""Cut-off frequency of the signals shown, twice the upper end of the estimates, Hz."""
 _ORDER = 4
 _TICKS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 _GAP = 0.04
-"""Between axes one above the other, as a part of the whole height."""
+"""Gap between axes above each other, as a share of the whole height."""
 _EXCERPT = 2000
-"""Samples at the end that are shown in full."""
+"""Number of last samples that are shown in full."""
 _REFERENCE = "lpm_full"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stroke:
-    """How a line is drawn: a variable of the style, plotly's dash, pixels; tags switch it.
+    """Style of a line: colour (a variable of the style), plotly's dash, width in pixels, and tags.
 
-    One with a symbol, by plotly's name, is a row of marks instead.
+    With a symbol, by plotly's name, it is a series of markers instead.
     """
 
     name: str
@@ -96,12 +96,12 @@ UNRELATED = Stroke(name="unrelated signals stay below", colour="--soft", dash="d
 
 
 def estimator_tag(name: str) -> str:
-    """Tag of everything that an estimator found."""
+    """Tag of all lines of an estimator."""
     return f"estimator:{name}"
 
 
 def strokes(names: Iterable[str]) -> dict[str, Stroke]:
-    """Strokes of estimators by name. Known ones always look alike, others get what is left."""
+    """Strokes of estimators by name. Known ones always look the same, others get what is left."""
     wanted = list(names)
     order = [*_KNOWN, *(name for name in wanted if name not in _KNOWN)]
     numbers = {name: order.index(name) % len(DASHES) for name in wanted}
@@ -117,7 +117,7 @@ def strokes(names: Iterable[str]) -> dict[str, Stroke]:
 
 
 def joint_strokes(names: Sequence[str]) -> list[Stroke]:
-    """Strokes of joints, by the order of their names."""
+    """Strokes of joints, in the order of their names."""
     return [
         Stroke(name=name, colour=f"--joint-{joint % 7}", width=1.0)
         for joint, name in enumerate(names)
@@ -125,7 +125,7 @@ def joint_strokes(names: Sequence[str]) -> list[Stroke]:
 
 
 def printed(colour: str) -> str:
-    """Colour of a figure on paper, ``#rrggbb``, for a variable of the style."""
+    """Colour on paper, ``#rrggbb``, of a variable of the style."""
     name, _, number = colour.removeprefix("--").partition("-")
     return _PALETTES[name][int(number or 0)]
 
@@ -147,20 +147,20 @@ class Axis:
     title: str
     """May contain ``<br>``."""
     ends: tuple[float, float] | None = None
-    """As far as it goes; None leaves that to what is drawn."""
+    """Its range; None fits it to the content."""
     log: bool = False
     """Whether it is logarithmic."""
     ticks: Sequence[float] = ()
-    """Where its ticks are, if they are chosen."""
+    """Positions of its ticks, if they are chosen."""
     labels: Sequence[str] = ()
-    """Of these ticks, where they are not their numbers."""
+    """Labels of these ticks, if they are not the numbers."""
     hoverformat: str = ".4~g"
-    """Of the numbers that the pointer shows."""
+    """Format of the numbers that the pointer shows."""
     unit: str = ""
-    """Of an abscissa, shown with them."""
+    """Unit of an abscissa, shown with these numbers."""
 
     def options(self, **others: object) -> Options:
-        """Options of plotly.js."""
+        """Options of the axis for plotly.js."""
         found: Options = {"title": {"text": self.title}, "hoverformat": self.hoverformat, **others}
         if self.ends is not None:
             found["range"] = [math.log10(end) if self.log else end for end in self.ends]
@@ -184,14 +184,14 @@ class Line:
     y: FloatArray | None
     """Ordinates; NaN makes a gap; shape (N,)."""
     stroke: Stroke
-    """How it is drawn."""
+    """Its style."""
     row: int = 1
     """Its axis, counted from 1 at the top."""
     unit: str = ""
-    """Shown where the pointer is."""
+    """Unit of the ordinates that the pointer shows."""
     ends: Band | None = None
-    """Lower and upper end of a 95 % band; there is none where one is not finite. Of marks those of
-    the bars."""
+    """Lower and upper end of a 95 % band, with gaps where one is not finite; for markers, those of
+    the error bars."""
 
     def band(self, axis: Axis) -> tuple[FloatArray, FloatArray, FloatArray] | None:
         """Abscissas, lower and upper ends of the band as an axis can show it; None without one."""
@@ -204,14 +204,14 @@ class Line:
 
     @property
     def reach(self) -> Band:
-        """How far bars reach below and above their marks, each of shape (N,)."""
+        """Lengths of the error bars below and above their markers, each of shape (N,)."""
         assert self.y is not None
         lower, upper = (self.y, self.y) if self.ends is None else self.ends
-        # Rounding may leave the mean of equal values beside them.
+        # By rounding, the mean of equal values may lie outside of them.
         return np.maximum(self.y - lower, 0.0), np.maximum(upper - self.y, 0.0)
 
     def traces(self, axis: Axis) -> list[Options]:
-        """Band and line as plotly.js takes them."""
+        """Traces of band and line for plotly.js."""
         stroke = self.stroke
         common: Options = {"type": "scatter", "mode": "lines", "yaxis": axis_name("y", self.row)}
         found: list[Options] = []
@@ -256,23 +256,23 @@ class Line:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Chart:
-    """Lines over a common abscissa, in axes one above the other."""
+    """Lines over a common abscissa, in axes above each other."""
 
     abscissa: Axis
-    """Common to all."""
+    """Common abscissa."""
     rows: Sequence[tuple[float, Axis]]
-    """Relative height of each ordinate and what it is, from the top."""
+    """Relative height and ordinate of each row, from the top."""
     lines: Sequence[Line]
-    """In the order in which they are drawn."""
+    """Lines in the order of drawing."""
     layout: Options = field(default_factory=dict)
-    """Options that a page has for this chart. With a ``legend``, each name has one entry there."""
+    """Further layout options on a page. With a ``legend``, each name has one entry there."""
 
     def values(self, row: int = 1) -> FloatArray:
-        """All ordinates of an axis."""
+        """All ordinates of the lines in a row."""
         return np.concatenate([one.y for one in self.lines if one.row == row and one.y is not None])
 
     def drawn(self) -> Options:
-        """Traces and layout as plotly.js takes them; what all charts have is in ``plots.js``."""
+        """Traces and layout for plotly.js; ``plots.js`` adds the options common to all charts."""
         layout = {"xaxis": self.abscissa.options(anchor=axis_name("y", len(self.rows)))}
         usable = (1.0 - _GAP * (len(self.rows) - 1)) / sum(height for height, _ in self.rows)
         top = 1.0
@@ -286,34 +286,34 @@ class Chart:
 
 @dataclass(frozen=True, kw_only=True)
 class Plot:
-    """A plot."""
+    """A plot of a page."""
 
     identifier: str
-    """Unique in the page, of letters, digits and hyphens."""
+    """Identifier of letters, digits and hyphens, unique in the page."""
     caption: object
     """Title, text or HTML."""
     description: str
-    """What it shows, for those who can't see it."""
+    """Description for readers who can't see it."""
     views: Mapping[str, Chart]
-    """By name; the first one is shown, with more of them the reader chooses."""
+    """Charts by name; the first is shown, and the reader can choose others."""
     height: int
-    """In pixels."""
+    """Height in pixels."""
 
 
 def packed(values: ArrayLike) -> dict[str, str]:
-    """Pack numbers as plotly.js takes them: single precision, base64; NaN makes a gap."""
+    """Pack numbers for plotly.js: single precision, base64; NaN makes a gap."""
     raw = np.ascontiguousarray(values, dtype="<f4").tobytes()
     return {"dtype": "f4", "bdata": base64.b64encode(raw).decode("ascii")}
 
 
 def label(text: object) -> str:
-    """Text for plotly.js, which would take some tags in it for formatting and links."""
-    # A reader sees no difference, but plotly.js would put values in the place of %{…}.
+    """Escape a text for plotly.js, which would interpret some tags as formatting or links."""
+    # A reader sees no difference, but plotly.js would replace %{…} by values.
     return html.escape(plain(text), quote=False).replace("%{", "%\N{WORD JOINER}{")
 
 
 def frequency_axis(grids: Sequence[FloatArray]) -> Axis:
-    """Return a logarithmic abscissa that holds all of these frequencies (Hz)."""
+    """Return a logarithmic abscissa that spans all of these frequencies (Hz)."""
     low, high = float(min(f[0] for f in grids)), float(max(f[-1] for f in grids))
     ticks = [tick for tick in _TICKS if low <= tick <= high]
     return Axis(
@@ -327,7 +327,7 @@ def frequency_axis(grids: Sequence[FloatArray]) -> Axis:
 
 
 def axis_name(name: str, row: int) -> str:
-    """Name that plotly.js has for the axis of a row: ``y``, ``y2`` and so on."""
+    """Name of the axis of a row in plotly.js: ``y``, ``y2`` and so on."""
     return name if row == 1 else f"{name}{row}"
 
 
@@ -338,9 +338,9 @@ def element_plots(
     describe: Callable[[str, Chart], str],
     height: int,
 ) -> list[Plot]:
-    """Plots of all elements of Z, row by row; with many joints one plot to choose from.
+    """Plots of all elements of Z, row by row; with many joints, one plot with an element to choose.
 
-    Charts are made by the indices of the element (0-based), descriptions by its name; the height is
+    `chart` takes the indices of an element (0-based), `describe` its name and chart; the height is
     in pixels.
     """
     charts = {(i + 1, k + 1): chart(i, k) for i, k in np.ndindex(joints, joints)}
@@ -361,10 +361,10 @@ def element_plots(
 
 
 def bode_chart(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, k: int) -> Chart:
-    """Bode plot of ``Z_ik``: every estimate with its 95 % band, the truth, and how far they part.
+    """Bode plot of ``Z_ik``: every estimate with its 95 % band, the truth, and their distance.
 
-    There is at least one curve, by name of the estimator. The element is 0-based: torque of joint i
-    over angle of joint k. Distances are those from the reference, see `reference_of`.
+    `curves` has at least one curve, by name of the estimator. The element is 0-based: torque of
+    joint i over angle of joint k. Distances are those from the reference, see `reference_of`.
     """
     reference = reference_of(curves, truth)
 
@@ -410,7 +410,7 @@ def bode_chart(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, 
 
 
 def describe_bode(element: str, chart: Chart) -> str:
-    """Describe a chart of `bode_chart`."""
+    """Describe a chart that `bode_chart` made."""
     sizes = chart.values()
     return (
         f"Magnitude and phase of {element} over frequency: from {np.nanmin(sizes):.3g} "
@@ -421,9 +421,9 @@ def describe_bode(element: str, chart: Chart) -> str:
 def coherence_chart(
     curves: Mapping[str, ImpedanceCurve], i: int, k: int, joint_names: Sequence[str], level: float
 ) -> Chart:
-    """Coherences behind ``Z_ik`` (0-based) over frequency, of at least one estimator by name.
+    """Chart of the coherences behind ``Z_ik`` (0-based) over frequency, for one or more estimators.
 
-    Below `level` signals count as unrelated.
+    Signals with a coherence below `level` count as unrelated.
     """
     common = next(iter(curves.values())).coherence
     shown = [
@@ -440,13 +440,13 @@ def coherence_chart(
 
 
 def describe_coherence(element: str, chart: Chart) -> str:
-    """Describe a chart of `coherence_chart`."""
+    """Describe a chart that `coherence_chart` made."""
     lowest = min(float(np.nanmin(one.y)) for one in chart.lines[:-1] if one.y is not None)
     return f"Coherences behind {element} over frequency; the lowest is {lowest:.2g}."
 
 
 def distortion_plot(found: Distortion, trial: int) -> Plot:
-    """Torque at the lines of the perturbation, at harmonics between them, and noise there."""
+    """Plot torque at lines of the perturbation and at other harmonics, and noise at all of them."""
     odd, even = found.beside["odd"], found.beside["even"]
     shown = [
         (found.lines, Stroke(name="at lines", colour="--soft", symbol="circle")),
@@ -474,11 +474,11 @@ def distortion_plot(found: Distortion, trial: int) -> Plot:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Row:
-    """Signals that are drawn over each other."""
+    """Signals that are drawn in one axis."""
 
     title: str
     unit: str
-    """Of the axis."""
+    """Unit of the axis."""
     joints: tuple[int, ...]
     """Joint of each signal, 0-based."""
     values: FloatArray
@@ -488,11 +488,10 @@ class Row:
 def rows_of(
     segments: Sequence[TrialRecord], start_ns: int, *, cutoff: float | None = BAND
 ) -> list[Row]:
-    """Signals of a trial as a reader wants to see them: angles in degrees, about their mean.
+    """Signals of a trial for display: low-pass filtered, and angles in degrees, about their mean.
 
-    Joints that were to be held still have a row of their own, as their motion is far smaller.
-    Commands and torques chatter far above the band in which the arm is perturbed, so that all of
-    them would be solid bars.
+    Locked joints have a separate row, as their motion is far smaller. Commands and torques chatter
+    far above the band of the perturbation, so without a low-pass they would all be solid bars.
 
     Parameters
     ----------
@@ -501,7 +500,7 @@ def rows_of(
     start_ns : int
         Stamp of the first sample of the trial (ns).
     cutoff : float or None
-        Of the low-pass that the signals are seen through, Hz; None shows them as recorded.
+        Cut-off frequency of the low-pass, Hz; None shows the signals as recorded.
     """
     starts = [round(one.rate * (one.start_ns - start_ns) / 1e9) for one in segments]
     span = max(start + part.samples for start, part in zip(starts, segments, strict=True))
@@ -536,9 +535,9 @@ def rows_of(
 
 
 def _smoothed(values: FloatArray, cutoff: float) -> FloatArray:
-    """Signals without what is above a frequency, cycles per sample; neither early nor late."""
-    # A sampled Butterworth filter there and back, on the signal and its mirror image. That of
-    # scipy.signal does the same, but takes longer to import than the whole report to write.
+    """Signals behind a zero-phase low-pass with a cut-off frequency in cycles per sample."""
+    # A discrete Butterworth filter forwards and backwards, on the signal and its mirror image. That
+    # of scipy.signal does the same, but its import takes longer than writing the whole report.
     mirrored = np.concatenate((values, values[:, ::-1]), axis=1)
     ratio = np.tan(np.pi * np.fft.rfftfreq(mirrored.shape[1])) / np.tan(np.pi * cutoff)
     seen = np.fft.irfft(np.fft.rfft(mirrored) / (1.0 + ratio ** (2 * _ORDER)), mirrored.shape[1])
@@ -546,9 +545,9 @@ def _smoothed(values: FloatArray, cutoff: float) -> FloatArray:
 
 
 def trace_plot(identifier: str, trial: Trial, buckets: int) -> Plot:
-    """Plot of a trial over time: the whole of it as `rows_of` shows it, and its end as recorded.
+    """Plot a trial over time: the whole trial as `rows_of` gives it, and its end as recorded.
 
-    The trial has at least one segment; the whole is thinned out as `envelope` does.
+    The trial has at least one segment; `envelope` thins out the view of the whole.
     """
     first, start_ns = trial.segments[0], trial.window.start_ns
     rows, recorded = (rows_of(trial.segments, start_ns, cutoff=one) for one in (BAND, None))
@@ -570,9 +569,9 @@ def trace_plot(identifier: str, trial: Trial, buckets: int) -> Plot:
 def trace_chart(
     rows: Sequence[Row], record: TrialRecord, start: int, stop: int, buckets: int
 ) -> Chart:
-    """Signals of a trial from one sample to another, thinned out as `envelope` does.
+    """Chart of the signals of a trial from one sample to another, thinned out by `envelope`.
 
-    Names of the joints and the rate are those of the record.
+    The record gives the names of the joints and the rate.
     """
     lines, of_joints = [], joint_strokes(record.joint_names)
     for number, row in enumerate(rows, 1):
@@ -590,9 +589,9 @@ def trace_chart(
 
 
 def circle_radius(curve: ImpedanceCurve, i: int, k: int) -> FloatArray:
-    """Radius of the circle about each value of ``Z_ik`` that holds the truth in 95 %, N·m/rad.
+    """Radius of the 95 % confidence circle about each value of ``Z_ik``, N·m/rad; shape (n_freq,).
 
-    The element is 0-based. NaN where that is unknown; shape (n_freq,).
+    The element is 0-based. The radius is NaN if it is unknown.
     """
     if curve.averages > 1.0:
         return confidence_radius(curve.variance[i, k], curve.averages)
@@ -600,25 +599,25 @@ def circle_radius(curve: ImpedanceCurve, i: int, k: int) -> FloatArray:
 
 
 def bands_of(magnitude: FloatArray, phase: FloatArray, radius: FloatArray) -> tuple[Band, Band]:
-    """The 95 % bands of magnitude (N·m/rad) and phase (degrees) from that of the circle."""
+    """The 95 % bands of magnitude (N·m/rad) and phase (degrees) from the confidence circle."""
     # A logarithmic axis has no zero: the lower end stays positive, far below the curve.
     lower = np.maximum(magnitude - radius, 1e-3 * magnitude)
     with np.errstate(divide="ignore", invalid="ignore"):
         sine = radius / magnitude
-    # The circle is seen from the origin under this angle; from within it, all around.
+    # Half the angle under which the origin sees the circle; all phases if the circle encloses it.
     spread = np.degrees(np.where(sine < 1.0, np.arcsin(np.minimum(sine, 1.0)), np.pi))
     return (lower, magnitude + radius), (phase - spread, phase + spread)
 
 
 def phase_of(z: ComplexArray) -> FloatArray:
-    """Phase over frequency, degrees, in the turn next to zero."""
+    """Unwrapped phase over frequency, degrees, in the turn closest to zero."""
     phase = np.degrees(np.unwrap(np.angle(z)))
-    # The turn in which the unwrapped phase begins is chance, most of all where noise begins it.
+    # The turn in which the unwrapped phase starts is arbitrary, above all if it starts with noise.
     return np.asarray(phase - 360.0 * np.round(np.median(phase) / 360.0))
 
 
 def phase_about(truth: ComplexArray, z: ComplexArray) -> FloatArray:
-    """Phase of an estimate, degrees, counted from that of the truth so that it never jumps a turn.
+    """Phase of an estimate, degrees, unwrapped relative to the phase of the truth.
 
     Both have shape (n_freq,), at the same frequencies, N·m/rad.
     """
@@ -631,7 +630,7 @@ def deviation_percent(truth: ComplexArray, z: ComplexArray) -> FloatArray:
 
 
 def reference_of(curves: Mapping[str, ImpedanceCurve], truth: MBK | None) -> str:
-    """Tell what estimates are compared with: the truth (empty), or an estimator by its name."""
+    """Name the estimator with which others are compared; empty if they are with the truth."""
     if truth is not None:
         return ""
     return _REFERENCE if _REFERENCE in curves else next(iter(curves))
@@ -640,7 +639,7 @@ def reference_of(curves: Mapping[str, ImpedanceCurve], truth: MBK | None) -> str
 def range_of(values: FloatArray, *, log: bool = False) -> tuple[float, float]:
     """Range of an axis that shows all of the values.
 
-    It follows the curves, not their bands: one wild band must not flatten everything else.
+    Pass the curves, not their bands: one very wide band must not flatten everything else.
     """
     known = values[np.isfinite(values) & ((values > 0.0) | (not log))]
     if not known.size:
@@ -654,21 +653,21 @@ def range_of(values: FloatArray, *, log: bool = False) -> tuple[float, float]:
 
 
 def envelope(values: FloatArray, buckets: int) -> tuple[FloatArray, float]:
-    """Thin out a signal so that it looks the same where there are no more pixels than buckets.
+    """Thin out a signal so that it looks the same on a plot with no more pixels than buckets.
 
     Parameters
     ----------
     values : ndarray, shape (N,)
-        The signal; NaN where there is a gap.
+        The signal; NaN in gaps.
     buckets : int
         Number of parts; each gives its smallest and its largest value, in their order in time.
 
     Returns
     -------
     thinned : ndarray, shape (at most 2·buckets,)
-        The signal itself if it is no longer than that.
+        Thinned signal; the signal itself if it is no longer than that.
     step : float
-        Distance of the thinned values, in samples of the signal.
+        Distance between thinned values, in samples of the signal.
     """
     if values.size <= 2 * buckets:
         return values, 1.0

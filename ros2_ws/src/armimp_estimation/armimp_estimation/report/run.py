@@ -1,4 +1,4 @@
-"""The report of one result: its sections, and the data that their templates are filled with."""
+"""The report of one result: its sections and the data for their templates."""
 
 from __future__ import annotations
 
@@ -51,11 +51,11 @@ from armimp_estimation.verdict import BIAS_BOUND, LOCK_RATIO, SINGLE
 
 REPORT_FILE = "report.html"
 _BUCKETS, _FEW_BUCKETS = 1000, 250
-"""Parts of thinned signals; fewer where there are many trials, so that the file stays small."""
+"""Buckets of thinned-out signals; fewer if there are many trials, to keep the file small."""
 
 
 def report_page(result: Result, name: str = "") -> str:
-    """Return the HTML document of a result, valid or not, under the name of the result."""
+    """Return the HTML document of a result, valid or not, with its name in the title."""
     summary, names = result.summary, result.summary.joint_names
     estimated: Content | None = {} if summary.estimators else None
     known = summary.torque_reading
@@ -105,7 +105,7 @@ def report_page(result: Result, name: str = "") -> str:
 
 
 def write_report(directory: Path, result: Result) -> Path:
-    """Write ``report.html``, in place of one that is there, and return its path.
+    """Write ``report.html``, replacing an existing one, and return its path.
 
     Raises
     ------
@@ -138,7 +138,7 @@ def _verdict(result: Result) -> Content:
 
 
 def _locks(summary: Summary) -> dict[object, float]:
-    """Motion of each held joint relative to the perturbed one, by place in words."""
+    """Motion of each locked joint relative to the perturbed one, by a description of the pair."""
     names = summary.joint_names
     return {
         f"{name}, while {names[trial.k - 1]} is perturbed": trial.lock_ratio[i]
@@ -149,16 +149,16 @@ def _locks(summary: Summary) -> dict[object, float]:
 
 
 def _held(summary: Summary, met: bool) -> object:
-    """Mark that a limit of held joints is met or not, which full matrices don't need."""
+    """Write whether a limit for locked joints is met, or that full matrices don't need that."""
     if met or SINGLE in summary.deciding:
         return mark(met)
     return f"not needed by {', '.join(summary.deciding)}"
 
 
 def advised(problems: Iterable[tuple[ProblemCode, str]]) -> list[tuple[Kind, list[str]]]:
-    """Sort problems, given by code and sentence, by what there is to do about them.
+    """Group problems, given by code and sentence, by their kind, which has the advice.
 
-    Kinds are in the order of the first problem of each; numbers and their units stay on one line.
+    Kinds are in the order of their first problem; numbers and per cent signs stay on one line.
     """
     groups: dict[str, tuple[Kind, list[str]]] = {}
     for code, sentence in problems:
@@ -169,7 +169,7 @@ def advised(problems: Iterable[tuple[ProblemCode, str]]) -> list[tuple[Kind, lis
 
 
 def _limits(result: Result) -> Rows:
-    """What decides: the worst of each score, its limit, whether that is met, and where it is."""
+    """Rows with the worst value of each score, its limit, whether that is met, and the place."""
     summary, names = result.summary, result.summary.joint_names
     first = next(iter(summary.estimators.values()))
     judged = next((one for one in summary.estimators.values() if one.decides), None)
@@ -196,7 +196,7 @@ def _limits(result: Result) -> Rows:
     for title, found, limit, spec, sign in scores:
         if limit is None or not found:
             continue
-        # Written so that NaN is the worst, and beyond every limit.
+        # Written so that NaN is the worst value and beyond every limit.
         off = {place: math.inf if math.isnan(v) else sign * v for place, v in found.items()}
         where = max(off, key=lambda place: off[place])
         text = f"{'≤' if sign > 0.0 else '≥'} {number(limit, spec)}"
@@ -257,13 +257,13 @@ def _coherence(result: Result) -> Content | None:
 
 
 def _locking(result: Result) -> Content | None:
-    """List trials with scores of locking."""
+    """List the trials that have lock ratios."""
     scored = [trial for trial in result.summary.trials if not np.isnan(trial.lock_ratio).all()]
     return {"trials": scored} if scored and result.summary.joints > 1 else None
 
 
 def _distortion(result: Result) -> Content | None:
-    """What periodic perturbations show of each trial beside the fitted arm."""
+    """Distortion that periodic perturbations reveal in each trial, apart from the fitted arm."""
     summary = result.summary
     if not summary.estimators:
         return None
@@ -294,10 +294,9 @@ def _signals(result: Result) -> Content:
 
 
 def assumptions(config: Mapping[str, Any], *, friction: str | None = None) -> Content | None:
-    """What the simulation assumes; None where nothing is known to be simulated.
+    """Assumptions of the simulation; None if nothing is known to be simulated.
 
-    The configuration may be of any form. Levels of friction are told in words where there is more
-    than one.
+    The configuration may have any structure. `friction` describes the levels if there are several.
     """
     if setting(config, "experiment") is None or setting(config, "arm_sim") is None:
         return None
