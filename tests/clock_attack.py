@@ -1,11 +1,11 @@
-"""Program for test_clock_steps.py: ``armimp``, while whose trial somebody sets the wall clock.
+"""Program for test_clock_steps.py: ``armimp`` with a wall clock that is set during a trial.
 
-``python -m clock_attack run …`` is the orchestrator, and its simulator is this program, too, in
-the same process or in one of its own. With sample CLOCK_TICK the simulator sets the clock of those
-for whom that is meant (see wall_clock.c) by CLOCK_STEP (s). If RIG_LOG names a file, it sends its
-last sample so soon afterwards that nobody may have found out, and lives on. Into that file it
-writes, each with the time on the steady clock (s), ``sample`` for that last one; and for each
-command that comes, ``torque``, or ``zero`` if it is.
+``python -m clock_attack run …`` is the orchestrator. Its simulator is this program, too, in the
+same process or in one of its own. At sample CLOCK_TICK the simulator steps the clock of the chosen
+processes (see wall_clock.c) by CLOCK_STEP (s). If RIG_LOG names a file, the simulator sends its
+last sample soon afterwards, before anybody can have noticed, and lives on. It writes lines to that
+file, each with the time on the steady clock (s): ``sample`` for the last sample, and for each
+command ``torque``, or ``zero`` if all its torques are zero.
 """
 
 import os

@@ -28,7 +28,7 @@ from support.runs import FinishedRun, Run
 
 @pytest.fixture(scope="session")
 def environment() -> Iterator[None]:
-    """Give the environment back as it was: a graph leaves its domain in it."""
+    """Restore the environment variables: a graph leaves its domain id in them."""
     before = dict(os.environ)
     yield
     os.environ.clear()
@@ -37,7 +37,7 @@ def environment() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def run(environment: None, tmp_path_factory: pytest.TempPathFactory) -> Run:
-    """Runs a short experiment, once for all workers that ask for the same."""
+    """Run a short experiment, or reuse that of a worker which asked for the same options."""
     base = tmp_path_factory.getbasetemp()
     base = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
 
@@ -61,7 +61,7 @@ def composed(run: Run) -> FinishedRun:
 
 @pytest.fixture
 def driver_domain(environment: None, monkeypatch: pytest.MonkeyPatch) -> int:
-    """A domain that is free: who checks a driver will claim it, not the test."""
+    """A free domain id, which the driver check claims, not the test."""
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     domain_id = free_domain()
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain_id))
@@ -70,13 +70,13 @@ def driver_domain(environment: None, monkeypatch: pytest.MonkeyPatch) -> int:
 
 @pytest.fixture
 def start(driver_domain: int) -> Iterator[Callable[..., "subprocess.Popen[bytes]"]]:
-    """Starts nodes as somebody else would: in processes of their own."""
+    """Start nodes in processes of their own, as another user would."""
     variables = {**os.environ}
     variables.pop("FASTRTPS_DEFAULT_PROFILES_FILE", None)
     processes: list[subprocess.Popen[bytes]] = []
 
     def run(arguments: list[str], *ros: str) -> "subprocess.Popen[bytes]":
-        # Nodes of others have no watchdog over whoever started them: the kernel ends them with it.
+        # Nodes that others start do not watch their parent: the kernel ends them with the test.
         mortal = ["setpriv", "--pdeathsig", "KILL"]
         command = [*mortal, sys.executable, *arguments, *(["--ros-args", *ros] if ros else [])]
         processes.append(subprocess.Popen(command, env=variables, start_new_session=True))
@@ -97,7 +97,7 @@ def start(driver_domain: int) -> Iterator[Callable[..., "subprocess.Popen[bytes]
 def start_node(
     start: Callable[..., "subprocess.Popen[bytes]"],
 ) -> Callable[[str], "subprocess.Popen[bytes]"]:
-    """Starts a node with its own default parameters."""
+    """Start a node with its default parameter file."""
 
     def run(name: str) -> "subprocess.Popen[bytes]":
         (module,) = MODULES[name]
@@ -109,7 +109,7 @@ def start_node(
 
 @pytest.fixture
 def host(driver_domain: int) -> Iterator[Callable[..., None]]:
-    """Runs nodes in threads of the test, which is quicker than to start processes."""
+    """Run nodes in threads of the test, which is quicker than starting processes."""
     with ExitStack() as stack:
 
         def run(make: Callable[..., Node], **parameters: Any) -> None:
@@ -122,8 +122,8 @@ def host(driver_domain: int) -> Iterator[Callable[..., None]]:
 
 @pytest.fixture
 def check(driver_domain: int, monkeypatch: pytest.MonkeyPatch) -> Callable[..., dict[str, Finding]]:
-    """Judges the driver that is running; gives the findings by the names of the checks."""
-    # How quickly a service answers and a fault is heard of tells something of the machine, too.
+    """Judge the running driver; return its findings by the name of each check."""
+    # How quickly a service answers or a fault is reported depends on the machine as well.
     for limit in ("_ANSWER", "_TOLD"):
         monkeypatch.setattr(f"armimp_bringup.driver_check.rules.{limit}", PATIENCE)
 

@@ -103,7 +103,7 @@ class Witness(Node):
                 self._reports.append((time.monotonic(), status.message, applied))
 
     def destroy_node(self) -> None:
-        """Leave what was seen behind."""
+        """Print what was seen, then destroy the node."""
         seen = {
             "torques": self._torques,
             "resting": self._resting,

@@ -43,7 +43,7 @@ STRANGE = {
     **dict.fromkeys(("nowhere", "no\nwhere", "\x1b[31mred", "a\u2028b"), "does not exist"),
     "no\udcffwhere": r"no\udcffwhere: its name is not UTF-8",
 }
-"""Names of recordings, and what is said of them."""
+"""Bad names of recordings, and the complaint about each."""
 READING = ("estimate", "replay")
 OF_OTHERS: list[tuple[tuple[str, ...], int, str]] = [
     *(((command, name), 1, said) for command in READING for name, said in STRANGE.items()),
@@ -137,7 +137,7 @@ def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def complaint(config: Path, content: str) -> str:
-    """What both commands that take such a file say of it."""
+    """What both commands that take such a file say of it, which must be the same."""
     config.write_text(content)
     out = config.parent / "out"
     told = [refused(*command, "--config", str(config), "--out", str(out)) for command in COMMANDS]

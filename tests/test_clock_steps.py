@@ -1,4 +1,4 @@
-"""Somebody sets the wall clock while an experiment runs: nothing waits longer, no bit differs."""
+"""The wall clock is set while an experiment runs: nothing waits longer, no bit differs."""
 
 import os
 import shutil
@@ -27,9 +27,9 @@ from support.runs import FinishedRun
 
 pytestmark = pytest.mark.usefixtures("environment")
 PATIENCE = 40
-"""Periods until watchdogs take the torque away, so that no stall of the machine wakes them."""
+"""Periods until watchdogs take the torque away: enough that no stall of the machine does."""
 LIMIT = 0.2
-"""Then torque is zero, this long after the last sample (s): a requirement of safety."""
+"""Time after the last sample by which torque must be zero (s): a requirement of safety."""
 SHORT = {"duration": 2.0}
 
 
@@ -63,7 +63,7 @@ TARGETS = {
     ESTIMATOR_NODE: "armimp_estimation.node",
     SUPERVISOR_NODE: f"{PROGRAM} run",
 }
-"""Whose clock is set: of all processes of an arrangement, or of the one with this command line."""
+"""Whose clock is set: all processes of an arrangement, or the one with this command line."""
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +87,7 @@ def attack(
     config: Mapping[str, Any],
     **variables: str,
 ) -> int:
-    """Run an experiment while whose trial a clock is set, and return its exit status."""
+    """Run an experiment during which a clock is set, and return its exit status."""
     seen, settings = (directory / name for name in ("seen", "config.yaml"))
     settings.write_text(yaml.safe_dump(dict(config)))
     processes = "composed" if target == "composed" else "separate"
@@ -144,7 +144,7 @@ def test_when_the_rig_falls_silent_after_the_clock_was_set_expect_zero_torque_in
     target: str,
     step: float,
 ) -> None:
-    """As its drives receive it."""
+    """Torque is zero when the drives of the rig have received it."""
     config = {
         "mode": "realtime",
         "joints": 1,

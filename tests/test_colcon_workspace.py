@@ -65,7 +65,7 @@ def test_an_installed_node_takes_part_in_the_graph(install: Path, node: Node) ->
     sourced = 'source "$0" && exec "$@"'
     process = subprocess.Popen(
         ["bash", "-c", sourced, str(install / "setup.bash"), *node_command],
-        # Somebody who has no other way to the packages than the workspace.
+        # A user who has no other way to the packages than the workspace.
         env={name: value for name, value in os.environ.items() if name != "PYTHONPATH"},
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,

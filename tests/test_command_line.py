@@ -41,7 +41,7 @@ with pytest.MonkeyPatch.context() as patch:
     patch.setattr(Display, "show", drawn)
     sys.exit(main(sys.argv[1:]))
 """
-"""The command, which draws all of its progress rather than what there is once a second."""
+"""The command, which draws every progress message rather than one a second."""
 SHORT = ["run", "--duration", "2", "--seed", "5"]
 
 
@@ -71,9 +71,9 @@ def screens(command: list[str], columns: int) -> list[list[str]]:
         while True:
             try:
                 piece = os.read(ours, 1 << 16)
-            except OSError:  # so Linux tells that nobody is at the other end any more
+            except OSError:  # with which Linux reports that the other end is closed
                 break
-            # However much comes at once: what is drawn begins at the first column.
+            # A piece may hold several drawings, each of which begins at the first column.
             for part in re.split(rb"(?=\r)", piece):
                 stream.feed(part)
                 seen.append([line.rstrip() for line in screen.display])
@@ -94,7 +94,7 @@ def bags(directory: Path) -> list[str]:
 
 
 def estimated_and_replayed(*bags: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What both commands print of bags, which must be of one verdict."""
+    """What both commands print of bags; their verdicts must agree."""
     estimated, replayed = (call(command, *bags, "--json") for command in ("estimate", "replay"))
     assert estimated.status == replayed.status
     return json.loads(estimated.out), json.loads(replayed.out)

@@ -28,7 +28,7 @@ MOCK = {
     "mock.cutoff": "200.0",
     "mock.lag": "0.0003",
 }
-"""A transducer and a drive as they are."""
+"""Imperfections of transducers and drives."""
 CALIBRATION: dict[str, Any] = {
     "torque_delay": 0.0017,
     "imbic_controller": {
@@ -37,11 +37,11 @@ CALIBRATION: dict[str, Any] = {
     },
     "impedance_estimator": {"torque": {"cutoff": 200.0, "actuator_lag": 0.0003}},
 }
-"""And what the experiment is told of them."""
+"""What the experiment is told of these imperfections."""
 
 
 def figures(told: Result) -> dict[str, float]:
-    """The worst of each figure of merit of `lpm_full` over all elements; the test knows the arm.
+    """Worst figures of merit of `lpm_full` over all elements; the test knows the arm.
 
     They are printed as docs/drivers.md has them; M, B and K are errors, %.
     """
@@ -79,7 +79,7 @@ def test_offset_drift_delay_filter_and_lag_are_calibrated_out_or_found(
     assert summary.torque_reading is not None
     assert summary.torque_reading.delay == 0.0017
     bags = [tmp_path / "out" / str(trial.bag) for trial in summary.trials]
-    # What was tared is in the bag, the torques are raw.
+    # The tare is in the bag, and the torques are raw.
     for number, bag in enumerate(bags):
         (trial,) = read_bag(bag).trials
         seconds = number * 17.5 + 1.0
@@ -95,6 +95,6 @@ def test_offset_drift_delay_filter_and_lag_are_calibrated_out_or_found(
     assert max(found[name] for name in ("M", "B", "K")) <= 2.0
 
     not_told = estimate_bags(bags, ("lpm_full",), declared=Declared(torque_delay=0.0))
-    # The records refute it: either that was corrected, or nothing claims to be right.
+    # The records refute that delay: it is corrected, or the result is not valid.
     found = figures(not_told)
     assert not not_told.summary.valid or max(found[name] for name in ("M", "B", "K")) <= 2.0

@@ -57,7 +57,7 @@ def test_simulator_and_template_pass_every_check(
 
     findings = check(move=True)
 
-    # How regular everything is depends on the machine, and where it was not, the rest is open.
+    # Regularity depends on the machine; where it fails, later checks may be inconclusive.
     paced = (": rate", "torque: delay", "torque: no stop")
     assert not [name for name in names(findings) if not name.endswith(paced)]
     assert with_outcome(findings.values(), Outcome.NOT_CHECKED) == []
@@ -102,7 +102,7 @@ def test_a_plain_node_is_judged_as_it_is(host: Start, check: Check) -> None:
 
 
 class InUse(ArmSimNode):
-    """Somebody commands it already."""
+    """A simulator that is commanded already."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
@@ -168,15 +168,15 @@ def test_when_it_is_interrupted_under_torque_expect_zero_torque_to_be_commanded_
     with program("check-driver", *options) as process:
         assert Listening.pushed.wait(PATIENCE)
         assert interrupted(process, 130, number)[-2:] == ["pushing shoulder", "armimp: interrupted"]
-    # The last ones may still be on their way; nothing is sent any more.
+    # The last commands may still be on their way; no more are sent.
     wait_until(lambda: Listening.heard[-5:] == [(0.0, 0.0)] * 5, "zero torque, five times")
 
 
 # --- The bridge, in front of a robot as ros2_control shows it -----------------------------------
 
 
-# The bridge is a process of its own, in real time. What depends on how much of it the machine gives
-# to it and the others, `armimp check-driver` judges and no test: pace, and torque under watchdogs.
+# The bridge is a process of its own, in real time. What depends on the load of the machine (pace,
+# and torque under watchdogs) is judged by `armimp check-driver` and by no test.
 BRIDGE = ["-m", "armimp_ros2_control.node"]
 
 

@@ -14,7 +14,7 @@ PAGE = (ROOT / "docs" / "drivers.md").read_text(encoding="utf-8")
 
 
 def first_cells(header: str) -> list[str]:
-    """First column of the tables with such a first cell of its header, without backticks."""
+    """First column of all tables whose header begins with this cell, without backticks."""
     rows = [row for tables in markdown_tables(PAGE).values() for table in tables for row in table]
     return [row[header].replace("`", "") for row in rows if next(iter(row)) == header]
 
@@ -36,7 +36,7 @@ def test_every_check_is_in_the_table_of_the_page() -> None:
         check = finding.check
         if check.startswith("service "):
             check = "services"
-        # Of a topic, or part of what is told of an end of torque.
+        # A check of a topic, or one of several where torque has to end.
         assert rows & {check, check.rpartition(": ")[2], check.partition(": ")[0]}, finding
 
 

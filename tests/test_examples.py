@@ -76,7 +76,7 @@ def test_a_node_hears_the_results(ran: tuple[Path, str], monkeypatch: pytest.Mon
 
     def play_and_wait(player: BagPlayer, bag: BagContent, should_stop: Callable[[], bool]) -> None:
         play(player, bag, should_stop)
-        # A replay is over before a busy machine has made its nodes known to one that listens.
+        # On a busy machine a replay may be over before the listener has discovered its nodes.
         player._spinner.spin(lambda: bool(heard))
 
     monkeypatch.setattr(BagPlayer, "play", play_and_wait)

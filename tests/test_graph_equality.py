@@ -57,7 +57,7 @@ def test_graph_and_loop_without_ros_give_the_same_bits(composed: FinishedRun) ->
     ],
     ids=["optimal multisine", "realistic rig with a tare", "three joints"],
 )
-def test_other_experiments_go_the_same_way(run: Run, options: dict[str, Any]) -> None:
+def test_other_experiments_give_the_same_bits_either_way(run: Run, options: dict[str, Any]) -> None:
     finished = run(**options)
 
     records = offline(**options)

@@ -1,4 +1,4 @@
-"""Experiments that never begin: interrupted before that, misconfigured, without a place."""
+"""Experiments that never begin: interrupted, misconfigured, or without room for output."""
 
 import re
 from pathlib import Path

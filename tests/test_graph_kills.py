@@ -1,7 +1,7 @@
 """A process of the graph is killed at any moment: the others are safe within 200 ms, and say so.
 
-The limit is one of safety and means a machine that has time for the graph. So only the long version
-of these tests, which run alone, holds the others to it.
+The limit is a safety requirement for a machine that has time for the graph. So only the long
+version of these tests, which runs alone, enforces it.
 """
 
 import json
@@ -38,10 +38,10 @@ REACH = {
     "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
     "FASTRTPS_DEFAULT_PROFILES_FILE": str(LOOPBACK),
 }
-"""Of the witness: that of the graph."""
+"""Discovery settings of the witness, which are those of the graph."""
 SHARED = Path(__file__).parent
 TRANSITIONS = ("configuring", "activating")
-"""Of the victim, but where it is the orchestrator."""
+"""Of the victim, unless that is the orchestrator."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,8 +96,8 @@ def kill(
 ) -> Kill:
     """Run an experiment, and kill a process of it some time after a phase has begun.
 
-    For the time `blind` (s) the orchestrator is stopped: nodes must manage without. Trials are to
-    last so long (s) that the phase is not over by then.
+    For the time `blind` (s) the orchestrator is stopped: nodes must manage without it. Trials last
+    `duration` (s), so long that the phase is not over by then.
     """
     domain = str(free_domain())
     # The graph itself does as it does by default.
@@ -166,7 +166,7 @@ def assert_named(done: Kill) -> None:
 
 
 def assert_told(done: Kill) -> float:
-    """Who remains takes the torque away in the midst of a trial, and says why: when (s)."""
+    """The survivor takes the torque away during a trial and says why; return when (s)."""
     if done.victim == CONTROLLER_NODE:
         late = (one for one in done.seen["reports"] if one[0] > done.time)
         moment, message, applied = next(one for one in late if one[1] != "running")

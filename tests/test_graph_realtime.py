@@ -1,7 +1,7 @@
 """Experiments in real time.
 
-How quick the machine is must decide nothing here: what is reported has to agree with what was
-recorded, and watchdogs are so patient that only a process which is stopped wakes them.
+The speed of the machine must decide nothing here: what is reported has to agree with what was
+recorded, and watchdogs wait so long that only a process which is stopped trips them.
 """
 
 import os
@@ -38,7 +38,7 @@ def assert_verdict_fits(summary: Summary) -> None:
 
 
 def patient() -> ExperimentConfig:
-    """With precedence where that is permitted, and watchdogs that wait for as long as they may."""
+    """Real time with priority where that is permitted, and with the most patient watchdogs."""
     return ExperimentConfig(
         mode="realtime",
         duration=SECONDS,
@@ -85,11 +85,11 @@ def test_when_one_side_is_held_up_for_long_expect_the_other_to_end_the_run(
 
     assert held
     assert not summary.valid
-    # A stopped process is also looked up, which comes first where the other was held up itself.
+    # That a process is stopped is also seen directly: first, if the other was held up itself.
     reasons = (watchdog, f"{node} {Presence.STALLED.value}")
     assert any(reason in problem.sentence for reason in reasons for problem in summary.problems), (
         summary.problems
     )
     assert_verdict_fits(summary)
-    # It does not go on for as long as nothing can come of it.
+    # The run does not go on when its result cannot be valid any more.
     assert all(trial.ticks < SECONDS * 1000 for trial in summary.trials)

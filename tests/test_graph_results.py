@@ -1,4 +1,4 @@
-"""What a running experiment tells: progress, columns as they come, the result, diagnostics."""
+"""What a running experiment publishes: progress, columns as they come, and the result."""
 
 from dataclasses import dataclass
 
@@ -26,7 +26,7 @@ SHORT = ExperimentConfig(duration=2.0)
 
 
 class Bystander(Node):
-    """Somebody in the domain of an experiment, who has no part in it."""
+    """A node in the domain of an experiment that has no part in it."""
 
     def __init__(self, context: Context) -> None:
         super().__init__("bystander", context=context)
@@ -79,7 +79,7 @@ def account(environment: None, tmp_path_factory: pytest.TempPathFactory) -> Acco
         patch.setattr(ImpedanceEstimatorNode, "_on_trial", heard)
         patch.setattr(ImpedanceEstimatorNode, "_on_finished", finished)
         result = run_experiment(SHORT, directory, domain_id=domain_id, on_progress=progress.append)
-        # Whoever draws needs not read the bags.
+        # The trials come with the result, so that drawing need not read the bags.
         assert [len(trial.segments) for trial in result.trials] == [1, 1]
         wait_until(lambda: "impedance" in map(what, bystander.heard), "the result")
     return Account(
@@ -99,8 +99,8 @@ def test_columns_are_published_as_each_trial_ends_and_the_result_at_the_end(
     assert results == ["column 1", "column 2", "impedance"]
     trials = [f"{phase} {k}" for k in (1, 2) for phase in ("settle", "perturb", "rest")]
     assert [item for item in heard if item not in results] == [*trials, "done 2"]
-    # The first column does not wait for the second trial. To whom it comes, and when, is no matter
-    # of the estimator.
+    # The first column does not wait for the second trial. When it is delivered, and to whom, does
+    # not depend on the estimator.
     order = account.estimated
     assert order.index("perturb 1") < order.index("column 1") < order.index("rest 2")
 

@@ -33,7 +33,7 @@ TABLES = markdown_tables(PAGE)
 
 
 def _table(heading: str, column: str, place: int = 0) -> dict[str, dict[str, str]]:
-    """One table under a heading by what its first column names, without backticks."""
+    """Rows of one table under a heading, by their first cell without backticks."""
     rows = TABLES[heading][place]
     names = [row[column].strip("`") for row in rows]
     assert len(set(names)) == len(names), f"{heading}: named twice"

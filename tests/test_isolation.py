@@ -27,7 +27,7 @@ PATIENCE = 120.0
 def start(
     directory: Path, *options: str, **choices: str
 ) -> AbstractContextManager["subprocess.Popen[str]"]:
-    """An experiment in a process of its own, where the user has chosen only this."""
+    """An experiment in a process of its own, with no discovery settings but these."""
     environment = {name: value for name, value in os.environ.items() if name not in CHOICES}
     arguments = ["run", "--duration", "10", "--json", "--out", str(directory), *options]
     return program(*arguments, stdout=subprocess.PIPE, env=environment | choices)
@@ -83,7 +83,7 @@ def graph_of(process: "subprocess.Popen[str]", directory: Path) -> dict[int, set
 def test_nothing_of_an_experiment_can_be_reached_from_other_machines(
     tmp_path: Path, processes: str
 ) -> None:
-    """As sockets that are bound to the loopback interface hear nobody else."""
+    """Sockets that are bound to the loopback interface hear no other machine."""
     with start(tmp_path / "out", "--processes", processes) as experiment:
         graph = graph_of(experiment, tmp_path / "out")
         experiment.terminate()

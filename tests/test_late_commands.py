@@ -1,4 +1,4 @@
-"""Commands that act late, or not at all in their period: what the experiment bears of that.
+"""Commands that act late, or not at all in their period: how much the experiment tolerates.
 
 Rig and controller without ROS, on a clock that is moved by hand, so the machine does not matter.
 """

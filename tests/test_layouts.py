@@ -14,7 +14,7 @@ JOINTS = JOINT_NAMES[2]
 
 def test_plotjuggler_shows_every_data_stream_of_every_joint_and_nothing_else() -> None:
     root = ET.parse(LAYOUTS / "plotjuggler.xml").getroot()
-    # It names values of a JointState by joint, others by field.
+    # PlotJuggler names values of a JointState by joint, others by field.
     expected = {
         f"/{topic}/{joint}/{VALUE_FIELD[topic]}" if topic in VALUE_FIELD else f"/{topic}/data[{k}]"
         for topic in DATA_STREAMS

@@ -201,6 +201,6 @@ def test_joint_is_locked_from_afar_without_a_clip_and_held_in_its_posture(
         assert np.max(np.abs(trial.command)) < rig.controller.safety.torque_limit
         assert np.max(np.abs(np.diff(trial.command))) < rig.controller.safety.rate_limit * 1e-3
     target = rig.controller.target.posture
-    # Here at the end of the first trial already, a rest before it gets locked.
+    # The joint is far off at the end of the first trial already, a rest before it gets locked.
     assert abs(first.position[0, -1] - target[0]) > 0.01
     assert np.max(np.abs(second.position[0] - target[0])) < 1e-3

@@ -115,7 +115,7 @@ def test_wherever_writing_stops_the_file_holds_whole_records_only(
 
     bag = tmp_path / "bag"
     if room_at_the_end == 10**6:
-        # Even what was waiting when the disk was full has found its place.
+        # Even messages that were waiting when the disk was full have been written.
         assert assert_finished(bag) == written + 1
         return
     try:

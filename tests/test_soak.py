@@ -20,7 +20,7 @@ MOST_GROWTH = 6.0
 """MB that the process may grow from the experiments after the first few to the last few: half of
 what a single graph that is not taken down costs, and less than three bytes of each sample."""
 
-# Runs experiments as `armimp run` does, and tells after each how it went and what it holds.
+# Runs experiments as `armimp run` does; prints after each how it went, and what is in use.
 PROGRAM = """
 import json, os, shutil, sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What somebody else in the same domain can do to an experiment: end it, never spoil its result."""
+"""What a stranger in the same domain can do to an experiment: end it, never falsify its result."""
 
 import random
 from collections import Counter
@@ -58,7 +58,7 @@ MOMENTS = {
 
 
 class Stranger(Node):
-    """Somebody in the domain of an experiment, who hears the commands."""
+    """A node in the domain of an experiment that is no part of it, and hears the commands."""
 
     def __init__(self, domain_id: int) -> None:
         super().__init__("stranger", context=joined(domain_id), use_global_arguments=False)
@@ -77,18 +77,18 @@ class Stranger(Node):
 
 @dataclass(frozen=True, kw_only=True)
 class Act:
-    """Messages, or bytes that should be some, which a stranger publishes."""
+    """Messages, or malformed bytes, which a stranger publishes."""
 
     topic: str
     kind: Any
     contents: Sequence[Any] = ()
     profile: Any = None
     listeners: int = 1
-    """For so many it waits; discovery needs nobody who spins."""
+    """Number of subscribers to wait for; discovery works without spinning."""
     leave: bool = False
 
     def __call__(self, node: Stranger) -> object:
-        """Publish them; return what must be kept for as long as the stranger is to stay."""
+        """Publish them; return what must be kept alive for as long as the stranger is to stay."""
         profile = self.profile or qos.PROFILES[self.topic]
         publisher = node.create_publisher(self.kind, self.topic, profile)
         wait_until(
@@ -128,7 +128,7 @@ def sample(topic: str) -> Act:
 
 
 def garbage(topic: str, kind: type, profile: Any = None) -> Act:
-    """Bytes that are no message of that type: none, a head alone, cut, absurd lengths."""
+    """Bytes that are no message of that type: a head alone, noise, cut, absurd lengths."""
     head, good = b"\0\1\0\0", bytes(serialize_message(kind()))
     contents = [
         head,
@@ -211,7 +211,7 @@ def test_one_command_of_somebody_else_is_a_fault_with_who_and_when(
     tmp_path: Path, kind: str, processes: str, who: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if who == "/stranger":
-        # Its name may be long on its way where the machine is busy.
+        # On a busy machine the name of its node may arrive late.
         monkeypatch.setattr("armimp_common.driver_base._NAMES_PATIENCE", PATIENCE)
     summary = disturbed(kind, tmp_path / "out", processes=processes)
     assert not summary.valid

@@ -18,7 +18,7 @@ QUICK = {
     ("torque gain of joint 2 0.9", 11),
     ("voluntary 0.3 N·m", 11),
     ("stiffness of either direction 0.1", 11),
-    # Between the lines of a few sines, ratios are those of what noise does in the loop.
+    # Between the lines of a few sines, ratios of spectra show only what noise does in the loop.
     ("sines 12 0.1 N·m", 1),
     # Friction of a locked wrist takes what accelerates it off the commands, which then don't jump.
     ("fine angles 3 joints, 1000", 2),
@@ -63,7 +63,7 @@ def test_what_is_valid_is_right_and_noise_is_valid(name: str, seed: int) -> None
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["torque gain of joint 2 0.95", "cross-talk 2 %"])
-def test_what_the_balance_leaves_of_a_gain_is_in_the_intervals(name: str) -> None:
+def test_the_error_of_a_gain_that_the_balance_leaves_is_in_the_intervals(name: str) -> None:
     valid, worst, percent, _ = outcome(CASES[name][1], seed=0)
     assert valid
     assert worst <= 3.5

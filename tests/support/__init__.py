@@ -1,1 +1,1 @@
-"""What the tests of all packages share: graphs, recordings, runs, known arms."""
+"""Helpers that tests of all packages share: graphs, recordings, runs, known arms."""

@@ -1,4 +1,4 @@
-"""Bags that tests write and read: those of our recorder, and those of others."""
+"""Bags that tests write and read, as made by our recorder and by others."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -34,7 +34,7 @@ def write_all(writer: BagWriter, messages: Iterable[Message]) -> None:
 
 
 def typed(messages: Iterable[Message], prefix: str = "") -> Iterator[tuple[str, str, int, bytes]]:
-    """Messages of the contract under a namespace, each with full name and type of its topic."""
+    """Yield messages of the contract in a namespace, with full name and type of their topic."""
     for topic, time, raw in messages:
         kind = MESSAGE_TYPES.get(topic, "std_msgs/msg/String")
         yield prefix + absolute(topic), kind, time, raw
@@ -49,7 +49,7 @@ def write_foreign(
     version: int = 9,
     metadata: Mapping[str, str] | None = None,
 ) -> Path:
-    """Write a bag as ``ros2 bag record`` does: name and type of the topic of each message."""
+    """Write messages (topic name, type, time in ns, bytes) as ``ros2 bag record`` does."""
     writer = Writer(path, version=9 if version == 9 else 8, storage_plugin=storage)
     writer.set_compression(mode, CompressionFormat.ZSTD)
     with writer:
@@ -94,7 +94,7 @@ def write_mcap(
 
 
 def iterate_messages(path: Path, *, namespace: str | None = None) -> Iterator[Message]:
-    """The messages of the contract in a bag, in which there need not be a trial."""
+    """Iterate over the messages of the contract in a bag, which need not hold a trial."""
     raw = read_storage(path)
     if not raw.messages:
         raise BagError(f"{path}: no messages")
@@ -106,12 +106,12 @@ def iterate_messages(path: Path, *, namespace: str | None = None) -> Iterator[Me
 
 
 def records_of(content: BagContent) -> list[TrialRecord]:
-    """Records of all trials of a bag, or the refusal of the first that must not be estimated."""
+    """Return the records of all trials; raise for the first that must not be estimated."""
     return [record for trial in content.trials for record in trial.intact()]
 
 
 def assert_other_readers_open(bag: Path) -> int:
-    """A reader of others finds the messages that ours finds, as many as the bag says; how many."""
+    """Check that rosbags finds our messages, as many as the bag says; return their number."""
     with AnyReader([bag]) as reader:
         read = [(time, data) for _, time, data in reader.messages()]
         assert reader.message_count == len(read)

@@ -25,7 +25,7 @@ def started() -> Iterator[Browser]:
 
 
 class Browser:
-    """A page, with what it says on the console and asks the network for."""
+    """A page, with its console output and its network requests."""
 
     def __init__(self, page: Page) -> None:
         self.page = page

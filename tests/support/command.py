@@ -1,4 +1,4 @@
-"""Calling the command line as a user does, and what is promised about its complaints, for tests."""
+"""Call the command line as a user does, and check what is promised about its error messages."""
 
 import contextlib
 import signal
@@ -15,7 +15,7 @@ from armimp_bringup.cli import main
 
 @dataclass(frozen=True, kw_only=True)
 class Told:
-    """What a command left on the screen."""
+    """Exit status and output of a command."""
 
     status: int
     out: str
@@ -27,7 +27,7 @@ _file = partial(TemporaryFile, "w+", encoding="utf-8", errors="backslashreplace"
 
 def call(*arguments: str) -> Told:
     """Run a command in this process."""
-    # In files of the system: the executor of rclpy asks them for their numbers.
+    # Into real files: the executor of rclpy asks for their descriptors.
     with _file() as out, _file() as err:
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             status = main(arguments)
@@ -37,7 +37,7 @@ def call(*arguments: str) -> Told:
 
 
 def refused(*arguments: str) -> Told:
-    """Run a command that must not do anything but complain, in one line."""
+    """Run a command that must do nothing but print one line of complaint."""
     told = call(*arguments)
     assert told.status in (1, 2), told
     assert told.err.startswith("armimp: "), told
@@ -51,7 +51,7 @@ def refused(*arguments: str) -> Told:
 def program(
     *arguments: str, module: str = "armimp_bringup", **options: Any
 ) -> Iterator[subprocess.Popen[str]]:
-    """Run a command in a process of its own, which is over at the end."""
+    """Run a command in a process of its own, which is killed at the end."""
     command = [sys.executable, "-m", module, *arguments]
     given: dict[str, Any] = {"stderr": subprocess.PIPE, "text": True, **options}
     with subprocess.Popen(command, **given) as process:
@@ -64,7 +64,7 @@ def program(
 def interrupted(
     process: subprocess.Popen[str], status: int, number: signal.Signals = signal.SIGINT
 ) -> list[str]:
-    """Send a signal to a command, which must end with this status; what it says from then on."""
+    """Send a signal, check the exit status, and return the rest of the error output."""
     process.send_signal(number)
     _, error = process.communicate(timeout=60.0)
     assert process.returncode == status, error

@@ -1,4 +1,4 @@
-"""Compiles the simulated rig and the controller, as processes side by side would each do it."""
+"""Compile rig and controller ahead, since processes side by side would each do it."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -26,7 +26,7 @@ def brief_rig(
     imbic_controller: Mapping[str, Any] | None = None,
     safety: SafetyParameters | None = None,
 ) -> NodeParameters:
-    """A rig with an experiment of less than a second, in which everything takes part."""
+    """Parameters of an experiment shorter than a second in which every part is active."""
     brief = {"sequence.duration": 0.4, "sequence.settle": 0.05, "sequence.rest": 0.06}
     options = {
         "joints": joints,

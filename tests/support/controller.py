@@ -1,4 +1,4 @@
-"""A controller's parameters for short trials, and stand-ins for whom it talks with."""
+"""Controller parameters for short trials, and a stand-in for those who talk to a rig."""
 
 from collections.abc import Callable
 from functools import partial
@@ -30,7 +30,7 @@ Sample = tuple[int, tuple[float, ...]]
 def controller_parameters(
     *ticks: int, law: Any = "observer", **groups: Any
 ) -> ControllerParameters:
-    """Parameters for robot and arm of the study."""
+    """Parameters for robot and arm of the study; `ticks` of settling, perturbation and rest."""
     preset = ControllerParameters.preset(
         joints=NAMES,
         posture=np.array(POSTURE),
@@ -54,7 +54,7 @@ def wobble(ticks: int) -> list[tuple[tuple[float, ...], tuple[float, ...]]]:
 
 
 class ScriptedController:
-    """Stands for controller, recorder and people: commands a rig, and keeps what comes back."""
+    """Stand-in for controller, recorder and operator: commands a rig and keeps its messages."""
 
     def __init__(self, node: Node, spinner: Spinner) -> None:
         self.node, self.spinner = node, spinner
@@ -90,7 +90,7 @@ class ScriptedController:
         self.diagnostics += array.status
 
     def bring_up(self, rig: LifecycleNode) -> None:
-        """Configure and activate a rig; it reaches everybody, and everybody reaches it."""
+        """Configure and activate a rig, once it and this node have discovered each other."""
         assert rig.trigger_configure() is SUCCESS
         wait_for_partners(
             self.node,
@@ -106,7 +106,7 @@ class ScriptedController:
 
     @property
     def faults(self) -> list[tuple[str, str]]:
-        """Faults that were reported, with the torque that the drives apply."""
+        """Faults reported so far, each with the torque that the drives applied then."""
         error = bytes([Level.ERROR])
         found = [one for one in self.diagnostics if one.level == error]
         return [(one.message, values_of(one).get("applied", "")) for one in found]
@@ -124,7 +124,7 @@ class ScriptedController:
         self.await_samples(wanted)
 
     def await_fault(self, words: str = "") -> tuple[str, str]:
-        """Wait for a fault with these words, and return the first such one."""
+        """Wait for a fault with these words; return the first one and the applied torque."""
 
         def found() -> list[tuple[str, str]]:
             return [fault for fault in self.faults if words in fault[0]]

@@ -6,14 +6,14 @@ import pytest
 
 
 class Figures:
-    """Keeps, for each hazard, how often it was tried and the worst that came of it."""
+    """Keeps, for each hazard, the number of attempts and the worst of each figure."""
 
     def __init__(self) -> None:
         self._times: Counter[str] = Counter()
         self._worst: dict[str, dict[str, tuple[float, str]]] = defaultdict(dict)
 
     def add(self, hazard: str, times: int = 1, **worst: tuple[float, str]) -> None:
-        """Note what one try, or several, gave."""
+        """Record the figures (value, unit) of one attempt, or of several."""
         self._times[hazard] += times
         known = self._worst[hazard]
         for name, figure in worst.items():
@@ -40,7 +40,7 @@ _FIGURES = pytest.StashKey[Figures]()
 
 @pytest.fixture(scope="session")
 def figures(pytestconfig: pytest.Config) -> Figures:
-    """Takes what the tests measure."""
+    """Collector of what the tests measure."""
     return pytestconfig.stash.setdefault(_FIGURES, Figures())
 
 

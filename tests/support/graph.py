@@ -39,7 +39,7 @@ from armimp_common.status import Phase, TrialStatus, values_of
 
 NodeT = TypeVar("NodeT", bound=Node)
 PATIENCE = 30.0
-"""How long to wait for what must happen (s): long, as the machine may have other work."""
+"""How long to wait for what must happen (s): long, as the machine may be busy."""
 
 MOMENT = 0.2
 """How long to wait for what must not happen (s)."""
@@ -54,12 +54,12 @@ CHOICES = (
 """Variables by which a user chooses who can hear an experiment."""
 
 CLOCK_STEPS = (-600.0, 3600.0)
-"""By how much somebody sets the clock (s)."""
+"""Steps by which tests set the clock (s)."""
 
 
 @pytest.fixture(scope="session", autouse=True)
 def interruptible() -> None:
-    """Have child processes hear SIGINT: shells turn it off for what they run in the background."""
+    """Have child processes receive SIGINT, which shells disable for background commands."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -74,13 +74,13 @@ def domain_id(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
 
 
 def free_domain() -> int:
-    """A domain that is free, for somebody else to claim."""
+    """Return a free domain id, for another process to claim."""
     with DomainClaim() as claim:
         return claim.domain_id
 
 
 def joined(domain_id: int, *arguments: str) -> Context:
-    """A new context in a domain, with arguments for ROS, to be shut down by the caller."""
+    """Return a new context in a domain, with ROS arguments; the caller shuts it down."""
     context = Context()
     rclpy.init(
         args=[*arguments],
@@ -131,7 +131,7 @@ def node(context: Context) -> Iterator[Node]:
 
 @pytest.fixture
 def spinner(node: Node) -> Iterator[Spinner]:
-    """What spins the plain node, and further ones that are added."""
+    """Spinner of the plain node, and of nodes that are added later."""
     with Spinner([node]) as spinner:
         yield spinner
 
@@ -156,8 +156,8 @@ raise SystemExit(run_node(make, ["other"]))
 
 @pytest.fixture
 def other(domain_id: int) -> Iterator[subprocess.Popen[bytes]]:
-    """A node in a process of its own, with a heartbeat, which answers questions by themselves."""
-    # They find each other with the middleware's own defaults, which are slow.
+    """A node in a process of its own, with a heartbeat, that echoes every question."""
+    # The nodes discover each other with the middleware's defaults, which are slow.
     environment = {**os.environ, "ROS_DOMAIN_ID": str(domain_id)}
     environment.pop("FASTRTPS_DEFAULT_PROFILES_FILE", None)
     process = subprocess.Popen([sys.executable, "-c", OTHER], env=environment)
@@ -198,16 +198,16 @@ def assert_locked_while_active(node: LifecycleNode, name: str, value: Value, why
 
 
 def report(monitor: HeartbeatMonitor, *, alive: int, silent: int) -> None:
-    """Tell what the middleware would of the heartbeat of a node in another process."""
-    # The binding of the event cannot be made by hand, but has the same attributes.
+    """Tell a monitor what the middleware would report of another process's heartbeat."""
+    # The event of the binding cannot be constructed by hand; this has the same attributes.
     event: Any = SimpleNamespace(alive_count=alive, not_alive_count=silent)
     monitor._on_event(event)
 
 
 def set_clock(node: Node, step: float) -> None:
-    """Set the clock of a node forward (s), or back, and have it stand still from then on.
+    """Step the clock of a node by so many seconds, and stop it there.
 
-    That is what a step of the wall clock looks like to a timer, without one.
+    To a timer that looks like a step of the wall clock, which is not touched.
     """
     clock: Any = node.get_clock()
     now = clock.now()
@@ -216,7 +216,7 @@ def set_clock(node: Node, step: float) -> None:
 
 
 class HandedClock:
-    """Stands for the module ``time`` of a node: how busy the machine is decides nothing."""
+    """Replaces the module ``time`` of a node, so that the load of the machine has no effect."""
 
     def __init__(self) -> None:
         self.now = 1000.0
@@ -230,19 +230,19 @@ class HandedClock:
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> HandedClock:
-    """The clock of controllers in this process, which stands still until a test lets it go on."""
+    """The clock of controllers in this process, which stands still until a test advances it."""
     clock = HandedClock()
     monkeypatch.setattr("armimp_control.node.time", clock)
     return clock
 
 
 def raised(error: MalformedMessageError) -> None:
-    """Raise what is wrong with a message, so that it arrives at whoever spins."""
+    """Raise the error of a malformed message, so that it reaches the caller of ``spin``."""
     raise error
 
 
 class ScriptedDriver:
-    """Stands for the rig: feeds samples to a controller, and keeps what comes back."""
+    """Stand-in for the rig: feeds samples to a controller and keeps its answers."""
 
     def __init__(self, node: Node, names: Sequence[str], *, start_ns: int = 0) -> None:
         self.names = tuple(names)
@@ -306,7 +306,7 @@ class ScriptedDriver:
     def feed(
         self, theta: Sequence[float], tau_h: Sequence[float] = (0.0, 0.0), ticks: int = 1
     ) -> None:
-        """Publish samples that are alike: angles (rad) and torques on the arm (N·m)."""
+        """Publish identical samples: angles (rad) and torques on the arm (N·m)."""
         for _ in range(ticks):
             self.channels[topics.JOINT_STATES].publish(self.stamp_ns, theta)
             self.channels[topics.TORQUE_SENSORS].publish(self.stamp_ns, tau_h)
@@ -317,7 +317,7 @@ class ScriptedDriver:
         eventually(spinner, lambda: self.answered, "an answer to every sample")
 
     def await_phase(self, phase: Phase, spinner: Spinner) -> TrialStatus:
-        """Wait until the controller announces a phase, and return what it said first of it."""
+        """Wait until the controller announces a phase, and return its first status of it."""
         eventually(spinner, lambda: self.has_said(phase), f"the phase {phase.value}")
         return next(status for status in self.statuses if status.phase is phase)
 
@@ -327,7 +327,7 @@ Launch: TypeAlias = Callable[..., Any]
 
 @pytest.fixture
 def launch(context: Context, spinner: Spinner) -> Iterator[Launch]:
-    """Makes a node with the parameters of a schema, and other ones by name; it is spun."""
+    """Make a node with the values of a schema, some changed by name, and spin it."""
     made: list[Node] = []
 
     def factory(

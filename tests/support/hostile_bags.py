@@ -1,7 +1,7 @@
 """Files made to harm whoever reads them.
 
-Every function takes an empty directory and returns what stands after ``armimp``. What must stay as
-it was is in ``witness`` beside the directory. All but the links are below 10 MB.
+Every attack takes an empty directory and returns the arguments of ``armimp``. Files that must stay
+untouched are in ``witness`` beside that directory. All files but the links are below 10 MB.
 """
 
 import os
@@ -66,12 +66,12 @@ def channel(number: int, name: str) -> Channel:
 
 
 def message(number: int, log_time_ns: int, payload: bytes) -> bytes:
-    """As `records` would write it, in a tenth of the time."""
+    """A message record as `records` would write it, in a tenth of the time."""
     return endless(len(payload), number, log_time_ns) + payload
 
 
 def endless(length: int, number: int = 1, log_time_ns: int = 1) -> bytes:
-    """The beginning of a message of so many bytes."""
+    """Head of a message record whose payload is to have so many bytes."""
     return struct.pack("<BQHIQQ", 5, 22 + length, number, 0, log_time_ns, log_time_ns)
 
 
@@ -99,7 +99,7 @@ def untold(ticks: int) -> Iterable[Message]:
 
 
 def repeated(piece: bytes, times: int, prefix: bytes = b"") -> bytes:
-    """A zstd frame, without the length of its content, of a large piece many times over."""
+    """A zstd frame of a large piece many times over, which does not state its content size."""
     out = BytesIO()
     with zstandard.ZstdCompressor(level=1).stream_writer(out, closefd=False) as writer:
         writer.write(prefix)
@@ -131,7 +131,7 @@ def zstd_chunks(records: Iterable[bytes]) -> bytes:
 
 
 def statuses(number: int, spacing_ns: int, ticks: int, first_ns: int = 0) -> bytes:
-    """Statuses of so many trials, each of which begins so long after the one before."""
+    """Statuses of trials that begin at regular intervals."""
 
     def status(i: int) -> bytes:
         start_ns = first_ns + i * spacing_ns
@@ -181,7 +181,7 @@ MCAP: Final[dict[str, Callable[[], bytes]]] = {
     "trials of ten million samples": lambda: sound() + statuses(900, 10**6, 10_000_000),
     "three hundred thousand joints in messages": lambda: b"".join(three_hundred_thousand_joints()),
 }
-"""What follows the head of the file, whose channels may be told anew."""
+"""Contents that follow the head of a file; they may define its channels anew."""
 
 
 def with_content(make: Callable[[], bytes], directory: Path) -> Arguments:
@@ -225,7 +225,7 @@ def recursive_view_of_messages(directory: Path) -> Arguments:
 
 
 def interior_page(child: int, cells: int) -> bytes:
-    """An interior page of a table, all of whose cells lead to the same child."""
+    """An interior B-tree page of a table whose cells all point to the same child."""
     size = 4096
     page = bytearray(size)
     page[:12] = struct.pack(">BHHHBI", 5, 0, cells, size - 12 * cells, 0, child)
@@ -282,7 +282,7 @@ def journal_that_has_another_file_deleted(directory: Path) -> Arguments:
 
 
 def _hole(path: Path) -> None:
-    """Give a file a tebibyte that nobody ever wrote."""
+    """Make a sparse file of a tebibyte."""
     path.touch()
     os.truncate(path, 1 << 40)
 
@@ -312,7 +312,7 @@ PLACES: Final[dict[str, tuple[str, Attack]]] = {
     "storage": ("bag.mcap", finished),
     "configuration": ("config.yaml", lambda directory: configured(directory / "config.yaml")),
 }
-"""Files by what they are, and what reads them."""
+"""Files by their role: name, and what returns the arguments of a command that reads it."""
 
 
 def in_place(make: Callable[[Path], object], place: str, directory: Path) -> Arguments:
@@ -333,7 +333,7 @@ ATTACKS |= {
 
 
 def unfinished(directory: Path, *content: bytes) -> Path:
-    """A bag whose recorder was killed: whoever reads it finishes it."""
+    """A bag as a killed recorder leaves it; its reader finishes it."""
     bag = directory / "bag"
     bag.mkdir()
     (bag / "bag_0.mcap").write_bytes(b"".join((OUR_HEAD, CONTRACT, *content)))
@@ -366,7 +366,7 @@ def links_in_a_circle(directory: Path) -> Arguments:
 
 @attack
 def storage_that_is_cut_while_it_is_read(directory: Path) -> Arguments:
-    """A bag that another process changes, again and again, for as long as it may be read."""
+    """A bag that another process truncates and rewrites for 5 s, while it is read."""
     arguments = mcap(directory, HEAD, *(sound() for _ in range(20)))
     file = Path(arguments[1])
     content = file.read_bytes()
@@ -384,11 +384,11 @@ def storage_that_is_cut_while_it_is_read(directory: Path) -> Arguments:
 # --- trying them ------------------------------------------------------------------------------
 
 _KILLED_AFTER: Final = 240
-"""Seconds."""
+"""Wall time after which a reader is killed (s)."""
 _ADDRESS_SPACE: Final = 8 << 30
-"""Bytes, so that what fails does not take the machine with it."""
+"""Limit of a reader's address space (bytes), so that a failure spares the machine."""
 _SERVER: Final = get_context("forkserver")
-"""Its processes have imported everything already, and their memory counts from nothing."""
+"""Forks processes that have everything imported, and whose peak memory counts anew."""
 _SERVER.set_forkserver_preload(
     [
         __name__,
@@ -400,7 +400,7 @@ _SERVER.set_forkserver_preload(
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What the command made of the file of an attack: processor time in s, memory in bytes."""
+    """How a command read the file of an attack: processor time in s, peak memory in bytes."""
 
     told: Told
     seconds: float
@@ -427,7 +427,7 @@ def _alone(work: Callable[..., T], *arguments: object) -> T:
 
 
 def witnessed(directory: Path) -> dict[str, bytes]:
-    """What is in the files that must stay as they are."""
+    """Contents of the files that must stay untouched."""
     inside = (directory / WITNESS).rglob("*")
     return {str(path): path.read_bytes() for path in inside if path.is_file()}
 

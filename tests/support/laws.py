@@ -1,4 +1,4 @@
-"""Laws that a controller has by a preset, and limiters of nothing but the torque."""
+"""Preset control laws, and limits of nothing but the torque."""
 
 from dataclasses import replace
 
@@ -47,7 +47,7 @@ def knowing(law: Law, **values: object) -> Law:
 
 
 def torque_only(limit: float) -> SafetyParameters:
-    """A limiter of the torque, N·m, and of nothing else; what is not finite still stops it."""
+    """Limits of the torque alone, N·m; values that are not finite still stop the limiter."""
     return SafetyParameters(
         position_limit=(1e300,),
         velocity_limit=(1e300,),
@@ -58,6 +58,6 @@ def torque_only(limit: float) -> SafetyParameters:
 
 
 def within_torque(command: FloatArray, limit: float) -> FloatArray:
-    """What is left of a command (n,), N·m, that asks some joint for more than the limit."""
+    """Scale a command (n,), N·m, so that no joint gets more torque than the limit."""
     share = max(1.0, float(np.max(np.abs(command))) / limit)
     return np.asarray(command / share)

@@ -1,4 +1,4 @@
-"""Pages as a browser would find them, and tables of pages in Markdown."""
+"""HTML pages taken apart as a browser sees them, and tables of Markdown pages."""
 
 import re
 from html.parser import HTMLParser
@@ -35,7 +35,7 @@ class Page(HTMLParser):
 
 
 def markdown_tables(page: str) -> dict[str, list[list[dict[str, str]]]]:
-    """The tables under each heading, by its text without number and backticks; rows by column."""
+    """Return the tables under each heading, without its number and backticks; rows by column."""
     found: dict[str, list[list[dict[str, str]]]] = {}
     heading, header = "", None
     for line in page.splitlines():

@@ -18,7 +18,7 @@ from armimp_sim.simulator import SimulatedRig
 
 
 def rig(arm: HumanArm, robot: PlanarChain, **parts: Any) -> SimulatorParameters:
-    """A rig of these, and of other parts than none."""
+    """A rig of an arm and a robot, ideal but for the other parts that are given."""
     parts = {"friction": LuGre(), "sensors": SensorParameters(), **parts}
     names = presets.JOINT_NAMES[arm.joints]
     return SimulatorParameters(joints=names, arm=arm, robot=robot, **parts)

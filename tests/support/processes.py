@@ -1,4 +1,4 @@
-"""Processes of this machine: run, found by their command line, waited for, their precedence."""
+"""Run processes, find them by their command line, wait for them, and ask for priority."""
 
 import subprocess
 import sys
@@ -28,7 +28,7 @@ run_python = partial(run_program, sys.executable)
 
 
 def wait_until(condition: Callable[[], bool], what: str, patience: float = 120.0) -> None:
-    """Wait for what another process or thread does."""
+    """Wait for a condition that another process or thread brings about."""
     deadline = time.monotonic() + patience
     while not condition():
         assert time.monotonic() < deadline, f"did not happen within {patience} s: {what}"
@@ -36,7 +36,7 @@ def wait_until(condition: Callable[[], bool], what: str, patience: float = 120.0
 
 
 def processes_of(*words: str | Path) -> list[int]:
-    """Processes whose command line has all these words in it, but for this one."""
+    """Ids of the other processes whose command line contains all these words."""
     commands = {one: " ".join(one.info["cmdline"] or ()) for one in process_iter(["cmdline"])}
     del commands[Process()]
     return [one.pid for one, told in commands.items() if all(str(word) in told for word in words)]

@@ -1,4 +1,4 @@
-"""Results and studies on disk, for tests of whatever shows them."""
+"""Results and studies on disk, for tests of what displays them."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -48,7 +48,7 @@ METADATA: Mapping[str, str] = {
 
 
 def threads(workers: int) -> Backend:
-    """So many threads for the batches of a study."""
+    """Backend that runs the batches of a study in so many threads."""
     return Backend(ThreadPoolExecutor(workers), workers)
 
 
@@ -58,7 +58,7 @@ def read_study(path: Path) -> list[StudyEntry]:
 
 
 def with_cuff(one: EstimatorSummary) -> EstimatorSummary:
-    """The same of two joints, with a model of which one value was not fitted."""
+    """The summary of a two-joint estimate, with a model of which one value was not fitted."""
     matrices = {name: np.ravel(getattr(one, name)).tolist() for name in "MBK"}
     values = {**matrices, "cuff_stiffness": [2e5, 1e4], "delay": [0.01]}
     parameters = {

@@ -1,4 +1,4 @@
-"""Streams whose messages are handed in, where no middleware keeps them."""
+"""Streams fed with messages by hand, without a middleware."""
 
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, TypeVar
@@ -16,7 +16,7 @@ ModelT = TypeVar("ModelT", bound=BaseModel)
 
 
 def fed_synchronizer() -> tuple[StreamSynchronizer, dict[str, Callable[[bytes], None]]]:
-    """A synchronizer, and what takes the messages of each stream for it."""
+    """A synchronizer, and for each stream a function that hands it a message."""
     waiting: dict[str, list[bytes]] = {topic: [] for topic in DATA_STREAMS}
 
     def source(topic: str) -> Callable[[], Sequence[bytes]]:
@@ -54,7 +54,7 @@ def record(
 
 
 def trial_status(**values: Any) -> TrialStatus:
-    """A status of the first of two trials, which perturbs the shoulder, with other values."""
+    """A status of the first of two trials, perturbing the shoulder, with some values changed."""
     usual: dict[str, Any] = {
         "phase": Phase.PERTURB,
         "trial": 1,
@@ -71,5 +71,5 @@ def trial_status(**values: Any) -> TrialStatus:
 
 
 def changed(record: ModelT, **values: Any) -> ModelT:
-    """The same record with other values."""
+    """The record with some values changed."""
     return type(record)(**{**dict(record), **values})

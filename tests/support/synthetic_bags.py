@@ -1,4 +1,4 @@
-"""Recordings of given and of made-up trials, for tests of whatever takes messages or a bag."""
+"""Recordings of given and of made-up trials, for tests of what reads messages or bags."""
 
 import functools
 from collections.abc import Sequence
@@ -49,7 +49,7 @@ def synthetic_recording(
     start_ns: int = 1_000_000_000,
     seed: int = 1,
 ) -> SyntheticRecording:
-    """Make up the recording of some trials, one after the other; its end is not announced.
+    """Make up the recording of consecutive trials, whose end is not announced.
 
     The numbers have no physical meaning: a random walk as position, noise as torque.
     """

@@ -41,9 +41,9 @@ class SyntheticConfig:
     inertia: float = 0.2
     viscosity: float = 2.0
     stiffness: float = 10.0
-    """What the controller gives to the perturbed joint."""
+    """Inertia, viscosity and stiffness are what the controller gives to the perturbed joint."""
     lock_stiffness: float = 1e9
-    """Locked joints give way to the torque of the arm."""
+    """Of the locked joints, which give way to the torque of the arm."""
     voluntary: float = 0.0
     """Rms of each joint, below 2 Hz; it moves the arm through the loop."""
     torque_noise: float = 0.0
@@ -112,7 +112,7 @@ def made_record(
 
 
 def part_of(record: TrialRecord, start: int, stop: int) -> TrialRecord:
-    """The samples of a trial from one to another, without its commands."""
+    """The samples `start` to `stop` of a trial, without its commands."""
     return replace(record.part(start, stop), command=None)
 
 
@@ -134,10 +134,10 @@ def _noise(rng: np.random.Generator, samples: int, shape: FloatArray, rms: float
     return spectrum * (rms / actual)
 
 
-# As 50 s at 1 kHz in resolution, band and number of segments, with an eighth of the samples.
+# Like 50 s at 1 kHz in resolution, band and number of segments, with an eighth of the samples.
 SEGMENT = 1024
 LPM = LpmFull(config=LpmConfig(reading=TorqueReading(timing=TorqueTiming.SIMULTANEOUS)))
-"""Local polynomials for these records, whose angles and torques are of one instant."""
+"""Local polynomials for these records, whose angles and torques are simultaneous."""
 LOOP = SyntheticConfig(rate=125.0, samples=6144, viscosity=4.0, stiffness=30.0)
 THREE_JOINT_ARM = MBK(
     M=np.array([[0.3, 0.1, 0.02], [0.09, 0.1, 0.015], [0.021, 0.014, 0.01]]),
@@ -188,7 +188,7 @@ def off(fit: MBKFit, arm: MBK = TWO_JOINT_ARM) -> FloatArray:
 
 
 def with_readings(trial: TrialData, **arrays: Any) -> TrialData:
-    """The trial with other readings, and the spectra that it has."""
+    """The trial with some readings replaced, and its spectra unchanged."""
     return replace(trial, record=replace(trial.record, **arrays))
 
 

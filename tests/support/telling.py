@@ -1,17 +1,17 @@
-"""Progress that comes by samples, so that it does not depend on how quick the machine is."""
+"""Progress reported by samples, so that it does not depend on the speed of the machine."""
 
 import pytest
 
 from armimp_estimation.node import ImpedanceEstimatorNode
 
 EVERY = 250
-"""Samples."""
+"""Samples between two reports."""
 
 
 def tell_by_samples(patch: pytest.MonkeyPatch) -> None:
-    """Have estimators of this process tell their progress every so many samples, too.
+    """Have estimators of this process report progress every `EVERY` samples as well.
 
-    By its timer alone one may have told nothing before a short trial is over.
+    With its timer alone one may report nothing before a short trial is over.
     """
     on_samples = ImpedanceEstimatorNode._on_samples
 

@@ -30,7 +30,7 @@ def result(recording: armimp.Recording) -> armimp.Result:
 
 
 def rebuilt(recording: armimp.Recording, **changes: Any) -> armimp.Recording:
-    """The same of plain arrays, some of which are other ones."""
+    """The recording rebuilt from plain arrays, some of them replaced."""
     arrays = {name: [getattr(one, name) for one in recording.trials] for name in SIGNALS}
     return armimp.Recording.from_arrays(**{**arrays, "rate": 1000.0, **changes})
 
@@ -64,7 +64,7 @@ SPOILT: dict[str, tuple[str, Callable[[np.ndarray, int], np.ndarray]]] = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("words", SPOILT)
-def test_transducers_of_one_joint_alone_and_encoders_that_begin_another_turn_are_refused(
+def test_torques_of_the_perturbed_joint_alone_and_angles_that_wrap_are_refused(
     recording: armimp.Recording, words: str
 ) -> None:
     name, spoil = SPOILT[words]
@@ -74,7 +74,7 @@ def test_transducers_of_one_joint_alone_and_encoders_that_begin_another_turn_are
     assert any(words in one for one in result.problems), result.problems
 
 
-def test_a_wider_level_makes_a_wider_interval_of_a_normal_distribution(
+def test_intervals_are_those_of_a_normal_distribution_and_widen_with_the_level(
     result: armimp.Result,
 ) -> None:
     low, high = result.interval("K")
@@ -140,7 +140,7 @@ def test_when_an_option_is_unknown_or_out_of_range_expect_its_name() -> None:
         armimp.Recording.from_arrays([], [], [], rate=1.0, timing="never")
 
 
-def test_a_bag_becomes_a_recording_and_what_is_wrong_with_its_stamps_is_with_the_result(
+def test_a_bag_becomes_a_recording_and_problems_of_its_stamps_are_those_of_the_result(
     recording: armimp.Recording, tmp_path: Path
 ) -> None:
     made = synthetic_recording(perturbed=(0, 1), ticks=2000, settle=10, rest=10)
@@ -157,7 +157,7 @@ def test_a_bag_becomes_a_recording_and_what_is_wrong_with_its_stamps_is_with_the
         armimp.read_bag()
 
 
-def test_what_a_bag_says_of_its_sensors_is_in_the_errors_as_on_the_command_line(
+def test_metadata_of_the_sensors_in_a_bag_count_as_on_the_command_line(
     tmp_path: Path,
 ) -> None:
     known = {"torque_timing": '"before_update"', "torque_uncertainty": "0.002"}
@@ -177,9 +177,7 @@ def test_the_model_that_a_bag_was_recorded_with_is_fitted_unless_another_one_is_
     assert not armimp.identify(read, model="mbk").models
 
 
-def test_what_is_declared_of_how_linear_transducers_are_decides_the_errors_beside_a_person() -> (
-    None
-):
+def test_the_declared_linearity_of_transducers_decides_the_errors_beside_a_person() -> None:
     person = {"voluntary.rms": 0.3}
     bent = armimp.simulate(
         duration=2.0, arm_sim={**person, "sensors.torque.hysteresis": 0.05}
@@ -216,14 +214,14 @@ def test_a_transducer_that_shows_the_torque_of_another_joint_is_named_with_its_s
     )
     found = armimp.identify(crossed)
     assert not found.impedance_valid
-    # A gain of the shoulder's would explain its share as well, as the rows of this arm are alike.
+    # A gain error of the shoulder would explain its share as well: this arm's rows are alike.
     assert any(
         re.match(r"the transducer of elbow shows 4\.\d+ ± 0\.\d+ % of the torque of shoulder", one)
         for one in found.problems
     ), found.problems
 
 
-def test_an_arm_whose_torques_are_late_by_what_nobody_told_is_not_taken_for_bent() -> None:
+def test_an_undeclared_delay_of_the_torques_is_not_taken_for_a_nonlinear_arm() -> None:
     late = armimp.simulate(duration=20.0, seed=1, arm_sim={"sensors.torque.delay": 0.0015})
     untold = dict.fromkeys(("torque_delay", "torque_uncertainty"))
     untold |= {"torque_timing": TorqueTiming.UNKNOWN}

@@ -60,7 +60,7 @@ def test_what_misses_its_target_or_fails_is_named_beside_the_figures_of_the_othe
     assert record["failed"] == {"first": "no graph today"}
 
 
-def test_jitter_is_that_of_runs_in_real_time_without_what_is_not_permitted(
+def test_jitter_is_that_of_runs_in_real_time_whose_priority_is_permitted(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     figures = TimingFigures(ticks=200, late=1, missed=4, period_p50=1e-3, latency_max=3e-3)

@@ -31,5 +31,5 @@ for rig in ("paper", "realistic"):
 
 
 @pytest.mark.slow
-def test_after_it_a_run_compiles_nothing_any_more(tmp_path: Path) -> None:
+def test_after_compiling_ahead_a_run_compiles_nothing(tmp_path: Path) -> None:
     run_python("-c", PROGRAM, env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)})

@@ -46,21 +46,21 @@ Edit = Callable[[Message], Message]
 
 
 class Driver(Answering):
-    """A driver in real time and the checker in front of it, on one clock; sound but for defects."""
+    """A driver in real time and the checker that tests it, on one clock; sound but for defects."""
 
     watchdog = True
     """Whether it stops without commands."""
     lets_go = True
-    """Whether torque then goes."""
+    """Whether it then takes the torque away."""
     latches = True
     """Whether it waits for a reset."""
     resets = True
-    """Whether it grants that."""
+    """Whether it grants a reset."""
     deaf = False
-    """Whether it only says that it stops when told to."""
+    """Whether it acknowledges an emergency stop without stopping."""
     moody = False
     sign = 1.0
-    """That of its transducers."""
+    """Sign of its transducers."""
 
     def __init__(self, **defects: Any) -> None:
         self.time_ns, self.tick = NS_PER_S, 0
@@ -83,7 +83,7 @@ class Driver(Answering):
         return False
 
     def drive(self, torque: Torque) -> Torque:
-        """What it makes of a torque."""
+        """Torque that the drives make of a commanded one."""
         return torque
 
     def obey(self, torque: Torque) -> None:
@@ -174,7 +174,7 @@ def endpoint(topic: str, role: Literal["publisher", "subscriber"]) -> Endpoint:
 def moved(driver: Driver) -> Record:
     """Let the checker move a driver that is sound at rest."""
     checker: Any = driver
-    # As in real time from the activation on, beside a script: no sample is without an answer.
+    # As in real time, every sample from the activation on is answered.
     driver.torque = ZERO
     moves = Checker(checker, CheckOptions(joints=JOINTS, move=True)).move()
     return Record(
@@ -270,7 +270,7 @@ def held_up(message: Message) -> Message:
 
 
 def slower(share: float) -> Edit:
-    """A stream that is slower by the wall clock."""
+    """Stretch the arrivals of a stream by this factor, so that it is slower by the wall clock."""
     start = 10**12
     return lambda m: m._replace(arrival_ns=start + round(share * (m.arrival_ns - start)))
 
@@ -285,14 +285,14 @@ def slower(share: float) -> Edit:
             [],
             [],
         ),
-        # It may be the driver's, or that of a busy machine.
+        # The jitter may be the driver's, or that of a busy machine.
         (JOINT_STATES, held_up, [], [f"{JOINT_STATES}: jitter"]),
         (JOINT_STATES, slower(1.003), [], []),
         (JOINT_STATES, slower(1.015), [f"{JOINT_STATES}: rate"], []),
     ],
     ids=["stamps of a pair differ", "another order", "jitter", "hardly slower", "slower"],
 )
-def test_what_is_odd_about_a_stream_is_named_alone_if_it_is_a_defect(
+def test_a_peculiarity_of_a_stream_is_named_only_if_it_is_a_defect(
     sound: Record, topic: str, edit: Edit, named: list[str], doubtful: list[str]
 ) -> None:
     record = edited(sound, topic, edit)
@@ -300,7 +300,7 @@ def test_what_is_odd_about_a_stream_is_named_alone_if_it_is_a_defect(
     assert unsure(record) == set(doubtful)
 
 
-def test_what_is_missing_or_of_another_kind_is_named(sound: Record) -> None:
+def test_missing_topics_and_wrong_types_or_qualities_of_service_are_named(sound: Record) -> None:
     ends = {end.topic: end for end in sound.endpoints}
     ends[JOINT_STATES] = ends[JOINT_STATES]._replace(type="std_msgs/msg/Float64MultiArray")
     ends[TORQUE_SENSORS] = ends[TORQUE_SENSORS]._replace(reliable=False)
@@ -344,7 +344,7 @@ def test_a_fault_at_rest_is_named_and_what_was_asked_for_in_vain_is_inconclusive
 
 
 def late(by: int) -> Callable[[Torque], Torque]:
-    """Drives on whose way so many commands always are."""
+    """Drives that apply every command so many periods late."""
     waiting: list[Torque] = [ZERO] * by
 
     def drive(torque: Torque) -> Torque:
@@ -424,7 +424,7 @@ def test_when_commands_are_held_up_and_the_driver_stops_expect_no_judgement() ->
     ("defects", "named", "fault"),
     [
         ({"moody": True}, "torque: no stop", ""),
-        # It is told to stop, and not reset.
+        # The driver is told to stop, and is not reset.
         ({"drive": lambda t: (20.0 * t[0], 20.0 * t[1])}, "torque: motion", "emergency stop"),
     ],
 )
@@ -470,7 +470,7 @@ def test_motion_within_the_limit_is_allowed_and_the_largest_kept(guard: MotionGu
         (angles(1.0, -2.0, names=("shoulder", "wrist")), "the angles cannot be read"),
     ],
 )
-def test_beyond_the_limit_and_where_it_is_not_known_there_is_no_torque_any_more(
+def test_beyond_the_limit_or_at_unknown_angles_the_torque_is_taken_away_for_good(
     guard: MotionGuard, message: Message | None, objection: str
 ) -> None:
     assert not guard.allows(message)

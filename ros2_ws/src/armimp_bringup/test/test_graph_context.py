@@ -85,7 +85,7 @@ def test_when_the_process_was_in_a_graph_before_expect_it_to_find_the_local_host
 
     ports, variable = printed.splitlines()
     domain, *found = (int(port) for port in ports.split()[1:])
-    # The port of a domain for multicast; its others follow.
+    # A domain begins with its multicast port; its other ports follow.
     assert found
     assert 7400 + 250 * domain not in found
     assert min(port for port in found if port >= 7400 + 250 * domain) < 7650 + 250 * domain

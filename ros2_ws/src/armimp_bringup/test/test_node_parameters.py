@@ -1,4 +1,4 @@
-"""What a user says about rig and time, and what parameters the nodes get of it."""
+"""Options of a user on rig and timing, and the node parameters that follow from them."""
 
 from typing import Any
 
@@ -24,9 +24,7 @@ def test_a_rig_that_is_known_to_lag_gets_the_slower_law_and_a_known_arm_does_not
     assert node_parameters(config, None).controller.law.gamma == gamma
 
 
-def test_in_real_time_each_gets_a_process_and_is_told_but_what_single_nodes_are_told_prevails() -> (
-    None
-):
+def test_in_real_time_each_node_gets_a_process_and_options_of_single_nodes_prevail() -> None:
     overrides: Overrides = {"realtime": {"priority": 7}}
     config = load_config(None, {"mode": "realtime", "priority": 20, "arm_sim": overrides})
     assert config.processes == "separate"
@@ -55,7 +53,7 @@ def test_what_does_not_fit_together_is_refused_in_one_line(
 
 def test_the_estimator_knows_what_is_simulated_unless_it_is_told_otherwise() -> None:
     sensors = {"sensors": {"torque": {"delay": 0.0015, "cutoff": 150.0, "order": 2}}}
-    # Slow enough for a loop that is told of readings as late as that.
+    # Slow enough for a loop that knows its readings to be that late.
     slow = {"target": {"lock_frequency": 50.0}, "law": {"gamma": 50.0}}
     values = {
         "arm_sim": {**sensors, "actuators": {"bandwidth": 800.0}},

@@ -1,4 +1,4 @@
-"""What the command line shows of a trial that runs, and of a result."""
+"""What the command line shows of a running trial and of a result."""
 
 import io
 import json
@@ -79,7 +79,7 @@ def test_trials_last_from_the_first_sample_to_the_last_one_that_is_perturbed() -
     assert whole.trials > inside.trials >= 0.0
 
 
-def test_problems_are_told_by_what_they_do_and_one_cause_takes_one_line(directory: Path) -> None:
+def test_problems_are_listed_by_their_effect_and_one_cause_takes_one_line(directory: Path) -> None:
     late: dict[str, Any] = {
         "count": 300,
         "ticks": 20_000,
@@ -116,7 +116,7 @@ def test_problems_are_told_by_what_they_do_and_one_cause_takes_one_line(director
     assert alone == f"not valid: {problems[0]}"
 
 
-def test_after_refusals_the_verdict_names_what_decides(
+def test_after_refusals_the_verdict_names_the_deciding_estimator(
     directory: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     summary = read_summary(directory / "summary.json")
@@ -146,7 +146,7 @@ def test_on_a_terminal_messages_break_between_words(
     assert all(len(one) <= 80 for one in shown[:-1])
 
 
-def test_commands_that_nobody_recorded_are_told_and_not_lost(
+def test_commands_that_were_not_recorded_are_shown_as_such_and_not_as_lost(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     messages = [one for one in recorded_arm().messages if one[0] != COMMANDS]
@@ -221,7 +221,7 @@ def test_a_terminal_shows_time_left_coherence_and_column_and_follows_an_earlier_
     assert "estimating" in text
 
 
-def test_elsewhere_only_the_beginning_of_each_trial_is_told() -> None:
+def test_without_a_terminal_only_the_beginning_of_each_trial_is_printed() -> None:
     output = io.StringIO()
     with Display(Console(file=output, width=120)) as display:
         for samples in (0, 10, 20_000):

@@ -43,7 +43,7 @@ def test_interrupted_study_ends_at_once(tmp_path: Path) -> None:
     with program("reproduce", "--out", str(tmp_path / "out"), *options) as study:
         assert study.stderr is not None
         assert study.stderr.readline() == "0 of 1920 conditions\n"
-        # Without waiting for the batch at work.
+        # It does not wait for the batch that is running.
         assert interrupted(study, 130) == ["armimp: interrupted"]
 
 

@@ -89,7 +89,7 @@ def test_processes_give_results_and_the_errors_of_their_tasks_and_tell_that_they
         list(processes(1).run(os._exit, [3]))
 
 
-def test_wrong_backends_are_told_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_backend_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ConfigurationError, match="which is not installed: pip install distributed"):
         cluster("tcp://127.0.0.1:8786")
@@ -101,7 +101,7 @@ def distributed() -> Any:
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("default")  # of what other packages do while a cluster starts and ends
+@pytest.mark.filterwarnings("default")  # other packages warn while a cluster starts and ends
 def test_cluster_gives_the_same_files_as_threads(distributed: Any, tmp_path: Path) -> None:
     conditions = select_conditions(["friction=0,resolution=0+3,perturbation=1"], "0")
     run_study(BASE, conditions, tmp_path / "threads", threads(1), figures=False)

@@ -1,4 +1,4 @@
-"""What a study leaves: its files, its report, and its figures of the numbers they are given."""
+"""The files of a study, its report and its figures."""
 
 import html
 import re
@@ -122,7 +122,7 @@ def test_figures_3_and_4_group_by_every_factor_and_reach_from_worst_to_best(
         assert len(figure.axes) == len(scores)
         ticks = [one.get_text() for one in figure.axes[-1].get_xticklabels()]
         assert ticks == ["F0", "F3", "R3", "P1"]
-    # By resolution, of which there is one.
+    # At R3, the only level of resolution.
     container: Any = levels_figure(table[:, 0], FIT_SCORES).axes[0].containers[1]
     values = table["vaf_percent"][:, 0, 0, 1]
     np.testing.assert_allclose(container.lines[0].get_ydata()[2], np.mean(values))
@@ -134,7 +134,7 @@ def test_figures_3_and_4_group_by_every_factor_and_reach_from_worst_to_best(
 
 
 HARDEST = ["friction=0+3,resolution=0+3,perturbation=1", "friction=1,resolution=2,perturbation=2"]
-"""The weakest perturbation beside most friction, coarsest sensors, both or none; and the middle."""
+"""The weakest perturbation with most friction, coarsest sensors, both or none; and the middle."""
 
 COARSEST = "friction=3,resolution=3,perturbation=3"
 

@@ -19,7 +19,7 @@ from armimp_common.protection import (
 
 @pytest.fixture
 def protection() -> Protection:
-    """One with a sample that the first command is to answer."""
+    """A protection that has sent a sample, for the first command to answer."""
     protection = Protection(2, ProtectionLimits(position=3.0, velocity=20.0, torque=100.0))
     protection.sample((0.0, 0.0))
     return protection
@@ -42,7 +42,7 @@ def test_a_command_that_cannot_be_obeyed_takes_all_torque_away(
 def test_commands_that_answer_ever_older_samples_are_as_good_as_none(
     protection: Protection,
 ) -> None:
-    for _ in range(100):  # of samples that nobody was there to answer
+    for _ in range(100):  # samples that nobody was there to answer
         protection.sample((0.0, 0.0))
         protection.period()
     for sample in range(100):
@@ -152,7 +152,7 @@ def sent(backlog: FlowControl, samples: int) -> FlowControl:
     return backlog
 
 
-def test_a_count_that_goes_back_is_not_of_the_recorder() -> None:
+def test_a_count_that_decreases_is_not_that_of_the_recorder() -> None:
     backlog = FlowControl()
     backlog.acknowledge(0)
     sent(backlog, 100).acknowledge(90)

@@ -1,4 +1,4 @@
-"""Signs of life: what is known of a watched node, and how soon the death of a process is heard."""
+"""Heartbeats: what is known of a watched node, and how soon a dead process is noticed."""
 
 import signal
 import subprocess
@@ -13,7 +13,7 @@ from support.graph import eventually, report
 
 
 def introduced(watch: HeartbeatMonitor, changes: list[Presence]) -> bool:
-    """Whether the other node is known to live, and its process by name."""
+    """Whether the other node is known to be alive, and its process is identified."""
     known = watch.presence is Presence.ALIVE and watch._process != ""
     if known:
         # A busy machine may hold up the first messages for longer than the lease.
@@ -28,7 +28,7 @@ def changes() -> list[Presence]:
 
 @pytest.fixture
 def watch(node: Node, changes: list[Presence], monkeypatch: pytest.MonkeyPatch) -> HeartbeatMonitor:
-    # What is to be heard before the lease runs out takes as long as a busy machine needs.
+    # On a busy machine it may take long until all is heard that precedes the end of the lease.
     monkeypatch.setattr(qos, "ALIVE_WATCHED", qos._alive(60_000))
     return HeartbeatMonitor(node, "other", lambda watch: changes.append(watch.presence))
 
@@ -47,13 +47,13 @@ def watch(node: Node, changes: list[Presence], monkeypatch: pytest.MonkeyPatch) 
         (Presence.GONE, 1, 0, None, Presence.ALIVE),
         (Presence.LEFT, 1, 0, None, Presence.ALIVE),
         (Presence.LEFT, 0, 0, None, Presence.LEFT),
-        # A silent process counts as what a look at it tells,
+        # A silent process counts as what a look at the process tells,
         (Presence.ALIVE, 0, 1, True, Presence.STALLED),
         (Presence.STALLED, 0, 1, True, Presence.STALLED),
         (Presence.ALIVE, 0, 1, False, Presence.GONE),
         (Presence.STALLED, 0, 1, None, Presence.SILENT),
         (Presence.LEFT, 0, 0, False, Presence.LEFT),
-        # and one that is looked up in vain is dead, though its lease has not run out.
+        # and one that is not found any more is dead, even before its lease has run out.
         (Presence.ALIVE, 1, 0, True, Presence.ALIVE),
         (Presence.ALIVE, 1, 0, False, Presence.GONE),
         (Presence.ALIVE, 1, 1, False, Presence.GONE),

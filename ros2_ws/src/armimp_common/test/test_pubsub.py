@@ -54,10 +54,10 @@ def test_what_a_known_publisher_sends_from_now_on_arrives(
     wait_for_partners(node, publishers=[question], subscriptions=[monitor.subscription])
 
     with Spinner([node]) as spinner:
-        # Often, since without the wait most of the answers would arrive as well.
+        # Repeatedly, since most answers would arrive even without the wait.
         for number in range(ROUNDS):
             answers: list[String] = []
-            # It will hear of this subscription and of the question at about the same time.
+            # The other node will learn of this subscription and get the question almost together.
             other.send_signal(signal.SIGSTOP)
             threading.Timer(0.05, other.send_signal, [signal.SIGCONT]).start()
             listener = node.create_subscription(String, "answer", answers.append, qos.SAMPLE)

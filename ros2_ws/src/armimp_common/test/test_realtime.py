@@ -69,7 +69,7 @@ PERIOD = 1_000_000
 
 
 class FakeClock:
-    """Moves by each sleep, and by what the sleeps last too long (ns), one after the other."""
+    """Advances by each sleep and by its overshoot (ns), given for one sleep after the other."""
 
     def __init__(self, too_long: Iterable[int] = ()) -> None:
         self.ns = 5_000_000_123

@@ -34,7 +34,7 @@ WALL_CLOCK = {
     "datetime.utcnow",
     "CLOCK_REALTIME",
 }
-"""What reads a clock that can be set, or waits by one."""
+"""Names of what reads a clock that can be set, or waits by one."""
 
 PERMITTED = {
     ("armimp_common/executor.py", "create_timer"): "on the steady clock",

@@ -1,4 +1,4 @@
-"""What a result was made with."""
+"""The git revision that a result was made with."""
 
 from pathlib import Path
 

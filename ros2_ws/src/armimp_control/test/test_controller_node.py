@@ -39,7 +39,7 @@ from support.graph import (
 
 SETTLE, PERTURB, REST = 50, 100, 50
 START = 5_000_000_000
-# So patient that no test sees the watchdog by accident.
+# A timeout so long that no test meets the watchdog by accident.
 PARAMETERS = controller_parameters(
     SETTLE, PERTURB, REST, safety=SafetyParameters(slowest_tick=10.0)
 )
@@ -50,7 +50,7 @@ IMPATIENT: dict[str, Value] = {"safety.slowest_tick": 0.06, "safety.watchdog_tic
 
 
 class World:
-    """A rig and somebody who makes controllers for it."""
+    """A scripted rig, and the controllers that are launched for it."""
 
     def __init__(self, node: Node, spinner: Spinner, launch: Launch) -> None:
         self.node, self.spinner, self.launch = node, spinner, launch
@@ -103,7 +103,7 @@ MALFORMED = {
     "empty": b"",
     "unknown joint": JointStateEncoder(("shoulder", "wrist"), "position").encode(START, POSTURE),
 }
-"""Of each kind one; which messages are malformed, the tests of the decoder say."""
+"""One of each kind; the tests of the decoder show which messages are malformed."""
 
 
 @pytest.mark.parametrize("topic", [topics.JOINT_STATES, topics.TORQUE_SENSORS])
@@ -140,7 +140,7 @@ def test_when_a_reading_without_a_partner_is_not_finite_expect_zero_torque_at_on
     reason = world.await_abort()
     a_moment(world.spinner)
 
-    # One is enough: in lockstep each is a step.
+    # One command is enough: in lockstep each is a step.
     assert driver.commands[60:] == [ZERO]
     assert reason == f"{what} of joint 1 is not finite: nan"
     driver.feed(POSTURE, ticks=3)
@@ -261,7 +261,7 @@ def test_when_ended_during_a_trial_expect_zero_torque_and_an_abort(world: World,
 
 
 class Surrounded(World):
-    """A controller under torque among others, with their heartbeats and a recorder."""
+    """A controller under torque among other nodes, with their heartbeats and a recorder."""
 
     def surround(self, mode: str = "lockstep") -> None:
         self.received = self.node.create_publisher(UInt64, topics.RECEIVED, qos.LATCHED)
@@ -318,7 +318,7 @@ def test_when_this_process_was_held_up_expect_no_torque_for_a_rig_that_has_died_
     around.surround()
     around.heard(SIM_NODE, alive=1, silent=0)
     monkeypatch.setattr(heartbeat, "state_of", lambda _: "")
-    # Nothing but the sample finds out: it waits before the timers of the monitors.
+    # Only the sample can find out: it is waiting, and the timers of the monitors are off.
     for monitor in around.monitors:
         monitor._timer.cancel()
         monitor.checked = clock.now - 0.1
@@ -366,7 +366,7 @@ NOT_YET = StoppingDecision(
 
 
 class Judged(World):
-    """A controller in its first perturbation, which knows of a decision to come, and its judge."""
+    """A controller in its first perturbation that awaits a stopping decision, and its judge."""
 
     def __init__(self, node: Node, spinner: Spinner, launch: Launch) -> None:
         super().__init__(node, spinner, launch)
@@ -382,7 +382,7 @@ class Judged(World):
         eventually(spinner, lambda: sequencer._due is not None, "the decision to come is known")
 
     def feed_up_to_the_decision(self) -> None:
-        """Feed all samples before that on which the decision decides, and then that one."""
+        """Feed all samples before the one at which the trial may end, and then that one."""
         self.feed(END - 1)
         self.driver.feed(POSTURE)
         a_moment(self.spinner)
@@ -395,7 +395,7 @@ def judged(node: Node, spinner: Spinner, launch: Launch, clock: HandedClock) -> 
 
 
 @pytest.mark.parametrize(("decision", "ticks"), [(ENOUGH, END), (NOT_YET, LONG)])
-def test_in_lockstep_the_sample_on_which_a_decision_decides_is_answered_after_it(
+def test_in_lockstep_the_sample_that_a_decision_is_about_is_answered_after_it(
     judged: Judged, decision: StoppingDecision, ticks: int
 ) -> None:
     judged.feed_up_to_the_decision()

@@ -264,9 +264,9 @@ def test_gains_are_those_that_the_riccati_recursion_comes_to() -> None:
 def test_a_fast_joint_that_gets_locked_comes_to_rest_though_commands_are_clipped(
     joint: int, speed: float
 ) -> None:
-    """It would be thrown about ever faster with an ideal velocity that goes on meanwhile.
+    """It would swing ever faster if the ideal velocity were integrated on while clipped.
 
-    Likewise if one joint alone got less torque than it is asked for.
+    It would do so, too, if clipping took torque from one joint alone.
     """
     controller = Controller(_observed(), safety=torque_only(9.0))
     controller.perturb_joint(joint)

@@ -203,7 +203,7 @@ def test_whatever_comes_in_the_torque_is_finite_limited_and_gone_after_a_fault(
 ) -> None:
     violations, (faults, poisoned, clipped) = campaign(sequences, seed=1)
     assert violations == dict.fromkeys(PROMISES, 0)
-    # It was no walk in the park.
+    # The sequences were demanding.
     assert min(faults, poisoned) > 0.5 * sequences
     assert clipped > 10 * sequences
     if sequences > 3000:

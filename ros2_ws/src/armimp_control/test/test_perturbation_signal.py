@@ -97,7 +97,7 @@ def _lines_of(period: Array) -> NDArray[np.intp]:
 
 
 @pytest.mark.parametrize(("ticks", "period"), DURATIONS)
-def test_it_repeats_itself_to_the_bit_and_begins_near_zero(ticks: int, period: int) -> None:
+def test_multisines_repeat_to_the_bit_and_begin_near_zero(ticks: int, period: int) -> None:
     signal = _multisine(ticks=ticks)
     assert np.array_equal(signal[period:], signal[:-period])
     assert abs(signal[0]) == np.min(np.abs(signal))
@@ -146,7 +146,7 @@ def test_trials_have_their_own_phases_and_the_same_lines_and_seeds_have_other_on
     assert np.array_equal(first, _multisine(trial=1)[:PERIOD])
 
 
-# --- The optimal multisine: it tells more of M, B and K at the same limits, which it holds ------
+# --- The optimal multisine: more informative about M, B and K within the same limits ------------
 
 
 PRIORS = (
@@ -154,7 +154,7 @@ PRIORS = (
     JointPrior(arm=(0.06, 0.29, 3.8), target=(0.1, 1.0, 10.0)),
 )
 ANGLES = (0.044, 0.037)
-"""Samples of some trials, and of the period that each gets."""
+"""Limits of the rms angle of each joint, rad."""
 
 
 def _parameters(kind: PerturbationKind, *angles: float) -> PerturbationParameters:
@@ -188,7 +188,7 @@ def _worst_variance(period: Array, prior: JointPrior) -> float:
 
 @pytest.mark.parametrize(("ticks", "period"), DURATIONS)
 @pytest.mark.parametrize("joint", [0, 1])
-def test_it_tells_more_than_a_flat_multisine_at_the_same_limits(
+def test_an_optimal_multisine_is_more_informative_than_a_flat_one_at_the_same_limits(
     joint: int, ticks: int, period: int
 ) -> None:
     prior, peak = PRIORS[joint], presets.perturbation(3, 2).peak[joint]
@@ -226,6 +226,6 @@ def test_other_kinds_are_made_smaller_where_they_move_a_joint_too_far(
     assert np.allclose(held / np.max(held), free / np.max(free))
 
 
-def test_without_an_expectation_there_is_none() -> None:
+def test_an_optimal_multisine_needs_an_expectation_of_the_arm() -> None:
     with pytest.raises(ConfigurationError, match="expectation of the arm"):
         perturbation(_parameters("optimal"), joint=0, trial=1, ticks=2000, seed=1)

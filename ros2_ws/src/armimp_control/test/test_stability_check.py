@@ -77,7 +77,7 @@ def test_a_loop_grows_or_comes_to_rest_as_the_check_says(
         assert np.max(sizes[-100:]) < 1e-6 * np.max(sizes)
         return
     assert radius > 1.002
-    # By a factor of some hundred altogether; swinging modes make single sizes erratic.
+    # By a factor of some hundred altogether; oscillating modes make single peaks erratic.
     third = int(2.0 / np.log(radius)) + 50
     sizes = _late(law, perturbed, dynamics, ticks=3 * third)
     grown = np.max(sizes[2 * third :]) / np.max(sizes[third : 2 * third])

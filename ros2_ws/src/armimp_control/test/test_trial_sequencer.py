@@ -29,7 +29,7 @@ PARAMETERS = controller_parameters(SETTLE, PERTURB, REST)
 
 
 class Bench:
-    """An experiment that is fed, with a diary of what it says and answers."""
+    """An experiment that is fed by hand, with a log of its statuses and answers."""
 
     def __init__(self, parameters: ControllerParameters = PARAMETERS) -> None:
         self.parameters, self.stamp_ns = parameters, START
@@ -198,7 +198,7 @@ def test_a_reading_whose_partner_was_lost_is_given_up_with_the_next_pair() -> No
     assert pairs.other(1, 4, (0.0,)) == (4.0,), "it was not older"
 
 
-# --- Trials that end before their time, as the estimator says that they are good enough ---------
+# --- Trials that end early, because the estimator says that they are good enough ----------------
 
 
 PLANNED = 1000
@@ -210,7 +210,7 @@ ENOUGH = StoppingDecision(trial=1, samples=JUDGED, enough=True, due=None, bound=
 
 @pytest.fixture
 def bench() -> Bench:
-    """An experiment at rest in its posture, with what it says."""
+    """An experiment at rest in its posture, with its log."""
     return Bench(LONG)
 
 
@@ -295,7 +295,7 @@ def test_the_standard_error_covers_noise_and_shows_unrest() -> None:
 
 
 def tared(**values: Any) -> Bench:
-    # Locked joints of this law do not listen to the arm, so that commands tell what the tare does.
+    # Locked joints of this law ignore the torque on the arm, so commands show what the tare does.
     tare = TareParameters(duration=READ / 1000, wait=WAIT / 1000, **values)
     return Bench(controller_parameters(SETTLE, PERTURB, REST, law="tde", tare=tare))
 
@@ -377,7 +377,7 @@ def test_after_the_patience_the_ramp_keeps_pace_with_the_clock() -> None:
     assert watchdog.ticks_due(1e6 + 1.0) == 0
 
 
-def test_sample_that_comes_back_ends_the_waiting() -> None:
+def test_a_sample_after_a_silence_starts_the_patience_anew() -> None:
     watchdog = _watchdog()
     watchdog.feed(0.0)
     assert watchdog.ticks_due(0.0201) == 16
@@ -387,7 +387,7 @@ def test_sample_that_comes_back_ends_the_waiting() -> None:
 
 
 @pytest.mark.parametrize("nonsense", [float("nan"), float("inf")])
-def test_clock_that_tells_nonsense_makes_the_whole_ramp_due(nonsense: float) -> None:
+def test_a_clock_that_is_not_finite_makes_the_whole_ramp_due(nonsense: float) -> None:
     watchdog = _watchdog()
     watchdog.feed(0.0)
     assert watchdog.expired(nonsense)

@@ -1,4 +1,4 @@
-"""Trials out of streams: windows, records, the account of every sample, and what is refused."""
+"""Trials assembled from streams: windows, records, account of every sample, and refusals."""
 
 from collections.abc import Callable, Sequence
 
@@ -76,7 +76,7 @@ def only(trial: Trial, code: ProblemCode) -> Problem:
 
 
 def assert_refused(trial: Trial, code: ProblemCode, *, healed: bool) -> None:
-    """Refused for one reason, which the intact parts have or don't have."""
+    """Check a refusal for one reason; `healed` if the intact parts may be used all the same."""
     with pytest.raises(DataError) as caught:
         trial.intact()
     assert ("--allow-gaps" in str(caught.value)) == healed
@@ -282,7 +282,7 @@ def test_unknown_perturbed_joint_is_refused() -> None:
 
 
 def not_finite(commands: list[bytes]) -> list[bytes]:
-    """The same with a number in one of the first trial that is none."""
+    """The commands with a NaN in one of those of the first trial."""
     return [*commands[:20], commands[20][:-8] + np.array([np.nan]).tobytes(), *commands[21:]]
 
 
@@ -309,7 +309,7 @@ def test_each_sample_has_the_command_that_answered_it_unless_that_is_not_known(
     assert [record.command is not None for record in records] == known
     for record in records:
         if record.command is not None:
-            # So they are made.
+            # The synthetic recording makes its commands so.
             np.testing.assert_array_equal(record.command, record.torque + record.perturbation)
 
 
@@ -461,7 +461,7 @@ BEGIN = 1_700_000_000_000_000_000
 
 
 def stamps(rate: float, later: float | np.ndarray = 0.0) -> np.ndarray:
-    """Stamps (ns) that are so much later than those of a rate (Hz)."""
+    """Stamps (ns) at a rate (Hz), each of them later by so much (ns)."""
     return BEGIN + np.rint(np.arange(4000) * (1e9 / rate) + later).astype(np.int64)
 
 

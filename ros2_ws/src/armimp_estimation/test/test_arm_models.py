@@ -83,7 +83,7 @@ def test_the_planted_model_is_the_one_that_the_data_support_and_its_values_come_
         assert best["cuff_stiffness"].values == pytest.approx([5e3, 3e3], rel=0.1)
 
 
-def test_a_model_of_which_nothing_is_resolved_is_offered_only_if_it_was_declared() -> None:
+def test_a_model_without_a_resolved_parameter_is_offered_only_if_it_was_declared() -> None:
     (fit,) = fits_of(measured("mbk_delay", seed=1), asked="mbk_delay").values()
     delay = fit.parameters["delay"].model_copy(update={"errors": [0.01]})
     vague = fit.model_copy(update={"parameters": {**fit.parameters, "delay": delay}})

@@ -135,7 +135,7 @@ class TestEveryByte:
         assert self.refusals(tmp_path / "bag.mcap", tmp_path / "bag.mcap", tails)
 
     def refusals(self, bag: Path, file: Path, contents: Iterable[bytes]) -> int:
-        """How many of these contents of a file have a bag refused; else whole chunks are read."""
+        """Count the contents for which the bag is refused; of the others whole chunks are read."""
         refused = 0
         for content in contents:
             file.write_bytes(content)

@@ -74,9 +74,9 @@ def refusal(path: Path, *, namespace: str | None = None) -> str:
 def resent(
     record: TrialRecord, order: Callable[[int], Sequence[str]], moved: float = 0.0
 ) -> list[Message]:
-    """The samples of a trial whose messages have their joints in this order, by number.
+    """Messages of a trial, whose joints are in the order that is given for each tick.
 
-    Others than those of the trial move by this share of the perturbed one.
+    Joints that are not of the trial move by a share `moved` of the perturbed one.
     """
     rows = {name: row for row, name in enumerate(record.joint_names)}
     fields = ((JOINT_STATES, record.position), (TORQUE_SENSORS, record.torque))

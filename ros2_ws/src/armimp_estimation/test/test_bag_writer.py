@@ -186,7 +186,7 @@ class TestBlocks:
 
 MESSAGES = synthetic_recording(ticks=160).messages
 LOST = 7
-"""Messages that a killed writer takes with it below."""
+"""Messages that a killed writer loses in the tests below."""
 
 
 def unfinished(path: Path, messages: Sequence[Message] = MESSAGES) -> Path:
@@ -271,7 +271,7 @@ def test_all_bags_of_a_result_are_finished_and_nothing_else_is_left(tmp_path: Pa
 
 
 def cut_at(whole: bytes, size: int, path: Path) -> int:
-    """Messages in a bag whose file was cut, which must be the same however it is read; or -1."""
+    """Number of messages in a cut bag, the same however it is read; -1 if it is not finished."""
     (path / "bag_0.mcap").write_bytes(whole[:size])
     try:
         before = list(iterate_messages(path))

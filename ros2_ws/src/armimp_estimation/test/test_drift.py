@@ -1,4 +1,4 @@
-"""Drift of a trial's signals: found beside what the perturbation does, and taken out."""
+"""Drift of a trial's signals is found beside the response to the perturbation, and removed."""
 
 from dataclasses import replace
 

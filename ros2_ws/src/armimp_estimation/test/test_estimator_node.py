@@ -51,7 +51,7 @@ CHUNK = 800
 
 
 class Desk:
-    """An estimator, whoever plays messages to it and hears what comes back, and its results."""
+    """An estimator, a node that plays messages to it and hears its answers, and its results."""
 
     def __init__(self, node: Node, spinner: Spinner, launch: Launch, directory: Path) -> None:
         self.node, self.spinner, self.launch, self.directory = node, spinner, launch, directory

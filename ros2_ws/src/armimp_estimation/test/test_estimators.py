@@ -62,7 +62,7 @@ def test_when_locked_joints_give_way_expect_only_the_full_estimators_to_stay_rig
     assert lpm < min(0.01, 0.3 * full)
 
 
-def test_when_the_subject_pushes_expect_bias_of_the_direct_one_and_none_of_the_others() -> None:
+def test_when_the_subject_pushes_expect_bias_of_the_direct_estimator_alone() -> None:
     # Real parts of relative errors, averaged over the band where the subject pushes.
     errors: dict[str, list[FloatArray]] = {}
     for seed in range(30):
@@ -83,7 +83,7 @@ def test_when_the_subject_pushes_expect_bias_of_the_direct_one_and_none_of_the_o
         assert (np.abs(np.diag(mean[estimator.name])) < 0.3 * np.abs(bias)).all()
 
 
-def test_standard_errors_of_the_direct_one_have_the_bias_of_the_loop() -> None:
+def test_standard_errors_of_the_direct_estimator_cover_the_bias_of_the_loop() -> None:
     found = DIRECT.estimate(synthetic_trials(dataclasses.replace(LOOP, voluntary=3.0)))
     for estimate, held in ((found, True), (found.without_systematics(), False)):
         fit = fit_mbk(estimate)
@@ -187,7 +187,7 @@ def test_a_delay_of_all_torques_is_corrected() -> None:
     assert (fit_mbk(raw).mbk.B > 1.2 * TWO_JOINT_ARM.B).all()
 
 
-def test_readings_of_a_joint_that_its_law_throws_back_lead_as_steps_and_speed_tell() -> None:
+def test_the_lead_of_rounded_angles_of_a_locked_joint_is_found_within_its_error() -> None:
     rate, step, lock, band_end = 1000.0, 4e-4, 80.0, 15.0
     records = [trial.record for trial in synthetic_trials()]
     records = [dataclasses.replace(one, command=None, rate=rate) for one in records]
@@ -204,7 +204,7 @@ def test_readings_of_a_joint_that_its_law_throws_back_lead_as_steps_and_speed_te
             place += 0.1 / rate * speed
     readings = step * np.rint(angle / step)
     resting = np.zeros(load.size)
-    # An arm of 1 kg·m² has all of the torque.
+    # All of the torque acts on an arm of 1 kg·m².
     held = np.stack([resting, readings])
     records[0] = dataclasses.replace(records[0], position=held, torque=np.stack([resting, torque]))
     records[1] = dataclasses.replace(records[1], position=held)
@@ -212,7 +212,7 @@ def test_readings_of_a_joint_that_its_law_throws_back_lead_as_steps_and_speed_te
     f = np.fft.rfftfreq(load.size, 1.0 / rate)
     band = (f > 0.5) & (f < band_end)
     cause, moved, rounded = (np.fft.rfft(x)[band] for x in (load, angle, readings - angle))
-    # Of what follows from the load, in lines of 0.2 Hz.
+    # Of what follows from the load, summed over ten lines (1.6 Hz).
     moved, rounded = (
         np.add.reduceat(np.conj(cause) * one, np.arange(0, cause.size, 10))
         for one in (2j * np.pi * f[band] * moved, rounded)
@@ -220,7 +220,7 @@ def test_readings_of_a_joint_that_its_law_throws_back_lead_as_steps_and_speed_te
     true = np.sum((np.conj(moved) * rounded).real) / np.sum(np.abs(moved) ** 2)
     assert true > 1e-3
     assert abs(lead[1, 0] - true) < 2.0 * error[1, 0] < 1.2 * true
-    # Nor does it change anything that a logger interpolated between readings.
+    # It changes nothing if a logger interpolated between readings.
     ticks = np.arange(load.size)
     logged = np.stack([resting, np.interp(ticks + 0.37, ticks, readings)])
     records = [dataclasses.replace(one, position=logged) for one in records]
@@ -234,7 +234,7 @@ def test_column_of_one_trial_is_that_of_the_whole_estimate_where_joints_are_lock
     for k, trial in enumerate(synthetic_trials(dataclasses.replace(LOOP, voluntary=0.03))):
         position = np.where(np.arange(2)[:, None] == k, trial.record.position, 0.0)
         data.append(with_readings(trial, position=position))
-    # Without a delay, which each trial alone would tell another way.
+    # Without a delay, of which each trial alone would find a different one.
     exact = LpmFull(config=dataclasses.replace(LPM.config, timing_uncertainty=0.0))
     whole = fit_mbk(exact.estimate(data))
     for k, trial in enumerate(data):
@@ -244,8 +244,8 @@ def test_column_of_one_trial_is_that_of_the_whole_estimate_where_joints_are_lock
             # The whole estimate weighs by the noise at the fitted impedance.
             fitted = getattr(whole.mbk, name)[:, k]
             np.testing.assert_allclose(column.values[row], fitted, rtol=5e-3)
-            # It takes the mean over all trials of each correlation of bins, and knows of reflexes
-            # that noise may hide, most of all those of the joint itself, and of cuffs.
+            # The whole estimate averages the correlation of bins over all trials, and allows for
+            # cuffs and for reflexes that noise may hide, above all those of the joint itself.
             errors = getattr(whole, f"{name}_se")[:, k]
             apart = np.arange(len(errors)) != k
             np.testing.assert_allclose(column.errors[row][apart], errors[apart], rtol=0.1)

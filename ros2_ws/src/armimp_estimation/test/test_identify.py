@@ -99,7 +99,7 @@ def test_when_values_cannot_be_multiplied_expect_the_largest_in_the_error(
         pytest.param(5.0, 15.0, marks=pytest.mark.slow),
     ],
 )
-def test_a_perturbation_without_power_in_a_part_of_the_band_gives_what_the_rest_tells(
+def test_without_power_in_a_part_of_the_band_the_rest_is_estimated_with_a_note(
     low: float, high: float
 ) -> None:
     loop = dataclasses.replace(LOOP, lowest=low, bandwidth=high)
@@ -111,7 +111,7 @@ def test_a_perturbation_without_power_in_a_part_of_the_band_gives_what_the_rest_
     assert all(off(one.fit).max() < 3.5 for one in result.estimators.values())
 
 
-def test_a_stiff_arm_that_is_perturbed_slowly_shows_no_inertia_that_none_has() -> None:
+def test_a_stiff_arm_that_is_perturbed_slowly_gets_no_implausible_inertia() -> None:
     arm = dataclasses.replace(TWO_JOINT_ARM, K=150.0 * TWO_JOINT_ARM.K)
     loop = dataclasses.replace(LOOP, bandwidth=0.5, torque_noise=0.001)
     result = identify(synthetic_trials(loop, arm=arm), ("lpm_full",), config=CONFIG)
@@ -154,10 +154,10 @@ def test_inertia_may_differ_between_trials_that_have_other_postures(
     ("mixed", "share", "valid"),
     [("position", -0.2, False), ("position", -0.1, True), ("torque", 0.2, True)],
 )
-def test_a_channel_that_shows_a_share_of_another_joint_is_refused_or_in_the_errors(
+def test_cross_talk_from_another_joint_is_refused_or_in_the_errors(
     mixed: str, share: float, valid: bool
 ) -> None:
-    # Of the sign that makes this arm more uneven than it is.
+    # The sign is the one that makes this arm look less symmetric than it is.
     mixing = np.array([[1.0, share], [0.0, 1.0]])
     data = [
         with_readings(trial, **{mixed: mixing @ getattr(trial.record, mixed)})

@@ -81,7 +81,7 @@ def test_when_the_record_is_too_short_expect_the_number_of_samples(samples: int)
 
 
 @pytest.mark.parametrize("repeated", [0.0, 0.3])
-def test_noise_at_lines_has_what_comes_back_in_each_period_and_responses_no_transient(
+def test_noise_at_lines_includes_what_repeats_and_responses_have_no_transient(
     repeated: float,
 ) -> None:
     rng = np.random.default_rng(8)

@@ -30,7 +30,7 @@ def estimate_of(Z: ComplexArray, variance: FloatArray | None = None) -> Impedanc
 
 
 def noisy(Z: ComplexArray, deviation: FloatArray, seed: int = 3) -> ImpedanceEstimate:
-    """An estimate whose errors have these standard deviations (n_freq,), as it says."""
+    """An estimate whose errors have the standard deviations (n_freq,) that it states."""
     rng, size = np.random.default_rng(seed), deviation * np.ones((2, 2, 1))
     noise = rng.standard_normal(Z.shape) + 1j * rng.standard_normal(Z.shape)
     return estimate_of(Z + np.sqrt(0.5) * size * noise, size**2)
@@ -52,7 +52,7 @@ def test_without_noise_any_matrices_come_back_whatever_the_variances(
     assert fit.Z.tobytes() == fit.mbk.impedance(F).tobytes()
 
 
-def test_equal_variances_give_ordinary_least_squares_with_its_standard_errors_of() -> None:
+def test_equal_variances_give_ordinary_least_squares_with_its_standard_errors() -> None:
     rng = np.random.default_rng(4)
     noise = rng.standard_normal((1, 1, F.size)) + 1j * rng.standard_normal((1, 1, F.size))
     truth = MBK(M=np.array([[0.2]]), B=np.array([[0.7]]), K=np.array([[8.0]]))
@@ -84,7 +84,7 @@ def test_floor_of_weights_bounds_what_time_skew_does_to_viscosity() -> None:
 
 
 @pytest.mark.parametrize(("noise", "left"), [(0.02, 0.1), (1e6, 1.0)])
-def test_what_is_bounded_before_the_data_is_put_right_as_far_as_they_tell_it(
+def test_a_bounded_systematic_error_is_corrected_as_far_as_the_data_tell_it(
     noise: float, left: float
 ) -> None:
     Z = TWO_JOINT_ARM.impedance(F)
@@ -107,7 +107,7 @@ def test_what_is_bounded_before_the_data_is_put_right_as_far_as_they_tell_it(
 
 
 @pytest.mark.parametrize(("order", "cutoff"), [(2, 50.0), (3, 40.0)])
-def test_an_unknown_low_pass_of_the_torques_is_put_right_where_noise_hides_low_frequencies(
+def test_an_unknown_low_pass_of_the_torques_is_corrected_where_noise_hides_low_frequencies(
     order: int, cutoff: float
 ) -> None:
     b, a = butter(order, 2.0 * np.pi * cutoff, analog=True)
@@ -160,7 +160,7 @@ def test_stiffness_that_relaxes_where_noise_hides_it_is_in_the_standard_errors_o
     assert (np.diag(without.K_se / TWO_JOINT_ARM.K) < 0.03).all()
 
 
-def test_a_high_pass_of_the_torques_that_noise_hides_is_in_the_standard_errors_of() -> None:
+def test_a_high_pass_of_the_torques_that_noise_hides_is_in_the_standard_errors() -> None:
     s = 2j * np.pi * F
     passed, plain = (
         fit_mbk(
@@ -197,7 +197,7 @@ def test_when_values_are_not_finite_expect_data_error() -> None:
         fit_mbk(estimate_of(Z, variance))
 
 
-def test_an_effect_that_noise_may_hide_counts_by_what_the_data_tell_of_it() -> None:
+def test_an_effect_that_noise_may_hide_counts_by_its_evidence_in_the_data() -> None:
     untold, _ = hidden_square(0.0, 1e6, 0.05)
     assert untold == pytest.approx(0.05)
     assert hidden_square(2.0, 0.01, 0.05)[0] == pytest.approx(4.0, rel=1e-3)
@@ -216,6 +216,6 @@ def test_an_effect_that_noise_may_hide_counts_by_what_the_data_tell_of_it() -> N
     assert square == pytest.approx(np.sum(there * sizes**2) / (np.sum(there) + beside), rel=1e-6)
     assert evidence == pytest.approx(np.log(np.sum(there) / absent), rel=1e-6)
 
-    # Other data that make it nine times as likely as not leave it to these how large it is.
+    # If other data make it nine times as likely as not, these still tell how large it is.
     sure, _ = hidden_square(told, error, 0.5, sizes=usual, elsewhere=np.log(9.0))
     assert sure == pytest.approx(hidden_square(told, error, 0.9, sizes=usual)[0], rel=1e-6)

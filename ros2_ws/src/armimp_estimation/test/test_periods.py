@@ -34,7 +34,7 @@ def lagging_behind(signal: Array, pole: float) -> Array:
 
 
 def angle_of(source: Array) -> Array:
-    """Motion under a torque, behind a low-pass of 50 ms, with a deviation of 0.045 rad."""
+    """Motion under a torque: a low-pass of 50 ms, scaled to a standard deviation of 0.045 rad."""
     angle = lagging_behind(source, np.exp(-1e-3 / 0.05))
     return np.asarray(angle * (0.045 / np.std(angle)))
 
@@ -43,7 +43,7 @@ ARM = MBK(M=np.array([[0.02]]), B=np.array([[0.2]]), K=np.array([[8.0]]))
 
 
 def torque_of(angle: Array) -> Array:
-    """What `ARM` makes of a motion."""
+    """Torque with which `ARM` answers a motion."""
     f = np.asarray(np.fft.rfftfreq(angle.size, 1e-3), dtype=np.float64)
     return np.asarray(np.fft.irfft(ARM.impedance(f)[0, 0] * np.fft.rfft(angle), angle.size))
 
@@ -146,7 +146,7 @@ def test_a_drift_beside_a_periodic_perturbation_is_found_and_none_where_there_is
     [(0.0, 0.0, set()), (8.0, 0.0, {"amplitude"}), (0.0, 0.05, {"time"})],
     ids=["linear", "cubic", "stiffening"],
 )
-def test_arms_that_bend_or_change_show_beside_a_response_that_m_b_and_k_do_not_describe(
+def test_nonlinear_and_changing_arms_show_beside_a_lag_that_m_b_and_k_do_not_describe(
     cubic: float, stiffening: float, found: set[str]
 ) -> None:
     """A torque with a lag, so that the fitted arm is wrong at every line."""
@@ -174,7 +174,7 @@ def test_arms_that_bend_or_change_show_beside_a_response_that_m_b_and_k_do_not_d
 
 @pytest.mark.parametrize("periodic", [False, True])
 @pytest.mark.parametrize(("gain", "stiffness"), [(0.0, 0.0), (0.1, 0.0), (0.0, 0.2)])
-def test_a_gain_or_a_stiffness_that_changes_at_once_is_found(
+def test_a_gain_or_a_stiffness_that_changes_abruptly_is_found(
     gain: float, stiffness: float, periodic: bool
 ) -> None:
     random = np.random.default_rng(3)
@@ -192,7 +192,7 @@ def test_a_gain_or_a_stiffness_that_changes_at_once_is_found(
         assert found["time"].share == pytest.approx(stiffness, rel=0.3)
 
 
-def test_what_begins_with_a_record_does_not_hide_a_transducer_that_compresses() -> None:
+def test_a_transient_at_the_start_does_not_hide_a_transducer_that_compresses() -> None:
     source = multisine(12.0, np.arange(1, 60))
     angle = angle_of(source) + 0.2 * np.exp(-np.arange(source.size) / 700.0)
     speed = np.gradient(angle, 1e-3)

@@ -1,4 +1,4 @@
-"""What is drawn of a curve or a signal."""
+"""What plots show of a curve or a signal."""
 
 from dataclasses import fields, replace
 

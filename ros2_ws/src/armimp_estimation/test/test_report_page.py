@@ -39,7 +39,7 @@ def page(result: Result) -> Page:
 
 
 def words_of(result: Result, **changes: object) -> str:
-    """What the page of a result says that has another summary."""
+    """Words of the page of a result, some of whose summary is changed."""
     summary = result.summary.model_copy(update=changes)
     return Page(report_page(replace(result, summary=summary))).words
 
@@ -190,7 +190,7 @@ def test_a_bag_that_is_not_there_is_told(directory: Path, tmp_path: Path) -> Non
 
 
 def hostile_summary(summary: Summary) -> Summary:
-    """The same with the payload wherever there is a string."""
+    """The summary with the payload wherever it has a string."""
     (first, *_) = summary.estimators.values()
     trials = [changed(trial, bag=HOSTILE) for trial in summary.trials]
     return summary.model_copy(

@@ -111,7 +111,7 @@ def test_known_problems_make_a_result_invalid_and_come_first() -> None:
     assert (summary.valid, summary.problems, summary.faults) == (False, [NOISE], [NOISE])
     assert tuple(summary.estimators) == ESTIMATORS
     assert codes(result_of([], problems=[NOISE])) == [NOISE.code, ProblemCode.TRIALS_INCOMPLETE]
-    # None is told twice.
+    # No problem is listed twice.
     spoiled = replace(LIVE[0], problems=(NOISE,))
     assert result_of([spoiled, LIVE[1]], problems=[NOISE]).summary.problems == [NOISE]
 

@@ -34,9 +34,9 @@ UNDECLARED, EXACT = Calibration.undeclared(), Calibration()
 
 
 def recorded(robot: MBK, gains: FloatArray, noise: float = 0.005) -> list[TrialRecord]:
-    """Trials of an arm in a robot without friction, with its commands, which are held.
+    """Trials of an arm in a robot without friction, with commands held between samples.
 
-    Torques, N·m, have white noise.
+    Torques, N·m, are multiplied by gains and have white noise.
     """
     rng, records = np.random.default_rng(1), []
     for joint in range(2):
@@ -169,7 +169,7 @@ def simulated(law: str = "tde", noise: float = 0.05) -> TrialRecord:
 
 
 def modelled(share: float) -> TrialRecord:
-    """A trial with commands for torques, less what a model with this share of inertia takes."""
+    """A trial whose torques are the commands less what a model with a share of inertia takes."""
     record = simulated()
     assert record.command is not None
     smooth = signal.butter(2, 40.0, fs=record.rate, output="sos")

@@ -42,7 +42,7 @@ def test_vaf_is_100_for_the_truth_and_falls_with_the_square_of_a_relative_error(
 
 
 def _realised(deviation: float, covariance: ComplexArray | None = None) -> ImpedanceEstimate:
-    """Responses of a robot that shows its target, all of it too large by a share."""
+    """Responses of a robot whose impedance is larger than its target by a share."""
     Z = TWO_JOINT_ARM.impedance(F)
     shown = (1.0 + deviation) * TARGET.impedance(F)
     R = np.zeros_like(Z)

@@ -1,4 +1,4 @@
-"""What is wrong with single signals, and what isn't."""
+"""Faults of single signals are found, and sound signals are left alone."""
 
 from dataclasses import replace
 from typing import Any
@@ -100,7 +100,7 @@ def test_a_signal_that_turns_where_it_likes_is_neither_clipped_nor_stuck(
 
 @pytest.mark.parametrize("limit", [1.5, 2.5])
 @pytest.mark.parametrize("step", [1e-9, 1e-2])
-def test_a_clipped_signal_tells_where(limit: float, step: float) -> None:
+def test_a_clipped_signal_is_found_with_its_limit(limit: float, step: float) -> None:
     found = clipped(np.clip(motion(1, step), -10.0, limit))
     assert [value for value, _ in found] == [pytest.approx(limit)]
 
@@ -128,7 +128,7 @@ def test_a_joint_that_rests_as_its_torque_does_or_where_friction_holds_it_is_not
     assert sticking(held, RATE, np.insert(torque, top, other[:500]))[1] == 0
     signal[9000:9500], torque[9000:9500] = signal[9000], torque[9000] + other[:500] / 20.0
     assert sticking(signal, RATE, torque)[1] == 0
-    # One that rests most of the time, between pulses.
+    # Likewise a joint that rests most of the time, between pulses.
     pulses = np.zeros(50_000)
     for start in range(3000, 50_000, 4000):
         pulses[start : start + 1000] = np.round(100.0 * np.sin(np.arange(1000) / 100.0))
@@ -137,7 +137,7 @@ def test_a_joint_that_rests_as_its_torque_does_or_where_friction_holds_it_is_not
 
 
 def replaced(length: int, value: float | None) -> np.ndarray:
-    """Motion of which bursts, 2 % of it, keep their first value, or one that is given."""
+    """Motion in which bursts, 2 % of it, are held at their first value or at a given one."""
     signal = motion(1, 1e-3)
     for start in np.random.default_rng(2).integers(1, signal.size - length, 1000 // length):
         signal[start : start + length] = signal[start] if value is None else value
@@ -260,7 +260,7 @@ def test_a_locked_joint_that_its_law_throws_back_as_its_angle_steps_doesn_t_drop
     [(1.3, 0.0, True), (1.3, 0.1, False), (0.7, 0.02, False)],
     ids=["copy", "arm", "heavy arm"],
 )
-def test_a_torque_that_is_only_what_the_robot_was_told_is_told_from_one_on_the_arm(
+def test_a_copy_of_command_or_perturbation_is_told_from_a_torque_on_the_arm(
     source: str, factor: float, inertia: float, told: bool
 ) -> None:
     record = trials_of(motion(3, 1.0))[0]
@@ -322,7 +322,7 @@ def pushed(keep: int, *, hold: int = 1, person: float = 0.0) -> TrialRecord:
 
 
 @pytest.mark.parametrize(("keep", "hold"), [(4, 1), (5, 1), (10, 2)])
-def test_a_perturbation_of_which_samples_were_thrown_away_is_told(keep: int, hold: int) -> None:
+def test_a_perturbation_of_which_samples_were_dropped_is_reported(keep: int, hold: int) -> None:
     assert aliased(pushed(keep, hold=hold)) < 0.6
     assert ProblemCode.ALIASED in {one.code for one in judge_signals(pushed(keep, hold=hold))}
 
@@ -335,7 +335,7 @@ def test_a_white_perturbation_that_is_recorded_as_it_acts_is_sound(
 
 
 def shaken(kind: str) -> np.ndarray:
-    """Angles of a joint that moves in one way, rad, 20 s."""
+    """Angles of a joint under one kind of perturbation, rad, 20 s."""
     rng, t = np.random.default_rng(3), np.arange(20_000) / RATE
     pushes = {
         "noise": rng.standard_normal(t.size),
@@ -360,7 +360,7 @@ def test_a_joint_that_moves_the_arm_all_the_time_doesn_t_float(kind: str, pushes
 
 
 @pytest.mark.parametrize(("kind", "gap"), [("noise", 0.02), ("noise", 0.04), ("binary", 0.02)])
-def test_a_joint_that_moves_within_loose_cuffs_is_told(kind: str, gap: float) -> None:
+def test_a_joint_that_moves_within_loose_cuffs_is_reported(kind: str, gap: float) -> None:
     angle, torque, arm, speed = shaken(kind), np.zeros(20_000), 0.0, 0.0
     for tick, at in enumerate(angle):
         torque[tick] = 300.0 * (at - arm - np.clip(at - arm, -gap, gap))

@@ -98,7 +98,7 @@ def test_a_trial_no_longer_than_the_least_is_announced_and_left_alone(planned: i
 
 
 def ended(record: TrialRecord, others: Sequence[TrialRecord]) -> TrialRecord:
-    """The part of a trial of 100 s that it has with a bound of 15 %."""
+    """The part of a trial of 100 s that is recorded with a bound of 15 %."""
 
     def column_of(samples: int) -> FittedColumn:
         return LPM.column(part_of(record, 0, samples), others)

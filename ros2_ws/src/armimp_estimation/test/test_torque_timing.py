@@ -31,7 +31,7 @@ PROMPT = TorqueReading()
 
 @functools.cache
 def rig_records(reading: TorqueReading = PROMPT, law: str = "tde") -> list[TrialRecord]:
-    """Trials of a rig without friction that reads torques so; commands of a TDE law chatter."""
+    """Trials of a frictionless rig with this torque reading; commands of a TDE law chatter."""
     torque = {"delay": reading.delay, "cutoff": reading.cutoff, "order": reading.order}
     lag = reading.actuator_lag
     recording = armimp.simulate(
@@ -77,7 +77,7 @@ def images(reading: TorqueReading, power: int) -> ComplexArray:
 
 @late
 def test_what_sampling_folds_back_is_the_sum_over_the_images(reading: TorqueReading) -> None:
-    # Where a jump falls on a reading, this sum takes it as half there; it is read just before.
+    # Where a jump falls on a reading, the sum takes half of it; the rig reads just before it.
     on_the_jump = 0.5 if reading == LATE["a whole period"] else 0.0
     edge, bend = reading.folded(F, RATE)
     at_tick = on_the_jump * np.exp(-2j * np.pi * F / RATE)
@@ -101,7 +101,7 @@ def test_known_delay_and_filter_leave_no_error_and_unknown_ones_do(reading: Torq
     assert told["M"] < 0.002
     assert told["B"] < 0.005
     assert told["K"] < 0.002
-    # What nobody told is found as a common delay, or in the standard errors.
+    # Undeclared, it is found as a common delay or is in the standard errors.
     data = [TrialData.of(record) for record in records]
     fit = fit_mbk(LpmFull().estimate(data))
     assert off(fit, ARM).max() < 3.5
@@ -148,7 +148,7 @@ def test_chatter_of_the_command_or_else_the_motion_tells_how_far_torques_jump(la
     np.testing.assert_allclose(found.torque, TRANSMISSION, atol=0.01 * np.max(TRANSMISSION))
 
 
-def test_what_noise_of_angles_leaves_to_the_commands_tells_no_jump() -> None:
+def test_commands_that_noise_of_the_angles_swamps_tell_no_jump() -> None:
     random = np.random.default_rng(4)
     noisy = [
         replace(one, position=one.position + 2e-4 * random.standard_normal(one.position.shape))

@@ -23,10 +23,10 @@ ZERO, PUSH = (0.0, 0.0), (5.0, -2.0)
 
 
 class World(ScriptedController):
-    """Both sides of a bridge: what a robot publishes and is told, what a controller hears and says.
+    """Both sides of a bridge: a robot with joint states and efforts, and a controller.
 
     Each sample that comes out of the bridge is answered by a command and followed by the next joint
-    state, so nothing depends on how quick the machine is.
+    state, so nothing depends on the speed of the machine.
     """
 
     def __init__(self, node: Node, spinner: Spinner) -> None:
@@ -51,7 +51,7 @@ class World(ScriptedController):
             self.feed(**changes)  # type: ignore[arg-type]
 
     def feed(self, ahead_ms: float = 0.0, **changes: object) -> None:
-        """Publish one joint state of the robot, with a joint more than is asked for."""
+        """Publish one joint state of the robot, with a joint that the bridge does not need."""
         fields: dict[str, object] = {
             "name": ["elbow", "pan", "shoulder"],
             "position": [1.3, 9.0, 1.1],
@@ -66,7 +66,7 @@ class World(ScriptedController):
         self.states.publish(state)
 
     def push(self) -> None:
-        """Run, under torque."""
+        """Have samples follow each other under torque."""
         self.answer, self.running = PUSH, True
         self.feed()
         self.until_told(*PUSH)
@@ -76,7 +76,7 @@ class World(ScriptedController):
 
 
 class PatientBridge(Ros2ControlBridge):
-    """A bridge for which no time is long until a test says so: a busy machine may hold up all."""
+    """A bridge whose watchdog is off until a test turns it on, as the machine may be busy."""
 
     patient = True
 
@@ -96,7 +96,7 @@ def bridge(launch: Launch) -> PatientBridge:
 
 @pytest.fixture
 def waiting(node: Node, spinner: Spinner, bridge: PatientBridge) -> World:
-    """Both sides of it."""
+    """Both sides of that bridge."""
     world = World(node, spinner)
     heard = [world.efforts, *world.subscriptions]
     wait_for_partners(node, publishers=[world.commands], subscriptions=heard)
@@ -116,7 +116,7 @@ def test_joint_states_that_came_before_the_activation_are_not_passed_on_in_a_bur
     waiting: World, bridge: PatientBridge, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def wait(*args: object, **options: object) -> None:
-        # While this goes on, nothing is executed.
+        # Meanwhile no callback is executed.
         for _ in range(100):
             waiting.feed()
         time.sleep(0.1)
@@ -173,7 +173,7 @@ def test_the_emergency_stop_zeroes_torque_again_and_again_until_a_reset_refused_
     assert world.call(topics.SIM_STOP_SERVICE)[0]
     world.until_told(*ZERO)
     world.await_fault("emergency stop")
-    # Torque is commanded further; without samples, too, fault and zero torque are told.
+    # Torque is still commanded. Even without samples, fault and zero torque are published.
     world.running, before = False, len(world.told)
     eventually(world.spinner, lambda: len(world.faults) >= 3, "the fault, three times")
     assert set(world.told[before:]) == {ZERO}

@@ -135,7 +135,7 @@ PUSHES = np.repeat(np.random.default_rng(7).uniform(-4.0, 4.0, (30, 1)), 10, axi
 
 
 def torques(plant: SimulatorParameters) -> tuple[Array, Array, Array, Array]:
-    """Angle from the posture, velocity, torque of the drive and what the arm has beside M, B, K.
+    """Angle from the posture, velocity, torques of the drive and of the arm beside M, B, K.
 
     Of one joint at each tick, from states and readings by the equations of motion.
     """

@@ -140,7 +140,7 @@ def test_when_the_controller_is_lost_expect_zero_torque_and_a_fault(
     message, applied = world.await_fault()
     assert message.startswith("imbic_controller ")
     assert applied == "0.0 0.0"
-    # It may come back, but not by itself under torque.
+    # The controller may come back, but the torque does not come back by itself.
     report(world.simulator.controller, alive=1, silent=0)
     world.command(5.0, -5.0)
     assert world.applied == (0.0, 0.0)
