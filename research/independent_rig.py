@@ -97,6 +97,13 @@ class Mismatch:
     """Its time constant."""
     cubic: float = 0.0
     """Share by which the secant stiffness falls at 50 mrad."""
+    coupled: float = 0.0
+    """The same of the stiffness between joints alone, with the angle of the other joint."""
+    stiffness_by_speed: float = 0.0
+    damping_by_speed: float = 0.0
+    """Shares by which stiffness and damping change at 0.5 rad/s; twice that far beyond it."""
+    damping_by_angle: float = 0.0
+    """Share by which damping grows at 50 mrad."""
     one_sided: float = 0.0
     """Share by which stiffness differs between the two directions."""
     startled: float = 0.0
@@ -267,6 +274,14 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0913, PLR091
                     grip[i] = ends + (grip[i] - ends) * np.exp(-abs(v) / BRISTLE * step)
                     extra += nonlinear[7] * grip[i] / BRISTLE
                 extra += nonlinear[5] * abs(q) + startle * q
+                fast = 2.0 * abs(v) / (abs(v) + 0.5)
+                extra += (
+                    nonlinear[13] * fast * q + (nonlinear[14] * fast + nonlinear[15] * abs(q)) * v
+                )
+                for j in range(n):
+                    if j != i:
+                        other = x[where + j]
+                        extra -= nonlinear[12] * other * min(other * other / 0.0025, 4.0)
                 force[n + i] = disturbance[i, k] + contraction[i, 1] + extra
             for i in range(n):
                 for j in range(n):
@@ -370,6 +385,10 @@ def simulate_trial(mismatch: Mismatch, joint: int, seed: int) -> Recording:
                 mismatch.reflex_length,
                 mismatch.cuff if mismatch.loose else 0.0,
                 mismatch.loose,
+                mismatch.coupled * float(min(K[0, -1], K[-1, 0])),
+                mismatch.stiffness_by_speed * float(K[0, 0]),
+                mismatch.damping_by_speed * float(B[0, 0]),
+                mismatch.damping_by_angle * float(B[0, 0]) / 0.05,
             ]
         ),
         1.0 - np.exp(-step / 0.02),

@@ -531,6 +531,12 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         bent = {"cubic": share, "voluntary": 0.3}
         add(MUST, "amplitude-dependent, voluntary 0.3 N·m", (f"{share:g}", bent))
         add(MUST, "waxing stiffness", (f"{share:g}", {"waxing": share}))
+        for name in ("coupled", "stiffness_by_speed", "damping_by_speed", "damping_by_angle"):
+            for hiding in (0.0, 0.3):
+                less = {name: share if name == "damping_by_angle" else -share, "voluntary": hiding}
+                less["coupled"] = abs(less.get("coupled", 0.0))
+                title = f"{name.replace('_', ' ')}, {share:g}"
+                add(MUST, title, (f"{hiding:g} N·m", less))
     for size in (0.1, 0.3, 1.0):
         add(NOISE, "tremor", (f"{size:g} N·m", {"tremor": size}))
         add(NOISE, "voluntary", (f"{size:g} N·m", {"voluntary": size}))

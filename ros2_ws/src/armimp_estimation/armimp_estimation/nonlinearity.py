@@ -1,14 +1,16 @@
 """Nonlinear arms and transducers: changing stiffness, friction, hysteresis in the fit's residual.
 
-The residual torque of the perturbed joint in the band, ``e = τ_k - Σ_j Z_kj θ_j`` with the fitted
-impedance Z, is regressed on one term at a time. Terms of the arm are the angle clipped at half of
-its rms (a stiffness that changes with the amplitude), ``|θ|`` (one that depends on the direction),
-a play operator of the angle (a short-range spring that yields: Brokate & Sprekels, *Hysteresis and
-Phase Transitions*, ch. 2), the sign of ``θ̇`` (friction), ``θ t`` or an abrupt change (a stiffness
-that changes over the trial) and ``θ exp(-t)`` (one that is larger at the start). Terms of the
-transducer follow the torque τ̂ over all perturbed frequencies: ``|τ̂|`` (it shows more in one
-direction), ``τ̂³`` (its gain changes with the torque), the sign of τ̂ (it does not show small
-torques), ``τ̂ t`` or an abrupt change (its gain drifts) and a play operator of τ̂ (hysteresis).
+The residual torque of each joint in the band, ``e_i = τ_i - Σ_j Z_ij θ_j`` with the fitted
+impedance Z, is regressed on one term of the perturbed joint's motion at a time. Terms of the arm
+are the angle clipped at half of its rms (a stiffness that changes with the amplitude), ``|θ|`` (one
+that depends on the direction), ``θ |θ̇|``, ``θ̇ |θ̇|`` and ``θ̇ |θ|`` (stiffness and damping that
+change with the speed, and damping with the angle), a play operator of the angle (a short-range
+spring that yields: Brokate & Sprekels, *Hysteresis and Phase Transitions*, ch. 2), the sign of
+``θ̇`` (friction), ``θ t`` or an abrupt change (a stiffness that changes over the trial) and
+``θ exp(-t)`` (one that is larger at the start). Terms of the transducer follow the torque τ̂ over
+all perturbed frequencies: ``|τ̂|`` (it shows more in one direction), ``τ̂³`` (its gain changes with
+the torque), the sign of τ̂ (it does not show small torques), ``τ̂ t`` or an abrupt change (its gain
+drifts) and a play operator of τ̂ (hysteresis).
 
 Everything that a linear filter makes of angle and perturbation is projected out of the terms and e.
 The instrument (Söderström & Stoica, *Instrumental Variable Methods for System Identification*) is
@@ -33,6 +35,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -77,6 +80,8 @@ _OWN_LAG = 2.0
 joints for 1 to 15 % of the rms torque, up to 8 where torques are small."""
 SLOW = 0.1
 """Speed at which friction reaches three quarters of its size, in rms speeds."""
+_NORMAL = 0.8
+"""Mean of the absolute value of a normal distribution, in standard deviations."""
 _ENDS = 3.0
 """Seconds that are left out at either end, up to the share `_MOST_ENDS` of the record."""
 _WIDTH = 1.0
@@ -117,6 +122,8 @@ class Kind(Enum):
 
     STIFFNESS = "stiffness"
     """The arm, whose stiffness changes; relative to the stiffness."""
+    DAMPING = "damping"
+    """The arm, whose damping changes; relative to the damping."""
     FORCE = "force"
     """The arm, which adds a torque; largest relative change of M, B and K that it looks like."""
     GAIN = "gain"
@@ -167,6 +174,8 @@ class Term:
     which holds for one of two directions, for small torques, or at the start or end."""
     even: bool = False
     """Whether it does not change sign with the motion that the perturbation causes."""
+    couples: bool = False
+    """Whether it may be in the torque of a locked joint, too."""
 
 
 TERMS: Mapping[str, Term] = {
@@ -178,6 +187,7 @@ TERMS: Mapping[str, Term] = {
         likely=0.3,
         sizes=(0.03, 0.1, 0.3, 1.0),
         lines_alone=True,
+        couples=True,
     ),
     "curvature": Term(
         bend=lambda signals: signals[0] - np.clip(signals[0], -FAR, FAR),
@@ -186,6 +196,7 @@ TERMS: Mapping[str, Term] = {
         large=0.1,
         likely=0.7,
         sizes=(0.1, 0.3, 1.0),
+        couples=True,
     ),
     "posture": Term(
         bend=lambda signals: np.abs(signals[0]),
@@ -194,6 +205,34 @@ TERMS: Mapping[str, Term] = {
         large=0.1,
         even=True,
     ),
+    "stiffness by speed": Term(
+        bend=lambda signals: signals[1] * np.abs(signals[2]),
+        code=ProblemCode.DEPENDS_ON_SPEED,
+        slope=_NORMAL,
+        large=0.1,
+        likely=0.1,
+        sizes=(0.03, 0.1),
+        couples=True,
+    ),
+    "damping by speed": Term(
+        bend=lambda signals: signals[2] * np.abs(signals[2]),
+        code=ProblemCode.DAMPING_CHANGES,
+        kind=Kind.DAMPING,
+        slope=2.0 * _NORMAL,
+        likely=0.3,
+        sizes=(0.1, 0.3, 1.0),
+        couples=True,
+    ),
+    "damping by angle": Term(
+        bend=lambda signals: signals[2] * np.abs(signals[0]),
+        code=ProblemCode.DAMPING_CHANGES,
+        kind=Kind.DAMPING,
+        slope=_NORMAL,
+        large=0.1,
+        likely=0.1,
+        sizes=(0.1, 0.3),
+        couples=True,
+    ),
     "hysteresis": Term(
         bend=lambda signals: play(signals[1], PLAY),
         code=ProblemCode.HYSTERESIS,
@@ -201,6 +240,7 @@ TERMS: Mapping[str, Term] = {
         large=0.05,
         likely=0.1,
         sizes=(0.01, 0.03, 0.1),
+        couples=True,
     ),
     "slack": Term(
         bend=lambda signals: -play(signals[3], SLACK),
@@ -291,7 +331,7 @@ TERMS: Mapping[str, Term] = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Deviation:
-    """One term as it was found at the perturbed joint."""
+    """One term as it was found in the torque of a joint."""
 
     name: str
     share: float
@@ -301,7 +341,7 @@ class Deviation:
     freedom: float
     """Degrees of freedom of that error."""
     shift: FloatArray
-    """What it adds to M, B and K of the joint itself, SI units; shape (3,)."""
+    """What it adds to M, B and K between the perturbed joint and this one, SI units; (3,)."""
     gain: float = 0.0
     """Relative uncertainty of the transducer's gain that follows from it."""
     held: float = 0.0
@@ -475,26 +515,26 @@ def play(angle: FloatArray, half: float) -> FloatArray:
     return np.asarray((angle - np.clip(0.0, least, most)) / half)
 
 
-def _unexplained_torque(
+def _residuals(
     record: TrialRecord,
     arm: MBK,
     jump: HoldCorrection | None,
     reading: TorqueReading,
     late: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Motion of the perturbed joint and residual torque of the fitted arm, both within the band.
+    """Motion of the perturbed joint and residual torques of the fitted arm, both within the band.
 
-    Angle, rad, and its first two derivatives, (3, N), and torque, N·m, (N,), at 200 Hz at most.
+    Angle, rad, and its first two derivatives, (3, N), and torques, N·m, (n, N), at 200 Hz at most.
     """
-    k, n, band = record.perturbed_joint, record.joints, _Band(record)
-    angle, torque = band.of(record.position), band.of(record.torque[k])
-    coefficients = without_skew(band.f, record.rate, n, reading, jump, late)[k]
-    torque = coefficients[k] * torque
+    n, band = record.joints, _Band(record)
+    angles, torques = band.of(record.position), band.of(record.torque)
+    coefficients = without_skew(band.f, record.rate, n, reading, jump, late)
+    torques = np.einsum("iif,if->if", coefficients[:, :n], torques)
     if jump is not None:
         steps = band.of(command_steps(record))
-        torque = torque + np.sum(coefficients[n:] * steps, axis=0)
-    motion = angle[k] * (2j * np.pi * band.f) ** np.arange(3)[:, None]
-    left = torque - np.sum(arm.impedance(band.f)[k] * angle, axis=0)
+        torques = torques + np.einsum("ijf,jf->if", coefficients[:, n:], steps)
+    motion = angles[record.perturbed_joint] * (2j * np.pi * band.f) ** np.arange(3)[:, None]
+    left = torques - np.einsum("ijf,jf->if", arm.impedance(band.f), angles)
     return band.signal(motion), band.signal(left)
 
 
@@ -510,8 +550,8 @@ def deviations(
     jump: HoldCorrection | None = None,
     reading: TorqueReading | None = None,
     late: float = 0.0,
-) -> dict[str, Deviation]:
-    """Estimate each term of nonlinearity of the perturbed joint.
+) -> list[dict[str, Deviation]]:
+    """Estimate each term of nonlinearity in the torques of a trial.
 
     Parameters
     ----------
@@ -528,79 +568,113 @@ def deviations(
 
     Returns
     -------
-    dict of str to Deviation
-        By name in `TERMS`; empty for trials of less than 10 s, or if a signal, or M, B or K of the
-        joint, is zero.
+    list of dict of str to Deviation
+        For the torque of each joint, by name in `TERMS`; for locked joints those that couple
+        joints. Empty for trials of less than 10 s, or if a signal, or M, B or K, is zero.
     """
     if record.duration < _LEAST:
-        return {}
+        return [{} for _ in record.joint_names]
     record = record.whole_periods
-    band, k = _Band(record), record.perturbed_joint
-    motion, rest = _unexplained_torque(record, arm, jump, reading or TorqueReading(), late)
-    wide, moving = _Band(record, WIDE), _Band(record, MOVING)
-    # A nonlinearity acts on all of motion and torque, but only the part that the perturbation
-    # causes is independent of the person: it gives the instrument. Slow voluntary motion would make
-    # that a weak instrument of terms that depend on the direction of the motion.
-    angle = moving.signal(moving.of(record.position[k]))
-    quick = np.stack((2j * np.pi * wide.f * wide.of(record.position[k]), wide.of(record.torque[k])))
-    speed, torque = wide.signal(quick)
-    kept = band.kept
-    caused = moving.caused(angle), band.caused(motion[0]), *wide.caused(np.stack((speed, torque)))
-    load = band.inner(np.full(torque.size, record.torque[k].mean()))
-    actual = np.stack([angle, motion[0], speed, band.inner(torque) + load])
-    known = np.stack([*caused[:3], band.inner(caused[3])])
-    sizes = np.std(actual[:, kept], axis=1)[:, None]
-    own = np.array([arm.M[k, k], arm.B[k, k], arm.K[k, k]])
-    if not ((sizes > 0.0).all() and own.all()):
-        return {}
-    signals, known = actual / sizes, known / sizes
-    loaded = known + np.array([0.0, 0.0, 0.0, 1.0])[:, None] * load / sizes
-    inner = band.inner(rest)
-    white = band.weights(inner)
-    # The residual of a linear arm whose fit is slightly wrong is in proportion to the torque.
-    nearly = band.weights(inner, _LEFT * band.inner(torque))
-    left, moved, shown = (band.of(one) for one in (rest, record.position[k], record.torque[k]))
-    linear = _Linear(record, band)
-    weighed = [(one, linear.removed(band.signal(one * left)[kept])) for one in (nearly, white)]
-    # With one band for each line, the filters could follow an abrupt change.
-    smooth = linear if record.periods is None else _Linear(record, _Band(record, by_lines=False))
-    steady = smooth.removed(band.signal(nearly * left)[kept])
-    found = {}
-    for name, one in TERMS.items():
-        of_gain = one.kind is Kind.GAIN
-        # The part that changes sign with the perturbation is as independent of the person as the
-        # term of the perturbed motion alone, and larger where the person moves or loads the joint.
-        whole = one.bend(signals)
-        turns = 0.5 * (whole - one.bend(signals - 2.0 * known))
-        alone = one.bend(loaded if of_gain or one.even else known)
-        turns = alone + turns if of_gain or one.even else turns
-        bent = np.stack([band.of(signal) for signal in (turns, whole, alone)])
-        weights, remains = weighed[1 if of_gain else 0]
-        cause, term, alone = (band.signal(weights * part)[kept] for part in bent)
-        instrument = linear.unlike(cause)
-        estimate = _ratio(*_by_parts(instrument, linear.removed(term), remains))
-        if np.linalg.norm(linear.unlike(alone)) <= _INFORMATIVE * np.linalg.norm(alone):
-            estimate = estimate[0], np.inf, estimate[2]
-        at_lines = False
-        if record.periods is not None and not one.in_time:
-            signal = shown if one.kind in {Kind.GAIN, Kind.LOST} else moved
-            of_lines = _slope_at_lines(band.lines, signal, bent[2], bent[1], left, shown)
-            at_lines = of_lines[1] < estimate[1]
-            estimate = of_lines if at_lines else estimate
-        # The M, B and K that look most like the term: its regression on derivatives 2, 1 and 0.
-        alike = np.linalg.lstsq(motion[2::-1, kept].T, band.signal(bent[1])[kept], rcond=None)[0]
-        deviation = _deviation(name, estimate, alike, own, sizes[:, 0])
-        found[name] = replace(deviation, at_lines=at_lines, joints=record.joints)
-        if one.at_once is not None:
-            changing = known[one.at_once], signals[one.at_once]
-            seen = [band.signal(nearly * band.of(signal))[kept] for signal in changing]
-            step, looks = _step(seen[0], seen[1], steady)
-            sudden = replace(
-                _deviation(name, step, alike, own, sizes[:, 0]), looks=looks, joints=record.joints
-            )
-            if abs(sudden.share) > _LEFT:
-                found[name] = max(found[name], sudden, key=lambda one: one.errors)
-    return found
+    motion, residuals = _residuals(record, arm, jump, reading or TorqueReading(), late)
+    moved = _Motion(record, motion)
+    # An element between joints may be small: its size is the geometric mean with those beside it.
+    elements = np.abs(np.stack((arm.M, arm.B, arm.K), axis=-1))
+    own = np.sqrt(np.diagonal(elements).T)
+    column = np.sqrt(elements[:, record.perturbed_joint] * own * own[record.perturbed_joint])
+    parts = zip(range(record.joints), residuals, column, strict=True)
+    return [moved.deviations(joint, left, size) for joint, left, size in parts]
+
+
+class _Motion:
+    """Motion of the perturbed joint in one trial, and the terms of nonlinearity that follow.
+
+    A nonlinearity acts on all of motion and torque, but only the part that the perturbation causes
+    is independent of the person: it gives the instrument. Slow voluntary motion would make that a
+    weak instrument of terms that depend on the direction of the motion.
+    """
+
+    def __init__(self, record: TrialRecord, motion: FloatArray) -> None:
+        self._record, self._motion, self._k = record, motion, record.perturbed_joint
+        self._band, wide, moving = _Band(record), _Band(record, WIDE), _Band(record, MOVING)
+        position = record.position[self._k]
+        angle = moving.signal(moving.of(position))
+        quick = np.vstack((2j * np.pi * wide.f * wide.of(position), wide.of(record.torque)))
+        speed, *self._torques = wide.signal(quick)
+        caused = wide.caused(np.stack((speed, *self._torques)))
+        self._actual = np.stack((angle, motion[0], speed))
+        self._known = np.stack((moving.caused(angle), self._band.caused(motion[0]), caused[0]))
+        self._known_torques = caused[1:]
+        self._linear = _Linear(record, self._band)
+        # With one band for each line, the filters could follow an abrupt change.
+        self._smooth = self._linear
+        if record.periods is not None:
+            self._smooth = _Linear(record, _Band(record, by_lines=False))
+
+    def deviations(self, joint: int, rest: FloatArray, size: FloatArray) -> dict[str, Deviation]:
+        """Estimate the terms in the torque of a joint.
+
+        Parameters
+        ----------
+        joint : int
+        rest : ndarray, shape (N,)
+            Its residual torque, N·m.
+        size : ndarray, shape (3,)
+            Sizes of M, B and K between the perturbed joint and this one.
+        """
+        record, band, linear = self._record, self._band, self._linear
+        torque, kept = self._torques[joint], band.kept
+        load = band.inner(np.full(torque.size, record.torque[joint].mean()))
+        actual = np.vstack((self._actual, band.inner(torque) + load))
+        known = np.vstack((self._known, band.inner(self._known_torques[joint])))
+        sizes = np.std(actual[:, kept], axis=1)[:, None]
+        if not ((sizes > 0.0).all() and size.all()):
+            return {}
+        signals, known = actual / sizes, known / sizes
+        loaded = known + np.array([0.0, 0.0, 0.0, 1.0])[:, None] * load / sizes
+        inner = band.inner(rest)
+        white = band.weights(inner)
+        # The residual of a linear arm whose fit is slightly wrong is in proportion to the torque.
+        nearly = band.weights(inner, _LEFT * band.inner(torque))
+        left, moved, shown = map(band.of, (rest, record.position[self._k], record.torque[joint]))
+        weighed = [(one, linear.removed(band.signal(one * left)[kept])) for one in (nearly, white)]
+        steady = self._smooth.removed(band.signal(nearly * left)[kept])
+        found = {}
+        for name, one in TERMS.items():
+            if joint != self._k and not one.couples:
+                continue
+            of_gain = one.kind is Kind.GAIN
+            # The part that changes sign with the perturbation is as independent of the person as
+            # the term of the perturbed motion alone, and larger where the person moves the joint.
+            whole = one.bend(signals)
+            turns = 0.5 * (whole - one.bend(signals - 2.0 * known))
+            alone = one.bend(loaded if of_gain or one.even else known)
+            turns = alone + turns if of_gain or one.even else turns
+            bent = np.stack([band.of(signal) for signal in (turns, whole, alone)])
+            weights, remains = weighed[1 if of_gain else 0]
+            cause, term, alone = (band.signal(weights * part)[kept] for part in bent)
+            instrument = linear.unlike(cause)
+            estimate = _ratio(*_by_parts(instrument, linear.removed(term), remains))
+            if np.linalg.norm(linear.unlike(alone)) <= _INFORMATIVE * np.linalg.norm(alone):
+                estimate = estimate[0], np.inf, estimate[2]
+            at_lines = False
+            if record.periods is not None and not one.in_time:
+                signal = shown if one.kind in {Kind.GAIN, Kind.LOST} else moved
+                of_lines = _slope_at_lines(band.lines, signal, bent[2], bent[1], left, shown)
+                at_lines = of_lines[1] < estimate[1]
+                estimate = of_lines if at_lines else estimate
+            # The M, B and K that look most like the term: its regression on derivatives 2, 1, 0.
+            derivatives = self._motion[2::-1, kept].T
+            alike = np.linalg.lstsq(derivatives, band.signal(bent[1])[kept], rcond=None)[0]
+            known_of = partial(_deviation, name, alike=alike, own=size, sizes=sizes[:, 0])
+            found[name] = replace(known_of(estimate), at_lines=at_lines, joints=record.joints)
+            if one.at_once is not None:
+                changing = known[one.at_once], signals[one.at_once]
+                seen = [band.signal(nearly * band.of(signal))[kept] for signal in changing]
+                step, looks = _step(seen[0], seen[1], steady)
+                sudden = replace(known_of(step), looks=looks, joints=record.joints)
+                if abs(sudden.share) > _LEFT:
+                    found[name] = max(found[name], sudden, key=lambda one: one.errors)
+        return found
 
 
 def _deviation(
@@ -638,6 +712,9 @@ def _deviation(
         # Where stiffness falls far, the change is relative to that at rest, not to this motion's.
         stiffness = float(max(abs(own[2]), abs(own[2] - shift[2])))
         share = term.slope * slope / (stiffness * float(sizes[0]))
+    elif term.kind is Kind.DAMPING:
+        damping = float(max(abs(own[1]), abs(own[1] - shift[1])))
+        share = term.slope * slope / (damping * float(sizes[2]))
     return Deviation(
         name=name,
         share=share,
@@ -884,10 +961,11 @@ def judge_linearity(
     """
     n = len(records)
     problems: list[Problem] = []
-    doubts, gain = [np.zeros((3, n, n)) for _ in records], np.zeros(n)
+    doubts, gain = list[FloatArray](), np.zeros(n)
     late = 0.0 if fit.delay is None else fit.delay.delay
     jumps_known = jump is not None or reading.without_jumps
     found = [deviations(record, fit.mbk, jump, reading, late) for record in records]
+    own = [found[k][k] for k in range(n)]
 
     def of_torque(joint: int, trial: int, torque: FloatArray) -> FloatArray:
         shift = np.zeros((3, n, n))
@@ -896,10 +974,11 @@ def judge_linearity(
             shift[:, joint] = fit.of_row(joint, answer * estimate.inverse[trial])
         return shift
 
-    for k, record in enumerate(records):
+    for k, i in np.ndindex(n, n):
+        record = records[k]
         reported: set[tuple[ProblemCode, Severity]] = set()
-        elsewhere = [one for joint, one in enumerate(found) if joint != k and one]
-        for name, one in found[k].items():
+        elsewhere = [one for joint, one in enumerate(own) if one and (joint != k or i != k)]
+        for name, one in found[k][i].items():
             evidence = sum(other[name].evidence for other in elsewhere)
             # Joints of one arm share whether their stiffness depends on the amplitude. Evidence of
             # other joints against any other term does not lower its odds at this one.
@@ -908,14 +987,15 @@ def judge_linearity(
                 declared=linearity is not None,
             )
             gain[k] = np.hypot(gain[k], doubt * one.gain)
-            for m in range(n) if doubt * one.held else ():
+            for m in range(n) if i == k and doubt * one.held else ():
                 if m != k:
                     held = _held(records[m].whole_periods, k, TERMS[name])
                     doubts.append(of_torque(k, m, doubt * one.held * held))
             if one.significant and abs(one.share) < _NEGLIGIBLE:
                 continue
-            if not one.slack:
-                doubts[k][:, k, k] = np.hypot(doubts[k][:, k, k], doubt * one.shift)
+            if not one.slack and doubt:
+                doubts.append(np.zeros((3, n, n)))
+                doubts[-1][:, i, k] = doubt * one.shift
             arms = jumps_known or not 0.0 < abs(one.held) < _JUMPING / record.rate
             large = arms and resolved[k] and TERMS[name].large < abs(one.share) < TERMS[name].most
             code, severity = TERMS[name].code, Severity.ERROR if large else Severity.NOTE
@@ -929,12 +1009,12 @@ def judge_linearity(
                     concern=concern,
                     severity=severity,
                     trial=record.trial,
-                    name=record.joint_names[record.perturbed_joint],
+                    name=" and ".join(record.joint_names[j] for j in dict.fromkeys((i, k))),
                     percent=100.0 * one.share,
                     error=100.0 * one.error,
                 )
             )
-    for (name, size), k in product(_lacking(found, linearity).items(), range(n)):
+    for (name, size), k in product(_lacking(own, linearity).items(), range(n)):
         parts = [_lost(record.whole_periods, k, TERMS[name], size) for record in records]
         lost = np.asarray(sum(of_torque(k, m, part) for m, part in enumerate(parts)))
         if name == "slack" and fit.delay is not None:

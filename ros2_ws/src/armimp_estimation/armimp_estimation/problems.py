@@ -116,6 +116,8 @@ class ProblemCode(str, Enum):
     HYSTERESIS = "hysteresis"
     TORQUE_NOT_LINEAR = "torque_not_linear"
     GAIN_DRIFTS = "gain_drifts"
+    DEPENDS_ON_SPEED = "depends_on_speed"
+    DAMPING_CHANGES = "damping_changes"
     FRICTION_LEFT = "friction_left"
     CHANGES_OVER_TIME = "changes_over_time"
     BAND_NARROWED = "band_narrowed"

@@ -273,7 +273,7 @@ def _distortion(result: Result) -> Content | None:
     trials = []
     for one in result.trials:
         if one.record is not None and (found := Distortion.of(one.record, arm)) is not None:
-            changes = deviations(one.record, arm, late=late)
+            changes = deviations(one.record, arm, late=late)[one.joint]
             trials.append((one, found, changes.get("amplitude"), changes.get("time")))
     if not trials:
         return None
