@@ -1,10 +1,10 @@
-"""CDR of the streamed layouts and of trial statuses: bounds-checked, fast, and without ROS.
+"""CDR codecs of streamed messages and of trial statuses: bounds-checked, fast, and without ROS.
 
-Messages of one stream differ only in stamp and numbers. So a layout is parsed once, and every
-further message of it takes one comparison and one ``struct`` call.
+Messages of one stream differ only in stamp and numbers. So their layout is parsed once, and each
+further message with that layout takes one comparison and one ``struct`` call.
 
 ==================  ======================================
-count (decoded)     ``std_msgs/msg/UInt64``
+count               ``std_msgs/msg/UInt64``
 command             ``std_msgs/msg/Float64MultiArray``
 samples, τ_Δ        ``sensor_msgs/msg/JointState``
 ==================  ======================================
@@ -29,6 +29,7 @@ Buffer: TypeAlias = bytes | bytearray | memoryview
 Span: TypeAlias = tuple[int, int]
 """Start and end of some bytes of a message, counted from its first byte."""
 _Columns: TypeAlias = tuple[IntArray, IntArray, FloatArray]
+"""The two head numbers (N,) and the values (n, N) of many messages."""
 
 _LITTLE: Final = b"\0\1\0\0"
 _HEADER_SIZE: Final = 4
@@ -39,7 +40,7 @@ _STAMP: Final = struct.Struct("<iI")
 _UINT32: Final = struct.Struct("<I")
 _COUNT: Final = struct.Struct("<4sQ")
 _NUMBERS: Final = struct.Struct("<4x2I")
-"""Number of dimensions and data offset of a command."""
+"""Number of dimensions, and data offset, of a command."""
 
 
 class CdrReader:
@@ -150,10 +151,11 @@ def encode_count(count: int) -> bytes:
 
 
 class _Layout:
-    """Where the numbers are in all messages whose constant bytes equal those of a parsed one.
+    """Places of the numbers in all messages that share the constant bytes of a parsed message.
 
-    The 8 bytes after the header are unpacked as two numbers: a stamp, or the two numbers of a
-    command. ``order`` has the index among the doubles of each value to return.
+    The 8 bytes after the header are unpacked as two head numbers: those of a stamp, or the number
+    of dimensions and the data offset of a command. ``order`` holds, for each value to return, its
+    index among the doubles.
     """
 
     def __init__(
@@ -194,12 +196,12 @@ class _Layout:
         )
 
     def unpack_many(self, messages: Sequence[Buffer]) -> _Columns | None:
-        """Head and values (n, N) of many messages at once; None if the layouts differ."""
+        """Unpack head numbers and values of many messages at once; None if the layouts differ."""
         if set(map(len, messages)) - {self._length}:
             return None
         data = b"".join(messages)
         constants = np.frombuffer(data, np.uint8).reshape(-1, self._length) & self._masks
-        if (constants != constants[0]).any():  # the layout is that of the first message
+        if (constants != constants[0]).any():  # this layout is that of the first message
             return None
         rows = np.frombuffer(data, self._dtype)
         first, second = rows["first"].astype(np.int64), rows["second"].astype(np.int64)
@@ -207,7 +209,7 @@ class _Layout:
 
 
 class _Decoder(ABC):
-    """Decoder of a stream that keeps the layout of the last message."""
+    """Base of decoders of a stream, which keep the layout of the last message parsed."""
 
     def __init__(self, count: int) -> None:
         self._count = count
@@ -219,17 +221,17 @@ class _Decoder(ABC):
     @staticmethod
     @abstractmethod
     def _number(first: Any, second: Any) -> Any:
-        """Stamp or number of messages, from the two numbers of their heads."""
+        """Return stamps (ns) or command numbers from the head numbers of one or many messages."""
 
     def decode(self, data: Buffer) -> tuple[int, tuple[float, ...]]:
-        """Decode one message into its stamp (ns) or number, and n values.
+        """Decode one message into its stamp (ns) or command number, and n values.
 
         NaN and infinities are passed on as they are.
 
         Raises
         ------
         MalformedMessageError
-            On truncated or foreign bytes, a missing, unknown or doubled joint, or an array
+            On truncated or foreign bytes, a missing, unknown or duplicate joint, or an array
             whose length is not the number of joints.
         """
         layout = self._layout
@@ -239,9 +241,9 @@ class _Decoder(ABC):
         return self._number(items[0], items[1]), layout.values(items)
 
     def decode_many(self, messages: Sequence[Buffer]) -> tuple[IntArray, FloatArray]:
-        """As `decode` of many messages: stamps or numbers (N,), and C-contiguous values (n, N).
+        """Decode many messages into stamps or numbers (N,), and C-contiguous values (n, N).
 
-        The message of a `MalformedMessageError` names the index.
+        Raises as `decode`; the message of the error names the index.
         """
         numbers, values = np.zeros(len(messages), np.int64), np.empty((self._count, len(messages)))
         for index, data in enumerate(messages):
@@ -257,7 +259,7 @@ class _Decoder(ABC):
 class JointStateEncoder:
     """Encoder of JointState messages that differ in stamp and numbers only.
 
-    The bytes are those which a typed rclpy publisher sends, with zeros in the padding, so that
+    The bytes are those that a typed rclpy publisher sends, with zeros in the padding, so that
     equal runs give equal bytes.
 
     Parameters
@@ -268,7 +270,7 @@ class JointStateEncoder:
     Raises
     ------
     ConfigurationError
-        If a name is empty, doubled or not encodable.
+        If a name is empty, duplicate or not encodable.
     """
 
     def __init__(self, names: Sequence[str], field: ValueField) -> None:
@@ -280,7 +282,7 @@ class JointStateEncoder:
         if field == "effort":
             before += bytes(8)
         before += struct.pack("<I", count)
-        # Eight bytes that count for alignment, the stamp, stand before.
+        # The 8 bytes of the stamp stand before these, and count for the alignment.
         before += bytes(-len(before) % 8)
         self._before, self._count = bytes(before), count
         self._after = bytes(8) if field == "position" else b""
@@ -296,7 +298,7 @@ class JointStateEncoder:
         """
         sec, nanosec = divmod(stamp_ns, NS_PER_S)
         if isinstance(values, np.ndarray):
-            values = values.tolist()  # numbers of Python's own are packed in a third of the time
+            values = values.tolist()  # Python's own floats are packed in a third of the time
         try:
             return self._pack(_LITTLE, sec, nanosec, self._before, *values, self._after)
         except struct.error:
@@ -307,21 +309,21 @@ class JointStateEncoder:
 
 
 class JointStateDecoder(_Decoder):
-    """Decoder into stamp (ns) and values in the order of `names`, whatever order they came in.
+    """Decoder into stamp (ns) and values in the order of `names`, whatever their order was.
 
     Parameters
     ----------
     names
-        The joints that every message must have, no more and no less.
+        The joints that every message must have, and no further ones but for `others`.
     field
-        The array that carries the numbers; others may be filled and are ignored.
+        The array that carries the numbers; the other arrays may be filled and are ignored.
     others
         Whether messages may have further joints, which are ignored.
 
     Raises
     ------
     ConfigurationError
-        If a name is empty, doubled or not encodable.
+        If a name is empty, duplicate or not encodable.
     """
 
     def __init__(self, names: Sequence[str], field: ValueField, *, others: bool = False) -> None:
@@ -386,7 +388,7 @@ class CommandEncoder:
     """Encoder of joint torques in order, as the effort controllers of ros2_controllers take them.
 
     They ignore the ``layout`` of the message. Its ``data_offset`` holds the number of the command,
-    from 1 on, so that everybody can tell a command of another publisher, or one that is missing.
+    from 1 on, so that subscribers can detect commands of another publisher, and missing ones.
 
     Parameters
     ----------
@@ -418,7 +420,7 @@ class CommandEncoder:
 
 
 def next_number(number: int) -> int:
-    """Return the number of the command after that of this number; 0 is none."""
+    """Return the command number after this one; 2³² − 1 wraps to 1, as 0 stands for none."""
     return number % 0xFFFF_FFFF + 1
 
 
@@ -431,14 +433,14 @@ def command_number(data: Buffer) -> int:
 
 
 class CommandDecoder(_Decoder):
-    """Decoder of commands into their number, 0 if they have none, and `n` torques (N·m).
+    """Decoder of commands into their number (0 if they have none) and `n` torques (N·m).
 
     The ``layout`` of the message is ignored.
 
     Parameters
     ----------
     n
-        Number of joints, and so of numbers in every message.
+        Number of joints, and so of torques in every message.
     """
 
     @staticmethod
@@ -485,7 +487,7 @@ def decode_trial_status(data: bytes) -> TrialStatus:
 
 
 def decode_trial_statuses(messages: Sequence[bytes]) -> tuple[list[TrialStatus], str]:
-    """Statuses of a recording, and what is wrong with the first that is damaged, if one is."""
+    """Decode the statuses of a recording; also return the error of the first damaged one, or ""."""
     statuses: list[TrialStatus] = []
     problem = ""
     for message in messages:
@@ -499,7 +501,7 @@ def decode_trial_statuses(messages: Sequence[bytes]) -> tuple[list[TrialStatus],
 def encode_trial_status(status: TrialStatus) -> bytes:
     """Encode a message of the topic ``imbic_controller/trial``, with zeros in the padding.
 
-    The bytes are those which a typed rclpy publisher sends.
+    The bytes are those that a typed rclpy publisher sends.
     """
     level = 2 if status.phase is Phase.ABORTED else 0 if status.valid else 1
     values = status.to_values()
@@ -507,13 +509,13 @@ def encode_trial_status(status: TrialStatus) -> bytes:
     data = bytes((level, 0, 0, 0))
     data += b"".join(map(_string, (TrialStatus.STATUS_NAME, status.sentence, "")))
     data += struct.pack("<I", len(values)) + b"".join(map(_string, texts))
-    # Nothing follows the last one.
+    # The last string is not padded, as nothing follows it.
     padding = -(len(texts[-1].encode()) + 1) % 4
     return _LITTLE + data[: len(data) - padding]
 
 
 def _joint_state(data: Buffer) -> tuple[CdrReader, list[bytes], Span, Span]:
-    """Names, positions and efforts of a message."""
+    """Parse a JointState: its reader, its joint names, and the spans of positions and efforts."""
     reader = CdrReader(data, "JointState")
     reader.stamp_ns()
     reader.string()
@@ -533,7 +535,7 @@ def _check(names: Sequence[str]) -> None:
 
 
 def _string(text: str) -> bytes:
-    """A string as CDR has it, with padding for the number that follows."""
+    """Encode a string as CDR, padded so that a number of 4 bytes can follow."""
     try:
         data = text.encode() + b"\0"
     except UnicodeEncodeError:

@@ -1,13 +1,13 @@
-"""numba's ``njit`` with types, and with a cache that notices changes in called functions.
+"""numba's ``njit``, typed, and with a disk cache that notices changes in called functions.
 
-numba keeps machine code on disk and takes it as fresh while the file of the function itself has not
-changed. What the function calls is compiled into it, though, often from other files: after an
-update of those alone, old code would go on running without a word. Here the name of the cache
-folder is a digest of all files that a function is compiled from.
+numba caches machine code on disk and takes it as up to date as long as the file of the function
+itself has not changed. The functions that it calls are compiled into it, though, often from other
+files: if only those were updated, the old code would silently go on running. Here the name of the
+cache folder is a digest of all files that a function is compiled from.
 
-Division by zero gives inf or NaN (``error_model="numpy"``), which the callers look for, and not a
-ZeroDivisionError out of the middle of a simulation; without that branch, loops with divisions can
-become SIMD code, too.
+Division by zero gives inf or NaN (``error_model="numpy"``), which the callers check for, and no
+ZeroDivisionError in the middle of a simulation; without that branch, loops with divisions can also
+be turned into SIMD code.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from types import FunctionType, ModuleType
 from typing import Any, TypeVar, cast
 
 _hidden = {"coverage"} - set(sys.modules)
-# Where this tool of developers is installed, numba would import it, which takes 0.15 s.
+# numba imports this developers' tool if it is installed, which takes 0.15 s; so hide it.
 cast(dict[str, Any], sys.modules).update(dict.fromkeys(_hidden))
 
 import numba  # noqa: E402
@@ -35,27 +35,27 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def compiled(function: Function) -> Function:
-    """Compile a function that only other compiled functions call; they hold its code.
+    """Compile a function that only other compiled functions call, and inline it there.
 
-    It is always inlined: what is left of a call would be the copying of its arguments, and where
-    values are packed (:mod:`armimp_sim.simd`) also of registers.
+    It is always inlined, since a call would only add the copying of its arguments and, where values
+    are packed (:mod:`armimp_sim.simd`), of registers.
     """
     return cast(Function, numba.njit(error_model="numpy", forceinline=True)(function))
 
 
 def inlined(function: Function) -> Function:
-    """Compile a function as a part of those that call it, of which there are one or two.
+    """Compile a function as a part of its callers, of which there are one or two.
 
-    Its code becomes theirs before types are found, and is not compiled by itself: half the time for
-    a law with its limiter. Where many call a function, :func:`compiled` takes far less.
+    Its code becomes theirs before type inference, and is not compiled on its own: half the time for
+    a law with its limiter. For a function with many callers, :func:`compiled` takes far less.
     """
     return cast(Function, numba.njit(error_model="numpy", inline="always")(function))
 
 
 def compiled_entry(function: Function) -> Function:
-    """Compile a function that Python calls; cached on disk, runs without the interpreter's lock.
+    """Compile a function that Python calls: cached on disk, and run without the interpreter's lock.
 
-    Without any folder to write to, it is compiled anew in every process.
+    If no cache folder is writable, it is compiled anew in every process.
     """
     folder = cache_folder(function)
     config = cast(Any, numba.config)
@@ -69,7 +69,7 @@ def compiled_entry(function: Function) -> Function:
 
 
 class _OnStart(Listener):
-    """Calls something when an event starts."""
+    """Listener that calls an action whenever an event starts."""
 
     def __init__(self, action: Callable[[], None]) -> None:
         self._action = action
@@ -82,12 +82,12 @@ class _OnStart(Listener):
 
 
 def on_compiling(action: Callable[[], None]) -> None:
-    """Have something called whenever a function is compiled, as none was found on disk."""
+    """Register an action to be called whenever a function is compiled for want of cached code."""
     register("numba:compile", _OnStart(action))
 
 
 def source_digest(function: Callable[..., Any]) -> str:
-    """Digest of everything that is compiled into ``function``: files and imported constants."""
+    """Return a digest of all that is compiled into ``function``: files and imported constants."""
     files = {Path(__file__)}  # it holds the compiler's options
     constants: set[str] = set()
     _collect(function, files, constants)
@@ -99,7 +99,7 @@ def source_digest(function: Callable[..., Any]) -> str:
 
 
 def _collect(function: Callable[..., Any], files: set[Path], constants: set[str]) -> None:
-    """Walk through all functions that ``function`` calls, by the global names that it uses."""
+    """Collect files and constants of ``function`` and, by its global names, of all it calls."""
     plain = _plain(function)
     files.add(Path(plain.__code__.co_filename))
     names = set(plain.__code__.co_names)
@@ -113,7 +113,7 @@ def _collect(function: Callable[..., Any], files: set[Path], constants: set[str]
 
 
 def _used(names: set[str], namespace: dict[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Values that ``names`` have in a namespace, and in the modules of this project found there."""
+    """Yield what ``names`` stand for in a namespace and in this project's modules within it."""
     for name in names & namespace.keys():
         value = namespace[name]
         if not isinstance(value, ModuleType):
@@ -127,9 +127,9 @@ def _plain(function: Callable[..., Any]) -> FunctionType:
 
 
 def cache_folder(function: Callable[..., Any]) -> Path | None:
-    """Return the folder for the machine code of an entry in its present version, None if none is.
+    """Return the cache folder of the present version of an entry function, or None.
 
-    It is the first that can be written to: the user's choice, beside the source, in the home.
+    The first writable one is taken: the user's choice, beside the source, in the home directory.
     """
     plain = _plain(function)
     name = f"numba-{source_digest(function)}"

@@ -1,8 +1,8 @@
-"""What all nodes in the place of the rig share: who may have torque, and how a node loses it.
+"""Base of all nodes that take the place of the rig: when torque may act, and how it is removed.
 
 The simulator, a driver and the bridge to ros2_control differ in where samples come from and where
-commands go. Emergency stop, reset, latched faults, the watch over the controller and the way back
-through the lifecycle are the same for all of them.
+commands go. Emergency stop, reset, latched faults, supervision of the controller, and the lifecycle
+transitions that end an experiment are the same for all of them.
 """
 
 from __future__ import annotations
@@ -39,35 +39,35 @@ from armimp_common.status import Level, TimingFigures, make_array, make_status, 
 
 _STOPPED = "emergency stop"
 _CHECK_PERIOD = 0.02
-"""How often a driver checks whether something has happened (s)."""
+"""Time between two checks for faults and for other publishers of commands (s)."""
 _DRIFT_NS = 20
-"""How much slower the clock of the stamps may run, in one period (ns)."""
-_LEFT = "perhaps one who has left before it was known"
+"""How much the clock of the stamps may lose against that of this host in one period (ns)."""
+_LEFT = "perhaps one that left before its name was known"
 _NAMES_PATIENCE, _MOST_NAMES = 0.5, 8
-"""How long the name of a publisher is waited for when all is over (s), and how many are told."""
+"""How long to wait at the end for names of publishers (s), and how many are reported at most."""
 
 
 MOST_UNDER_WAY = 45
 """Samples that may be under way to the recorder.
 
-They are lost if it is killed, and so is what it has not yet written, at most 50 ms of samples:
-together less than 100 ms. Their messages, four each, also fit the receive buffer of a socket: the
-kernel takes 1.3 KiB for one, and grants at least 416 KiB by default. What does not fit is lost by
-the transport, and a writer that waits repairs that only with its next heartbeat.
+If the recorder is killed they are lost, and so is what it has not yet written, at most 50 ms of
+samples: together less than 100 ms. Their messages, four for each, also fit the receive buffer of a
+socket: the kernel charges 1.3 KiB for one, and grants at least 416 KiB by default. The transport
+loses what does not fit, and a writer that waits repairs that only with its next heartbeat.
 """
 
 
 class FlowControl:
-    """Flow control in lockstep: a rig waits for a recorder that falls behind.
+    """Flow control in lockstep: the rig waits for a recorder that falls behind.
 
-    A recorder tells how many samples it has received since it began: 0 announces it, and
-    :data:`armimp_common.topics.RECORDER_GONE` says that it has ended. Without one nothing waits.
-    Nothing else in lockstep has a pace of its own, so without this a recorder on a loaded machine
-    would lose samples once the queues are full.
+    A recorder reports how many samples it has received since it began: 0 announces it, and
+    :data:`armimp_common.topics.RECORDER_GONE` says that it has ended. Without a recorder nothing
+    waits. Since nothing else limits the pace in lockstep, a recorder on a loaded machine would
+    otherwise lose samples once the queues are full.
 
     Attributes
     ----------
-    recorded : whether there is a recorder that has not taken leave
+    recorded : whether a recorder has announced itself and has not ended
     silent : whether the heartbeat of the recorder is missing, so that the next sample has to wait
     """
 
@@ -76,15 +76,15 @@ class FlowControl:
         self.recorded = self.silent = False
 
     def count_sent(self) -> None:
-        """Take note that one more sample is under way."""
+        """Count one more sample as under way."""
         self._under_way += 1
 
     def acknowledge(self, received: int) -> None:
-        """Take a count from the recorder."""
+        """Take a count of received samples from the recorder."""
         if received == 0:
             self._under_way = 0
         elif received < self._received < topics.RECORDER_GONE:
-            return  # of somebody else: a recorder does not forget what it has received
+            return  # from another publisher: the count of one recorder never falls
         else:
             self._under_way -= received - self._received
         self.recorded = received != topics.RECORDER_GONE
@@ -101,24 +101,24 @@ ModelT = TypeVar("ModelT", bound=BaseModel)
 
 
 class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
-    """A lifecycle node in the place of the rig; subclasses say where torque goes.
+    """A lifecycle node in the place of the rig; subclasses define where torque goes.
 
-    Commands go to :meth:`on_command`. `on_configure` calls :meth:`set_up`, `on_activate` sets
-    `active` once commands are obeyed, and :meth:`rest` undoes that. What is made in between is
-    given to :meth:`own`.
+    Commands arrive at :meth:`on_command`. `on_configure` of a subclass calls :meth:`set_up`, its
+    `on_activate` sets `active` once commands are obeyed, and :meth:`rest` undoes that. Publishers,
+    subscriptions and timers created in between are handed to :meth:`own`.
 
     Parameters
     ----------
-    parameters : declared, with these values as defaults
-    busy : why they cannot be changed while the node is active
+    parameters : default values of the declared parameters
+    busy : why parameters cannot be changed while the node is active
 
     Attributes
     ----------
     active : whether commands are obeyed
-    declared : the parameters
-    configured : whether the rig is known, and its topics are there
-    limiter : what decides which torque acts, once configured
-    controller : heartbeat of the one who commands
+    declared : the declared parameters
+    configured : whether the rig is known and its topics exist
+    limiter : decides which torque acts, once configured
+    controller : monitor of the controller's heartbeat
     joint_states, torque_sensors, commands, diagnostics : topics that every rig has, once configured
     reported_fault : the fault that was reported last
     """
@@ -140,7 +140,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         )
 
     def set_up(self, limiter: LimiterT, joints: Sequence[str]) -> None:
-        """Make the topics that every rig has; an emergency stop of before still holds."""
+        """Create the topics that every rig has; an earlier emergency stop remains in force."""
         if self._stopped:
             limiter.latch(_STOPPED)
         self.limiter = limiter
@@ -157,7 +157,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         self.own(self.commands, steady_timer(self, _CHECK_PERIOD, self.check))
         self.configured = True
 
-    # What a subclass defines; all but the first two have a meaning already.
+    # Hooks of subclasses; all but the first two have a default.
 
     @abstractmethod
     def on_command(self, command: tuple[float, ...]) -> None:
@@ -165,29 +165,29 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
 
     @abstractmethod
     def rest(self) -> None:
-        """Leave no torque behind, and obey no further commands; harmless if repeated."""
+        """Remove all torque and obey no further commands; calling it again is harmless."""
 
     def on_malformed(self, error: ArmimpError) -> None:
-        """Take a message that is no command: a fault."""
+        """Take a message that is no valid command: latch a fault."""
         self.latch(f"malformed command: {error}")
 
     def torque_was_taken(self) -> None:
-        """Pass the loss of torque on to the drives, when a fault is latched in an active node."""
+        """Pass the loss of torque on to the drives; called when an active node latches a fault."""
 
     def obey_again(self) -> None:
-        """Undo a fault.
+        """Clear a fault, so that commands are obeyed again.
 
         Raises
         ------
         GraphError
-            If torque would come back with a jerk.
+            If torque would come back with a jump.
         """
         if self.configured:
             self.limiter.reset()
 
     @property
     def locked(self) -> AbstractContextManager[object]:
-        """Keeps other threads away from the safety limiter."""
+        """Context that keeps other threads away from the limiter."""
         return nullcontext()
 
     def stamp_ns(self) -> int:
@@ -195,17 +195,17 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         return int(self.get_clock().now().nanoseconds)
 
     def values(self) -> Mapping[str, Any]:
-        """Further values for reports."""
+        """Further key-values for reports on ``/diagnostics``."""
         return {}
 
     def timing(self) -> TimingFigures | None:
-        """Timing for reports, in real time."""
+        """Timing figures for reports; None where there is no real time."""
         return None
 
     # One command for one sample, from one publisher.
 
     def check(self) -> None:
-        """Check whether somebody else commands, and report what is new; called every 20 ms."""
+        """Check for other publishers of commands, and report news of faults; called every 20 ms."""
         if self.active:
             publishers = publisher_count(self, self.commands)
             if publishers > 1:
@@ -216,7 +216,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         self.report_news()
 
     def accuse(self, reason: str) -> None:
-        """Latch a fault of whoever commands, with the names of all who do."""
+        """Latch a fault in the stream of commands, with the names of all their publishers."""
         if not self.configured or self.limiter.fault:
             return
         when = self.stamp_ns() / topics.NS_PER_S
@@ -229,9 +229,9 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         self.report_news()
 
     def _name_publishers(self, *, last: bool = False) -> None:
-        """Add the names of all who command to an accusation, as they become known.
+        """Add the names of all publishers of commands to an accusation, as they become known.
 
-        Torque has gone, and the middleware may learn later whose a publisher is.
+        Torque is gone already; the middleware may learn only later which node a publisher is of.
         """
         if not self._accused:
             return
@@ -251,7 +251,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
                     self._names.append(name)
 
     def _conclude_accusation(self) -> None:
-        """Wait a moment for names that are still on their way, now that nothing else is due."""
+        """Wait a moment for names that are yet to be discovered, now that nothing else is due."""
         end = time.monotonic() + _NAMES_PATIENCE
         while self._accused and self._commanders < 2 and time.monotonic() < end:
             self._name_publishers()
@@ -269,7 +269,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
     # Faults: one latch for all of them.
 
     def latch(self, reason: str) -> None:
-        """Take torque away; a node that is not active gives none, and needs no fault."""
+        """Latch a fault and remove torque; without effect in a node that cannot apply torque."""
         if not self.configured or not (self.active or self._stopped):
             return
         with self.locked:
@@ -278,7 +278,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
                 self.torque_was_taken()
 
     def report(self) -> None:
-        """Publish on ``/diagnostics`` how things are."""
+        """Publish the state of the rig on ``/diagnostics``."""
         if not self.configured or not self.context.ok():
             return
         with self.locked:
@@ -296,12 +296,12 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         self.diagnostics.publish(make_array(stamp_ns, statuses))
 
     def report_news(self) -> None:
-        """Report a fault that has not been reported yet, or its end."""
+        """Report a fault that has not been reported yet, or that one was cleared."""
         if self.configured and self.limiter.fault != self.reported_fault:
             self.report()
 
     def _on_controller(self, controller: HeartbeatMonitor) -> None:
-        # The torque of one that died must not outlast it.
+        # The torque that a controller commanded must not outlast its death.
         if controller.presence.lost:
             self.latch(controller.sentence)
             self.report_news()
@@ -327,7 +327,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         response.success, response.message = True, "commands are obeyed"
         return response
 
-    # The way back: no transition leaves torque behind.
+    # Transitions that end an experiment: none of them leaves torque behind.
 
     @reported
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -339,7 +339,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
 
     @reported
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Forget the rig, so that new parameters can be used; only an emergency stop remains."""
+        """Forget the rig, so that new parameters can be used; an emergency stop stays in force."""
         self.disown()
         self.configured = self._accused = False
         return TransitionCallbackReturn.SUCCESS
@@ -352,7 +352,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         return TransitionCallbackReturn.SUCCESS
 
     def destroy_node(self) -> None:
-        """Leave no torque behind, should the node end while it is active."""
+        """Remove all torque, in case the node ends while it is active."""
         self.rest()
         super().destroy_node()
 
@@ -366,19 +366,19 @@ class ProtectedDriver(DriverBase[Protection, ModelT], ABC, Generic[ModelT]):
 
     @abstractmethod
     def drive(self, torque: Sequence[float]) -> None:
-        """Give the drives torques of the joints (n,), N·m."""
+        """Send torques of the joints (n,), N·m, to the drives."""
 
     def wait_for_controller(
         self,
         publishers: Sequence[RawPublisher] = (),
         subscriptions: Sequence[Subscription] = (),
     ) -> None:
-        """Wait for whoever commands, and for the peers of further channels.
+        """Wait for the controller, and for the peers of further publishers and subscriptions.
 
         Raises
         ------
         GraphError
-            If somebody does not turn up.
+            If one of them does not appear.
         """
         wait_for_partners(
             self,
@@ -391,16 +391,16 @@ class ProtectedDriver(DriverBase[Protection, ModelT], ABC, Generic[ModelT]):
         self.restart_clock()
 
     def restart_clock(self) -> None:
-        """Let samples be due by their next stamp anew, as stamps may have jumped."""
+        """Restart the estimate of when samples are due, as stamps may have jumped."""
         self._begin_ns: int | None = None
 
     def check_sample(self, angles: Sequence[float], periods: int) -> None:
-        """Check the angles (n,), rad, of a sample that so many periods led to; 0 in lockstep."""
+        """Check the angles (n,), rad, of a sample that ends `periods` periods; 0 in lockstep."""
         self.limiter.sample(angles)
         for _ in range(periods):
             if self.limiter.period():
                 self._meter.missed()
-        # Only what the driver changes by itself; commands go out as they come.
+        # Only torque that the driver changes by itself; commands go out as they come.
         if periods and self.limiter.fault:
             self.drive(self.limiter.applied)
 
@@ -411,7 +411,7 @@ class ProtectedDriver(DriverBase[Protection, ModelT], ABC, Generic[ModelT]):
         now_ns = self._sent_ns = time.monotonic_ns()
         self.joint_states.publish(stamp_ns, angles)
         self.torque_sensors.publish(stamp_ns, torques)
-        # Nobody's clock starts with the first sample, which may have come late.
+        # The first sample may itself be late, so the earliest one so far tells when others are due.
         begin_ns = now_ns - stamp_ns
         if self._begin_ns is not None:
             drift_ns = _DRIFT_NS * (stamp_ns - self._stamp_ns) // topics.PERIOD_NS
@@ -420,7 +420,7 @@ class ProtectedDriver(DriverBase[Protection, ModelT], ABC, Generic[ModelT]):
         self._meter.sent(begin_ns + stamp_ns, now_ns)
 
     def on_command(self, command: tuple[float, ...]) -> None:
-        """Pass a command (n,), N·m, on to the drives as far as it may be obeyed."""
+        """Pass a command (n,), N·m, on to the drives, as far as the protection allows."""
         if not self.active:
             return
         self._meter.answered(time.monotonic_ns() - self._sent_ns)
@@ -429,9 +429,9 @@ class ProtectedDriver(DriverBase[Protection, ModelT], ABC, Generic[ModelT]):
             self.drive(self.limiter.applied)
 
     def torque_was_taken(self) -> None:
-        """Give the drives what is left of the torque."""
+        """Send the drives the torque that remains."""
         self.drive(self.limiter.applied)
 
     def timing(self) -> TimingFigures | None:
-        """Return how regular samples and commands are, while the node is active."""
+        """Return the timing of samples and commands while the node is active, else None."""
         return self._meter.figures() if self.active else None

@@ -1,4 +1,4 @@
-"""One error class for each role, so that callers can tell a wrong usage from bad data.
+"""One error class for each role, so that callers can tell wrong usage from bad data.
 
 ``str(error)`` is always a single line meant for the user, with the offending value in it.
 """
@@ -12,7 +12,7 @@ class ArmimpError(Exception):
     message
         One line.
     code
-        Kind of problem that it makes of a result, if another than its class tells.
+        Code of the problem that the error makes of a result, if its class does not imply it.
     """
 
     def __init__(self, message: str, code: str = "") -> None:
@@ -21,11 +21,11 @@ class ArmimpError(Exception):
 
 
 class ConfigurationError(ArmimpError):
-    """A wrong usage or a wrong parameter value (exit status 2)."""
+    """Wrong usage or a wrong parameter value (exit status 2)."""
 
 
 class MalformedMessageError(ArmimpError):
-    """Bytes or key-values which are not the message that they claim to be."""
+    """Bytes or key-values that are not the message they claim to be."""
 
 
 class BagError(ArmimpError):
@@ -41,4 +41,4 @@ class GraphError(ArmimpError):
 
 
 class InterruptionError(ArmimpError):
-    """The user ended the work before it was done; says what is left of it (exit status 130)."""
+    """The user ended the work early; the message says what remains of it (exit status 130)."""

@@ -1,15 +1,15 @@
-"""Spinning of nodes with the fastest executor there is, and the main function of node processes.
+"""Spin nodes with the fastest executor available; and the main function of node processes.
 
 The events executor of rclpy is several times faster than the single-threaded one, with traps:
 its ``spin()`` receives nothing from other processes; a timeout does not end a spin as long as
 there is always another event; an exception in a coroutine, in a task or in the done-callback of a
 future ends the process with a segmentation fault; guard conditions are not supported. So it is
 always called with a finite timeout here, which a timer of one of the nodes enforces, and callbacks
-of nodes must be ordinary functions. What those raise arrives at the caller of `Spinner.spin`.
+of nodes must be ordinary functions. Their exceptions reach the caller of `Spinner.spin`.
 
-Steady timers alone are not enough either: built against an old C library, as the wheels are, the
-executor waits for each of them until a time of the wall clock, and goes on waiting for as long as
-that is set back. So a thread looks for steps of the wall clock, and has all timers begin anew.
+Steady timers alone are not enough: built against an old C library, as the wheels are, the executor
+turns each wait into a deadline of the wall clock, and so waits longer if that clock is set back.
+So a thread watches for steps of the wall clock, and restarts all timers after one.
 """
 
 import math
@@ -41,14 +41,15 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 PERIOD: Final = 0.05
-"""How often stop conditions are looked at (s); a node that is told to end does so that soon."""
+"""Time between two checks of a stop condition (s); so soon does a node end that is told to."""
 
 NO_LOG_FILES: Final = "--disable-external-lib-logs"
-"""ROS argument with which nothing is written to the log directory of ROS, nor is it made."""
+"""ROS argument with which ROS neither writes to its log directory nor creates it."""
 
 _RESOLUTION: Final = 0.02
+"""Period of the timer that ends spins, and time between two looks at the wall clock (s)."""
 _STEP: Final = 1e-3
-"""Steps of the wall clock that matter (s); slewing makes no such ones between two readings."""
+"""Smallest step of the wall clock that matters (s); slewing moves it by less between two looks."""
 _USE_SIM_TIME: Final = "use_sim_time"
 _REFUSAL: Final = (
     f"parameter '{_USE_SIM_TIME}' cannot be true: watchdogs and ramps must not depend on a clock"
@@ -57,8 +58,8 @@ _REFUSAL: Final = (
 
 
 def _ahead() -> float:
-    """By how much the wall clock is ahead of the steady one (s)."""
-    # A thread may be held up between the two: the quickest of some looks counts.
+    """Return by how much the wall clock is ahead of the steady one (s)."""
+    # The thread may be held up between two readings: the quickest of three attempts counts.
     looks = []
     for _ in range(3):
         begin = time.monotonic()
@@ -71,10 +72,10 @@ def _ahead() -> float:
 def steady_timer(
     node: Node, period: float, callback: Callable[[], object], *, autostart: bool = True
 ) -> Timer:
-    """Return a timer of `node` that no change of the wall clock or of simulated time reaches.
+    """Return a timer of `node` that no change of the wall clock or of simulated time affects.
 
-    A node's own clock follows the wall clock, or ``/clock`` where ``use_sim_time`` is set. A timer
-    on it stops for as long as that clock was set back, and a watchdog with it.
+    A node's own clock follows the wall clock, or ``/clock`` where ``use_sim_time`` is set. If that
+    clock is set back, a timer on it stops for as long, and a watchdog with it.
 
     Parameters
     ----------
@@ -83,9 +84,9 @@ def steady_timer(
     period
         Time between two calls (s).
     callback
-        What is called.
+        Called each time.
     autostart
-        Whether it runs at once; else from ``reset()`` on.
+        Whether it runs at once; otherwise it runs from ``reset()`` on.
     """
     clock = Clock(clock_type=ClockType.STEADY_TIME)
     return node.create_timer(period, callback, clock=clock, autostart=autostart)
@@ -110,7 +111,7 @@ def _check(parameters: list[Parameter]) -> SetParametersResult:
 
 
 class Spinner:
-    """An executor with nodes, which only ever spins for a finite time.
+    """An executor of some nodes, which is only ever spun with a finite timeout.
 
     Parameters
     ----------
@@ -140,7 +141,7 @@ class Spinner:
         Raises
         ------
         ConfigurationError
-            If it was started with ``use_sim_time``, which is refused from now on, too.
+            If it was started with ``use_sim_time``; setting that later is refused as well.
         """
         refuse_simulated_time(node)
         self.executor.add_node(node)
@@ -148,7 +149,7 @@ class Spinner:
         self._keep_time()
 
     def remove_node(self, node: Node) -> None:
-        """Execute the callbacks of this node no more; to be called before it is destroyed."""
+        """Stop executing the callbacks of this node; call this before the node is destroyed."""
         if self._timer is not None and node is self._nodes[0]:
             node.destroy_timer(self._timer)
             self._timer = None
@@ -178,7 +179,7 @@ class Spinner:
         Returns
         -------
         bool
-            True if it is done; it returns at once when that happens.
+            Whether it is done; the call returns as soon as it is.
         """
         if not future.done():
             self._spin_for(future, max(timeout, 0.0))
@@ -192,7 +193,7 @@ class Spinner:
             self.executor.spin_until_future_complete(done, timeout)
 
     def _keep_time(self) -> None:
-        """Have the timer that ends a spin at its deadline on the first node there is."""
+        """Put the timer that ends a spin at its deadline on the first node, if it is missing."""
         if self._timer is None and self._nodes:
             self._timer = steady_timer(self._nodes[0], _RESOLUTION, self._on_timer)
 
@@ -209,13 +210,13 @@ class Spinner:
                 self.executor.create_task(self._begin_anew)
 
     def _begin_anew(self) -> None:
-        """Have the executor wait anew for every timer that runs; within the executor."""
+        """Restart every running timer, so that its wait begins anew; runs in the executor."""
         for timer in [timer for node in self._nodes for timer in node.timers]:
             if not timer.is_canceled():
                 timer.reset()
 
     def close(self) -> None:
-        """Let go of the nodes and of the executor; calling it again does nothing."""
+        """Release the nodes and shut down the executor; calling it again does nothing."""
         self._closed.set()
         for node in list(self._nodes):
             self.remove_node(node)
@@ -229,7 +230,7 @@ class Spinner:
 
 
 def _fastest(context: Context | None) -> Executor:
-    """An events executor, or the single-threaded one where this rclpy has no other."""
+    """Return an events executor, or the single-threaded one where this rclpy has no other."""
     try:
         from rclpy.experimental import EventsExecutor
     except ImportError:
@@ -254,8 +255,8 @@ def run_node(factory: Callable[..., Node], args: Sequence[str] | None = None) ->
         another `ArmimpError`, each with one line on standard error.
     """
     arguments = list(sys.argv if args is None else args)
-    # A process that is killed while it holds a lock in shared memory holds up whatever the others
-    # publish, for a second for each lock. What the user has set takes precedence.
+    # A process that is killed while it holds locks in shared memory holds up whatever the others
+    # publish, for a second for each lock. A setting of the user takes precedence.
     os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
     try:
         with stop_on_signals() as stopped, _initialised(arguments) as context:
@@ -285,7 +286,7 @@ def _initialised(arguments: list[str]) -> Iterator[Context]:
         rclpy.init(args=arguments, context=context, signal_handler_options=SignalHandlerOptions.NO)
         unknown = remove_ros_args(arguments)[1:]
     except (RuntimeError, ValueError) as error:
-        # rcl appends the places in its own sources, which are of no use to the user.
+        # rcl appends places in its own sources, which are of no use to the user.
         reason = str(error).split(", at /")[0]
         raise ConfigurationError(f"wrong ROS arguments: {' '.join(reason.split())}") from None
     try:

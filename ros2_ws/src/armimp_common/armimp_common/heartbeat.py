@@ -1,17 +1,17 @@
-"""Heartbeats: how a process hears that another one died.
+"""Heartbeats: how a process learns that another one has died.
 
-Each node offers a latched topic of its own, with the identity of its process. The middleware keeps
-its publisher alive from a thread of its own as long as the process runs, so neither a busy callback
-nor a held interpreter lock looks like a death. Data topics are left as they are, since a reader
-that asks for a lease refuses every publisher which does not offer one, and few drivers do.
+Each node offers a latched topic of its own, with the identity of its process. A thread of the
+middleware keeps the publisher alive as long as the process runs, so neither a busy callback nor a
+held interpreter lock looks like a death. Data topics have no lease, since a reader that asks for
+one refuses every publisher that does not offer one, and few drivers do.
 
-A process of the same machine is looked up besides, every 20 ms. So it is soon known that it is dead
-or stopped, even if the middleware of the others is held up; and one that is only silent, on a busy
-machine, does not count as dead. The lease is for processes elsewhere, and long: see
+A process of the same machine is also looked up, every 20 ms. So its death or stop is soon known,
+even if the middleware of the other processes is held up; and a process that is only silent, on a
+busy machine, does not count as dead. The lease is for processes of other machines, and long: see
 :data:`armimp_common.qos.OFFERED_LEASE_MS`.
 
-A process does not watch itself: the middleware lets the lease between two nodes of one process run
-out without a cause, and never renews it then.
+A process does not watch itself: the middleware lets the lease between two nodes of one process
+expire without a cause, and then never renews it.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Presence(Enum):
 
     @property
     def lost(self) -> bool:
-        """Whether the node was there and, as far as one can know, is not any more."""
+        """Whether the node was there and, as far as can be known, no longer is."""
         return self in (Presence.SILENT, Presence.GONE, Presence.LEFT)
 
     @property
@@ -53,7 +53,7 @@ class Presence(Enum):
         return self.lost or self is Presence.STALLED
 
     def after(self, alive: int, silent: int, process_lives: bool | None = None) -> Presence:
-        """Return what follows from the latest news.
+        """Return the presence that follows from the latest observations.
 
         Parameters
         ----------
@@ -70,7 +70,7 @@ class Presence(Enum):
             return Presence.STALLED if process_lives else Presence.SILENT
         if self in (Presence.UNKNOWN, Presence.GONE, Presence.LEFT):
             return self
-        # The middleware forgets a silent publisher when the lease of its process is over.
+        # The middleware forgets a silent publisher when the lease of its process expires.
         return Presence.LEFT if self is Presence.ALIVE else Presence.GONE
 
 
@@ -80,9 +80,9 @@ def offer_heartbeat(node: Node, name: str) -> Publisher:
     Parameters
     ----------
     node
-        Its namespace counts.
+        Holds the publisher; its namespace applies.
     name
-        Name among the topics, which remapping of the node's own name leaves as it is.
+        Name within the topic, which remapping of the node's own name does not change.
     """
     publisher = node.create_publisher(String, topics.alive(name), qos.ALIVE)
     publisher.publish(String(data=identity()))
@@ -104,7 +104,7 @@ class HeartbeatMonitor:
     Attributes
     ----------
     presence : Presence
-        As last heard. It stays unknown for a node that offers no heartbeat.
+        Latest known presence. It stays UNKNOWN for a node that offers no heartbeat.
     checked : float
         When the process was last looked up (monotonic, s).
     """
@@ -142,7 +142,7 @@ class HeartbeatMonitor:
         self.check()
 
     def _on_event(self, event: QoSLivelinessChangedInfo) -> None:
-        # Within one process the middleware counts below zero.
+        # Within one process, the middleware may count below zero.
         self._alive, self._silent = max(event.alive_count, 0), event.not_alive_count
         self.check()
 

@@ -1,4 +1,4 @@
-"""Lifecycle transitions: asking for them from outside, and reporting why one failed."""
+"""Lifecycle transitions: request them from outside, and report why one failed."""
 
 from __future__ import annotations
 
@@ -33,28 +33,29 @@ _SERVICES: Final[dict[str, Any]] = {
 _POLL: Final = 0.01
 _CHECK_PERIOD: Final = 0.05
 _REPEAT: Final = 2.0
+"""Time between two looks for a service, two looks for an answer, and two identical requests (s)."""
 
 
 class ServiceClients:
-    """Clients of services that some nodes have, each asked until there is an answer.
+    """Clients of the same services of several nodes, which wait for services and answers.
 
     Parameters
     ----------
     node
-        A node to ask through; it must be spun by `spin_until`.
+        The node that holds the clients; it must be spun by `spin_until`.
     names
         Names of the nodes, absolute or relative to the namespace of `node`.
     kinds
         Types of the services by name.
     spin_until
-        Spins until a future is done or a time (s) is over, and tells whether it is done;
+        Spins until a future is done or a time (s) is over, and returns whether it is done;
         usually `armimp_common.executor.Spinner.spin_until`. If the nodes are in the same process it
         must spin them too.
     timeout
         For each service to appear, and for each answer (s).
     check
-        Called often while something is waited for; what it raises ends the waiting. To be used
-        for what makes waiting vain, like the death of a process.
+        Called often during each wait, which ends with any exception that it raises. Meant for
+        what makes waiting futile, like the death of a process.
     """
 
     def __init__(
@@ -80,8 +81,8 @@ class ServiceClients:
     ) -> Any:
         """Wait for a service, call it, and return the answer.
 
-        The purpose is for the words of errors, and the question is repeated where no answer comes
-        if it may be. GraphError if there is no answer in time.
+        The purpose appears in errors; with `repeat`, a request without an answer is sent again.
+        GraphError if there is no answer in time.
         """
         client, deadline = self._clients[name, service], time.monotonic() + self._timeout
         while not client.service_is_ready():
@@ -110,8 +111,8 @@ class ServiceClients:
 class LifecycleManager(ServiceClients):
     """Asks lifecycle nodes, of this process or of others, to change their state.
 
-    A node of others may end with an exception when it is asked for a transition that its state does
-    not have (:class:`ManagedNode` does not), so what is possible is always asked first.
+    A third-party node may end with an exception when it is asked for a transition that its state
+    does not have (:class:`ManagedNode` does not end), so the available ones are always queried.
 
     Parameters
     ----------
@@ -146,7 +147,7 @@ class LifecycleManager(ServiceClients):
         return str(answer.current_state.label)
 
     def change(self, name: str, transition: TransitionName) -> None:
-        """Ask a node for a transition and wait until it is made.
+        """Ask a node for a transition and wait until it is complete.
 
         Raises
         ------
@@ -167,15 +168,15 @@ class LifecycleManager(ServiceClients):
             )
         chosen = Transition(id=available[transition], label=transition)
         request = ChangeState.Request(transition=chosen)
-        # A question may be repeated; a transition may not, but questions about it go before.
+        # Queries may be repeated; a transition may not, but queries of the same node go before it.
         if not self._ask(name, "change_state", request, transition, repeat=False).success:
             raise GraphError(f"node {name} failed to {transition}; its log tells why")
 
 
 class ManagedNode(LifecycleNode):
-    """A lifecycle node that refuses a transition which there is not, where rclpy lets it end.
+    """A lifecycle node that refuses an impossible transition, at which a node of rclpy would end.
 
-    It offers a heartbeat under its name. What is made at configuration is given to :meth:`own`;
+    It offers a heartbeat under its name. What is created at configuration is handed to :meth:`own`;
     `on_cleanup` calls :meth:`disown`.
 
     Attributes
@@ -190,7 +191,7 @@ class ManagedNode(LifecycleNode):
         offer_heartbeat(self, name)
 
     def own(self, *things: Publisher | Subscription | Timer) -> None:
-        """Have these destroyed by :meth:`disown`."""
+        """Register what :meth:`disown` is to destroy."""
         self._owned += things
 
     def disown(self) -> None:
@@ -208,13 +209,13 @@ class ManagedNode(LifecycleNode):
         self, request: ChangeState.Request, response: ChangeState.Response
     ) -> ChangeState.Response:
         try:
-            # Stubs know no private names; that of rclpy is this one since there is a mixin.
+            # Stubs lack private names; this is the one of rclpy since it has a mixin.
             parent: Any = super()
             answer: ChangeState.Response = parent._LifecycleNodeMixin__on_change_state(
                 request, response
             )
             return answer
-        except RuntimeError as error:  # of rcl, which has made no transition then
+        except RuntimeError as error:  # from rcl, which then has made no transition
             self.get_logger().error(f"transition {request.transition.id} is refused: {error}")
             response.success = False
             return response
@@ -225,7 +226,7 @@ _Callback: TypeAlias = Callable[[NodeT, LifecycleState], TransitionCallbackRetur
 
 
 def reported(callback: _Callback[NodeT]) -> _Callback[NodeT]:
-    """Decorate an ``on_configure``... method so that errors in it do not vanish.
+    """Decorate an ``on_configure``... method so that its errors do not vanish.
 
     rclpy turns every exception in a transition into the state "error processing" and says
     nothing. Here an `ArmimpError` is logged on one line and fails the transition, so that the

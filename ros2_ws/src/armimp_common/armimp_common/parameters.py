@@ -1,4 +1,4 @@
-"""ROS parameters of a node from its schema: declaring, loading, and guarding against changes."""
+"""ROS parameters of a node from its schema: declare, load, and guard them against changes."""
 
 from collections.abc import Callable, Iterable
 from typing import Final, Generic, TypeVar
@@ -35,10 +35,10 @@ _INT64: Final = (-(2**63), 2**63 - 1)
 
 
 class ParameterSet(Generic[ModelT]):
-    """The parameters of a node: those of a schema, with the values given from outside.
+    """The parameters of a node: those of a schema, with the values that its user gives.
 
-    Those come from ``--params-file`` and ``-p``, else they are the defaults. Later changes are
-    refused where the schema refuses them, and all of them while something runs.
+    Values come from ``--params-file`` and ``-p``; the others are defaults. Later changes are
+    refused if the schema refuses them, and all of them while `locked` gives a reason.
 
     Parameters
     ----------
@@ -54,9 +54,9 @@ class ParameterSet(Generic[ModelT]):
     Raises
     ------
     ConfigurationError
-        If ``use_sim_time`` is true; or if a value from outside has no such parameter (misspelt, or
-        meant for another node: do not put parameters of one node under ``/**``), has a wrong type,
-        or is refused by the schema. Integers may stand for doubles.
+        If ``use_sim_time`` is true; or if a given value belongs to no parameter (misspelt, or meant
+        for another node: do not put parameters of one node under ``/**``), has a wrong type, or is
+        refused by the schema. Integers may stand for doubles.
     """
 
     def __init__(
@@ -111,12 +111,12 @@ class ParameterSet(Generic[ModelT]):
         return build(self._model, self._loaded)
 
     def require_unchanged(self) -> None:
-        """Refuse to begin with other parameters than those that the node shows.
+        """Refuse to begin if the node shows other parameters than those it has loaded.
 
         Raises
         ------
         GraphError
-            If they were changed since they were loaded; the message names those.
+            If any were changed since they were loaded; the message names them.
         """
         present = self._present()
         changed = ", ".join(name for name, value in self._loaded.items() if present[name] != value)

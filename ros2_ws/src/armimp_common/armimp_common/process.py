@@ -1,4 +1,4 @@
-"""Processes of this machine: which live, who can reach them, how children follow a parent."""
+"""Processes of this machine: which are alive, who can reach them, how children follow a parent."""
 
 import math
 import os
@@ -15,23 +15,23 @@ from types import FrameType
 from typing import Any, Final
 
 _STAT_BYTES: Final = 4096
-"""More than ``/proc/<pid>/stat`` ever has."""
+"""Bytes to read of ``/proc/<pid>/stat``, more than it ever has."""
 _VARIABLE: Final = "ARMIMP_PARENT_PIPE"
 _IN_ORDER: Final = 5.0
-"""Seconds within which work that is interrupted mostly has ended in order."""
+"""Time within which interrupted work has mostly ended in order (s)."""
 _PATIENCE: Final = 60.0
-"""Seconds that an orphan has to end in order, which may include an estimate."""
+"""Time that an orphan has to end in order, which may include an estimate (s)."""
 
 
 STOPPED: Final = ("T", "t")
-"""States of processes that stand still, as after SIGSTOP."""
+"""States of stopped processes, as after SIGSTOP."""
 
 
 def identity() -> str:
-    """Return machine, process namespace, number and start time of this process.
+    """Return the boot of the machine, PID namespace, PID and start time of this process.
 
-    Others on the same machine can tell by it whether the process still lives. Empty where there is
-    no ``/proc``, that is, elsewhere than on Linux.
+    Other processes of the same machine can tell by it whether this one is still alive. Empty where
+    there is no ``/proc``, that is, anywhere but on Linux.
     """
     try:
         return f"{_place()} {os.getpid()} {_state('self')[1]}"
@@ -42,8 +42,8 @@ def identity() -> str:
 def state_of(process: str) -> str | None:
     """Return the state of the process with this `identity`, a letter of proc_pid_stat(5).
 
-    It is empty if the process has ended, even if nobody has waited for it yet, and None if that
-    can't be told from here.
+    It is empty if the process has ended, even as a zombie, which its parent has not waited for yet;
+    and None if that can't be told from here.
     """
     place, _, rest = process.rpartition("] ")
     number, _, start = rest.partition(" ")
@@ -60,7 +60,7 @@ def state_of(process: str) -> str | None:
 
 
 def age() -> float:
-    """Return how long ago this process was started, s, to some 10 ms; NaN if it can't be told."""
+    """Return the time since this process was started (s), to some 10 ms; NaN if not known."""
     try:
         started = int(_state("self")[1]) / os.sysconf("SC_CLK_TCK")
         return time.clock_gettime(time.CLOCK_BOOTTIME) - started
@@ -76,7 +76,7 @@ def _place() -> str:
 
 
 def _state(process: str) -> tuple[str, str]:
-    """State and start time; see proc_pid_stat(5). The name before them may contain anything."""
+    """Return state and start time, see proc_pid_stat(5); the name before may contain anything."""
     # A quarter of the time of psutil (19 instead of 74 µs): heartbeats are checked every 20 ms.
     file = os.open(f"/proc/{process}/stat", os.O_RDONLY | os.O_CLOEXEC)
     try:
@@ -92,14 +92,14 @@ def endpoints(process: int | None = None) -> set[Any]:
     Parameters
     ----------
     process
-        Number of a process of this user; of this one by default.
+        PID of a process of this user; by default of this process.
 
     Raises
     ------
     OSError
-        If the system does not tell.
+        If the system does not say.
     """
-    import psutil  # which few processes need
+    import psutil  # here, as few processes need it
 
     try:
         connections = psutil.Process(process).net_connections("inet")
@@ -120,8 +120,8 @@ def reachable_from_outside(process: int | None = None) -> set[Any]:
 class ParentWatchdog:
     """Lets children end in order when the process that started them is gone, for whatever reason.
 
-    The parent keeps the writing end of a pipe, on which nothing is ever written, and the child
-    waits at the other end. The kernel closes the pipe with the parent, even after SIGKILL. (The
+    The parent keeps the write end of a pipe, into which nothing is ever written, and the child
+    waits at the read end. When the parent ends the kernel closes the pipe, even after SIGKILL. (The
     parent-death signal of Linux would come at the end of the thread that started the child.)
 
     Attributes
@@ -134,19 +134,19 @@ class ParentWatchdog:
         self.child_end, self._own_end = os.pipe()
 
     def environment(self) -> dict[str, str]:
-        """Return the environment for children, which tells them of the pipe."""
+        """Return the environment for children, which holds the descriptor of the pipe."""
         return {**os.environ, _VARIABLE: str(self.child_end)}
 
     def close(self) -> None:
-        """Let go of the children, which then end; to be called once."""
+        """Close the pipe, so that the children end; to be called once."""
         for end in (self._own_end, self.child_end):
             os.close(end)
 
 
 def follow_parent() -> None:
-    """End this process like SIGTERM when its parent, which gave it a `ParentWatchdog`, is gone.
+    """End this process as by SIGTERM when its parent, which gave it a `ParentWatchdog`, is gone.
 
-    A process that then does not end within a minute is killed, whatever holds it up.
+    If it has not ended within a minute then, it is killed, whatever holds it up.
     """
     text = os.environ.pop(_VARIABLE, "")
     if text.isdecimal():
@@ -166,10 +166,10 @@ def _wait(pipe: int) -> None:
 
 @contextmanager
 def stop_on_signals() -> Iterator[Callable[[], bool]]:
-    """Turn SIGINT and SIGTERM into a stop condition; SIGINT again, some seconds later, interrupts.
+    """Turn SIGINT and SIGTERM into a stop condition; a SIGINT over 5 s after the first interrupts.
 
-    Sooner it is the impatience of somebody whose work is being ended in order. To be used in the
-    main thread, with rclpy's own handlers off.
+    An earlier one is ignored as impatience, as the work is still being ended in order. To be used
+    in the main thread, with rclpy's own handlers off.
 
     Yields
     ------

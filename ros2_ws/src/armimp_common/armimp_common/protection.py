@@ -1,4 +1,4 @@
-"""The driver's own safety: what it obeys, when it stops by itself, and its latch."""
+"""The driver's own safety: which commands it obeys, when it stops by itself, its fault latch."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ from armimp_common.schema import Schema
 from armimp_common.topics import PERIOD
 
 WATCHDOG_PERIODS = 5
-"""Periods without a command, or by which commands are behind, after which the torque is taken away.
+"""Periods without a command, or by which commands lag behind, after which torque is taken away.
 
-A controller that works through old samples is none any more.
+A controller that is still working through old samples no longer controls.
 """
 RAMP_PERIODS = 10
-"""Periods in which it then falls to zero: few, as the last command may be a peak of chatter."""
+"""Periods in which torque then falls to zero: few, as the last command may be a peak of chatter."""
 _SPAN = 5
 _MOST_OWED = 10_000
+"""Periods over which a velocity is taken, and most unanswered samples that are remembered."""
 
 
 def first_bad(values: Sequence[float]) -> int | None:
-    """Index of the first value that is not finite; None if there is none."""
+    """Return the index of the first value that is not finite; None if there is none."""
     if math.isfinite(sum(values)):  # as it is almost always
         return None
     return next((i for i, value in enumerate(values) if not math.isfinite(value)), None)
@@ -34,8 +35,9 @@ def first_bad(values: Sequence[float]) -> int | None:
 class CommandSequence:
     """Checks by their numbers that commands come from one publisher, each of them once.
 
-    Two publishers can't go unnoticed if one of them numbers its commands: whichever number comes
-    next, the other sends another. Of a controller that never numbers them nothing can be told.
+    Two publishers can't go unnoticed if one of them numbers its commands: should the other happen
+    to send the next number, the command after it has a wrong one. Of commands that are never
+    numbered nothing can be told.
 
     Attributes
     ----------
@@ -47,11 +49,11 @@ class CommandSequence:
         self.numbered: bool | None = None
 
     def restart(self) -> None:
-        """Let the next command have any number, or none."""
+        """Accept any number, or none, for the next command."""
         self._last, self.numbered = 0, None
 
     def check(self, number: int) -> str:
-        """Take the number of a command, 0 if it has none; return what is wrong with it, or ""."""
+        """Check the number of a command, 0 if it has none; return what is wrong with it, or ""."""
         last, self._last = self._last, number
         if self.numbered is None:
             self.numbered = number > 0
@@ -65,21 +67,21 @@ def _named(number: int) -> str:
 
 
 class CommandWatch:
-    """Sets commands against the samples that they answer, and watches over their absence.
+    """Matches commands to the samples that they answer, and detects their absence.
 
-    Commands carry no stamp, so each counts as the answer to the oldest sample that has none.
-    Samples that nobody was there to answer are owed by nobody: those before the first command,
-    once they are more than `heard`. Which of them it answers is then not known.
+    Commands carry no stamp, so each counts as the answer to the oldest unanswered sample. If more
+    than `heard` samples precede the first command, all but the newest are dropped, as nobody was
+    there to answer them. Which sample that command answers is then not known.
 
     Parameters
     ----------
-    patience : periods without a command, or by which commands are behind, that are borne
-    heard : samples that may wait for the first command, as of a controller that is slow to start
+    patience : periods without a command, or by which commands lag behind, that are tolerated
+    heard : samples that may wait for the first command, for a controller that is slow to start
 
     Attributes
     ----------
-    owed : times (ns) of the samples that have no answer
-    answered_ns : time of the sample that the last command answered; None if there was none
+    owed : times (ns) of the unanswered samples
+    answered_ns : time of the sample that the last command answered; None if it answered none
     silent : periods that have ended since the last command
     """
 
@@ -89,7 +91,7 @@ class CommandWatch:
         self.restart()
 
     def restart(self, spare: int = 0) -> None:
-        """Wait for a first command; so many more of them than samples are borne."""
+        """Wait for a first command; up to `spare` commands more than samples are tolerated."""
         self.owed.clear()
         self._begun = self._in_step = False
         self.silent, self._spare = 0, spare
@@ -98,15 +100,15 @@ class CommandWatch:
     def reset(self) -> None:
         """Wait for a first command after a fault; answers may still be under way."""
         self.restart(self._patience)
-        # Whoever commanded before the fault has to begin anew, too.
+        # A controller that commanded before the fault has to begin anew, too.
         self._heard = min(self._heard, self._patience)
 
     def sample(self, sent_ns: int = 0) -> None:
-        """Take note of a sample that a command is to answer."""
+        """Note a sample that a command is to answer."""
         self.owed.append(sent_ns)
 
     def command(self, torque: Sequence[float]) -> str:
-        """Take note of a command; return what is wrong with its number, or ""."""
+        """Note a command; return what is wrong if no sample is left for it to answer, or ""."""
         unheard = len(self.owed) - 1
         if not self._begun and unheard >= self._heard:
             newest = self.owed.pop()
@@ -120,7 +122,7 @@ class CommandWatch:
         elif self._spare:
             self._spare -= 1
         elif any(torque):
-            # One of zero torque more, as whoever stops sends it, does no harm.
+            # A surplus command of zero torque, as a stopping controller sends it, does no harm.
             return "more commands than samples"
         return ""
 
@@ -150,11 +152,11 @@ class TorqueLatch:
 
     Parameters
     ----------
-    joints : how many
+    joints : number of joints n
 
     Attributes
     ----------
-    fault : why there is no torque any more; empty while all is well
+    fault : why torque was taken away; empty while there is no fault
     applied : what the drives are to apply now (n,), N·m
     """
 
@@ -171,27 +173,27 @@ class TorqueLatch:
             self.applied = tuple(torque)
 
     def latch(self, reason: str) -> None:
-        """Take torque away at once and until :meth:`reset`; the first reason stays."""
+        """Take torque away at once, until :meth:`reset`; the first reason is kept."""
         self.fault = self.fault or reason
         self.applied, self._fading = self._zero, 0
 
     def fade(self, reason: str) -> None:
-        """Take torque away in a straight line, until :meth:`reset`; after a fault nothing changes.
+        """Ramp torque down in a straight line, until :meth:`reset`; without effect after a fault.
 
-        After the last of :data:`RAMP_PERIODS` calls of :meth:`go_on_fading` there is none.
+        It is zero after :data:`RAMP_PERIODS` calls of :meth:`go_on_fading`.
         """
         if not self.fault:
             self.fault, self._fading = reason, RAMP_PERIODS
 
     def go_on_fading(self) -> None:
-        """End a period, in which a torque that fades becomes smaller."""
+        """End a period; a torque that fades becomes smaller."""
         if self._fading:
             share = (self._fading - 1) / self._fading
             self.applied = tuple(share * value for value in self.applied) if share else self._zero
             self._fading -= 1
 
     def rest(self) -> None:
-        """Forget the last command, as whoever gave it is no longer obeyed."""
+        """Forget the last command, as its sender is no longer obeyed."""
         self.applied, self._fading, self._resting = self._zero, 0, True
 
     def reset(self) -> None:
@@ -200,7 +202,7 @@ class TorqueLatch:
         Raises
         ------
         GraphError
-            If the last command was not zero: torque would come back with a jerk.
+            If the last command was not zero: torque would come back with a jump.
         """
         if not self._resting:
             raise GraphError("the last command is not zero torque: stop the controller first")
@@ -212,7 +214,7 @@ class Protection(TorqueLatch):
 
     Parameters
     ----------
-    joints : how many
+    joints : number of joints n
     limits : ProtectionLimits
     """
 

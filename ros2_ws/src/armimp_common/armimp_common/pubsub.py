@@ -1,4 +1,4 @@
-"""Publishers and subscriptions that pass bytes through the fast codecs, and discovery."""
+"""Publishers and subscriptions of bytes that pass through the fast codecs, and discovery."""
 
 from __future__ import annotations
 
@@ -23,8 +23,9 @@ from armimp_common.topics import ValueField
 
 OnMalformed = Callable[[MalformedMessageError], None]
 _POLL = 0.005
+"""Time between two looks while waiting for something (s)."""
 _PATIENCE = 30.0
-"""How long a node that becomes active waits for the others, and then for their answers (s)."""
+"""How long a node that is being activated waits for its peers, and then for their answers (s)."""
 
 
 class RawPublisher:
@@ -33,15 +34,15 @@ class RawPublisher:
     Parameters
     ----------
     node, topic, profile
-        Where to publish, and how.
+        Where to publish, and with which quality of service.
     message_type
         Message class of the topic.
 
     Attributes
     ----------
     send
-        Publishes bytes. `Publisher.publish` does the same after it has told them from others, and
-        protected the publisher from being destroyed by another thread meanwhile: twice the time.
+        Publishes bytes. `Publisher.publish` takes twice the time, since it also checks the type of
+        its argument and guards the publisher against destruction by another thread.
     """
 
     def __init__(
@@ -101,7 +102,7 @@ def subscribe_raw(
     callback: Callable[[bytes], None],
     profile: QoSProfile = qos.SAMPLE,
 ) -> Subscription:
-    """Return a subscription that calls back with messages as the bytes that came, of any length."""
+    """Return a subscription that calls back with each message as bytes, of any length."""
     return node.create_subscription(message_type, topic, callback, profile, raw=True)
 
 
@@ -112,17 +113,17 @@ def subscribe_decoded(
     callback: Callable[[int, tuple[float, ...]], None],
     on_malformed: OnMalformed,
 ) -> Subscription:
-    """Return a subscription to JointState messages or commands, as its decoder takes them.
+    """Return a subscription to JointState messages or commands, whichever the decoder takes.
 
     Parameters
     ----------
     node, topic
         Where to listen.
     decoder
-        Of one message after the other.
+        Decodes one message after the other.
     callback
-        Called with the stamp (ns), or of commands with the number, and the values; NaN and
-        infinities are passed on.
+        Called with the values, after the stamp (ns) of a JointState or the number of a command;
+        NaN and infinities are passed on.
     on_malformed
         Called instead for a message that cannot be decoded.
     """
@@ -154,7 +155,7 @@ def subscribe_counts(node: Node, topic: str, callback: Callable[[int], None]) ->
 
 
 class PollingNode(Node):
-    """Base of a node that has polled subscriptions: hides them from its executor."""
+    """Base of a node with polled subscriptions, which it hides from its executor."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         self._unattended = WeakSet[Subscription]()
@@ -170,12 +171,12 @@ class PollingNode(Node):
     ) -> Subscription:
         """Return a subscription whose messages wait in the middleware for :func:`take_all`.
 
-        For every message that comes, an executor is told, wakes up, looks for the subscription that
-        it is meant for, and calls back: several times the cost of the message itself. Who wants the
-        messages of several streams together, or many at once, need not be told of each.
+        Ordinarily the executor is notified of every message, wakes up, looks up its subscription
+        and calls back: several times the cost of the message itself. A node that takes messages of
+        several streams together, or many at once, need not be notified of each.
 
-        Beyond the depth of its profile, the oldest are lost. To be made in the thread of the
-        executor, which might attend to it otherwise before it is hidden.
+        Beyond the depth of the profile, the oldest messages are lost. Call this in the thread of
+        the executor, which might otherwise attend to the subscription before it is hidden.
         """
         made = subscribe_raw(self, topic, message_type, _nobody, profile)
         self._unattended.add(made)
@@ -183,9 +184,9 @@ class PollingNode(Node):
 
 
 def take_all(subscription: Subscription) -> list[bytes]:
-    """Take all messages that have come to a subscription, as bytes in their order.
+    """Take all messages waiting at a subscription, as bytes in their order.
 
-    An executor that attends to it finds none of them any more.
+    An executor that attends to the subscription no longer finds them.
 
     Raises
     ------
@@ -203,8 +204,8 @@ def _nobody(message: bytes) -> None:
 
 
 def publisher_count(node: Node, subscription: Subscription) -> int:
-    """Return how many publish to a subscription."""
-    # Counting the matched ones came to rclpy late; the graph's count may run ahead of matching.
+    """Return the number of publishers that a subscription hears."""
+    # Older versions of rclpy do not count matched publishers; the graph's count may run ahead.
     if hasattr(subscription, "get_publisher_count"):
         return int(subscription.get_publisher_count())
     return int(node.count_publishers(subscription.topic_name))
@@ -217,31 +218,31 @@ def wait_for_partners(
     subscriptions: Iterable[Subscription] = (),
     monitors: Iterable[HeartbeatMonitor] = (),
 ) -> None:
-    """Wait until a node and those which it needs know of one another.
+    """Wait until a node and its peers have discovered one another.
 
-    What is published on a volatile topic before that is lost. Discovery goes on in threads of the
-    middleware, so nothing needs to be spun meanwhile, and it has two directions. A subscription
-    that has found its publisher may still be unknown to that publisher, for up to some seconds
-    between processes that were started apart from one another. A process learns of the
-    subscriptions of another one in the order in which they were made. So once a latched message,
-    the heartbeat, has come back to a subscription made just now, the older ones are known too.
+    Whatever is published on a volatile topic before that is lost. Discovery runs in threads of the
+    middleware, so nothing needs to be spun meanwhile, and it has two directions: a subscription
+    that has found its publisher may still be unknown to that publisher, for up to some seconds if
+    the two processes were started separately. A process learns of the subscriptions of another one
+    in the order of their creation. So once a latched message, the heartbeat, has arrived at a
+    subscription created just now, the older ones are known too.
 
     Parameters
     ----------
     node
-        The node; to be called in a callback of it, or while it is not spun.
+        The node; call this in one of its callbacks, or while it is not spun.
     publishers, subscriptions
-        What has to have a peer.
+        Those that must have a peer.
     monitors
-        Nodes that have to know of all subscriptions that `node` has made so far. Those that offer
-        no heartbeat, as drivers of others may not, are not waited for; nor are those whose
-        heartbeat is not known yet. It is once any other publisher of theirs is, as it is made
-        first: so `subscriptions` should hold one to each of them.
+        Monitors of nodes that must know all subscriptions that `node` has created so far. A node
+        without a heartbeat, as a third-party driver may be, is not waited for; nor is one whose
+        heartbeat has not been discovered yet. A node creates its heartbeat first, so that is known
+        once any other publisher of the node is: `subscriptions` should hold one to each of them.
 
     Raises
     ------
     GraphError
-        If somebody does not turn up, gives no answer, or is lost but still listed.
+        If a peer does not appear or does not answer, or is lost but still listed.
     """
     sending = [one if isinstance(one, Publisher) else one.publisher for one in publishers]
     listening, monitors = list(subscriptions), list(monitors)

@@ -37,14 +37,14 @@ DIAGNOSTICS: Final = PROFILES[topics.DIAGNOSTICS]
 OFFERED_LEASE_MS: Final = 3000
 """Lease of a heartbeat (ms): the middleware renews it after two thirds of that time.
 
-Not shorter. The thread that renews it takes a lock which another thread holds while it forgets a
-publisher that has left, and which then waits for the first: if both coincide, the middleware is
-locked up for good (as in Fast DDS issue 6502). With a renewal every 20 ms, and a busy machine, this
-came once in some forty times that a program joined and left.
+It must not be shorter. The thread that renews the lease takes a lock that another thread holds
+while it removes a publisher that has left, and that other thread waits for the first: if both
+coincide, the middleware is deadlocked for good (as in Fast DDS issue 6502). With renewals every
+20 ms on a busy machine, this happened once in some forty times that a program joined and left.
 """
 
 WATCHED_LEASE_MS: Final = 6000
-"""Silence after which a process counts as dead that cannot be looked up, being elsewhere (ms)."""
+"""Silence after which a process counts as dead that is elsewhere and cannot be looked up (ms)."""
 
 
 def _alive(lease_ms: int) -> QoSProfile:
@@ -55,7 +55,7 @@ def _alive(lease_ms: int) -> QoSProfile:
 
 
 ALIVE: Final = _alive(OFFERED_LEASE_MS)
-"""Profile of whoever publishes a heartbeat."""
+"""Profile of the publisher of a heartbeat."""
 
 ALIVE_WATCHED: Final = _alive(WATCHED_LEASE_MS)
-"""Profile of whoever monitors a heartbeat."""
+"""Profile of the monitors of a heartbeat."""

@@ -1,4 +1,4 @@
-"""Real time on an ordinary host: deadlines, precedence, and how well both were kept."""
+"""Real time on an ordinary host: deadlines, scheduling priority, and statistics of the timing."""
 
 from __future__ import annotations
 
@@ -28,26 +28,27 @@ LATE_NS: Final = PERIOD_NS // 4
 """A sample is late if it is sent more than this after its deadline, ns."""
 
 _KEPT = 4096
-"""Durations that quantiles are taken of."""
+"""Size of the sample of durations from which quantiles are taken."""
 _SWITCH_INTERVAL = 2e-4
-"""How long a thread may keep another one of Python waiting (s); the default is five periods."""
+"""Longest time for which a Python thread keeps another one waiting (s); Python's is 5 ms."""
 _REFUSAL = "the system does not permit SCHED_FIFO to this user, see docs/realtime.md"
 _NEW_OBJECTS = 50_000
-"""How many there may be before the collector looks at them; the default is 700."""
+"""Number of new objects at which the garbage collector looks at them; Python's default is 700."""
 _PR_SET_TIMERSLACK = 29
 _SLACK_NS = 1000
+"""Option of prctl(2), and the slack of timers that is asked for with it (ns)."""
 
 
 class Pacer:
     """Waits for the deadlines ``start + k · period``, so that errors do not add up.
 
-    What comes late does not move the deadlines after it: a thread that was held up for three
-    periods finds three deadlines behind it and catches up, as time on a rig does not wait either.
+    Lateness does not move later deadlines: a thread that was held up for three periods finds three
+    deadlines behind it and catches up, as time on a rig does not wait either.
 
     Parameters
     ----------
-    period_ns : distance of two deadlines, ns
-    now : tells the time, ns, on any monotonic clock
+    period_ns : time between two deadlines, ns
+    now : returns the time on any monotonic clock, ns
     sleep : sleeps for a time, s
     """
 
@@ -63,11 +64,11 @@ class Pacer:
         self.now = now
 
     def start(self) -> None:
-        """Let the deadline of tick 0 be now."""
+        """Make the present time the deadline of tick 0."""
         self._start_ns = self.now()
 
     def deadline_ns(self, tick: int) -> int:
-        """Deadline of a tick on the clock, ns."""
+        """Return the deadline of a tick on the clock, ns."""
         return self._start_ns + tick * self._period_ns
 
     def wait(self, tick: int) -> None:
@@ -78,10 +79,10 @@ class Pacer:
 
 
 class Durations:
-    """Distribution of durations, in an amount of memory that does not depend on their number.
+    """Distribution of durations, in memory that does not grow with their number.
 
     Quantiles are those of a random sample of them (algorithm R of Vitter, ACM Trans. Math. Softw.
-    11(1), 1985), the maximum is exact.
+    11(1), 1985); the maximum is exact.
     """
 
     def __init__(self) -> None:
@@ -90,7 +91,7 @@ class Durations:
         self._count = self._longest_ns = 0
 
     def add(self, duration_ns: int) -> None:
-        """Take a duration, ns."""
+        """Add a duration, ns."""
         self._longest_ns = max(self._longest_ns, duration_ns)
         self._count += 1
         if len(self._kept) < _KEPT:
@@ -99,7 +100,7 @@ class Durations:
             self._kept[place] = duration_ns
 
     def quantiles(self) -> tuple[float, float, float]:
-        """Median, 99 % quantile and maximum, s; NaN if there is nothing."""
+        """Return median, 99 % quantile and maximum, s; NaN if there are no durations."""
         if not self._kept:
             return math.nan, math.nan, math.nan
         p50, p99 = np.quantile(self._kept, (0.5, 0.99), method="inverted_cdf") / NS_PER_S
@@ -107,9 +108,9 @@ class Durations:
 
 
 class TimingMeter:
-    """Measures the timing of a rig: told when samples leave, and when commands come back.
+    """Measures the timing of a rig from the times of samples sent and of commands received.
 
-    Commands carry no stamp, so they are matched to samples by counting, as everywhere.
+    Commands carry no stamp, so the caller decides which sample each of them answers.
     """
 
     def __init__(self) -> None:
@@ -118,7 +119,7 @@ class TimingMeter:
         self._ticks = self._late = self._missed = 0
 
     def sent(self, deadline_ns: int, sent_ns: int) -> None:
-        """Take note that a sample that was due at ``deadline_ns`` was sent at ``sent_ns``, ns."""
+        """Count a sample that was due at ``deadline_ns`` and sent at ``sent_ns``, ns."""
         self._ticks += 1
         self._late += sent_ns - deadline_ns > LATE_NS
         if self._last_ns is not None:
@@ -126,11 +127,11 @@ class TimingMeter:
         self._last_ns = sent_ns
 
     def answered(self, latency_ns: int) -> None:
-        """Take note that a command came this long after its sample, ns."""
+        """Count a command that came this long after its sample, ns."""
         self._latency.add(latency_ns)
 
     def missed(self) -> None:
-        """Take note that a period began without the command that was meant for it."""
+        """Count a period that began without the command meant for it."""
         self._missed += 1
 
     def figures(self) -> TimingFigures:
@@ -139,7 +140,7 @@ class TimingMeter:
         return TimingFigures(
             ticks=self._ticks,
             late=self._late,
-            # A gap may leave out more periods than samples were sent so far.
+            # A gap may span more periods than samples were sent so far.
             missed=min(self._missed, self._ticks),
             period_p50=period[0],
             period_p99=period[1],
@@ -169,19 +170,19 @@ class SchedulingParameters(Schema):
 
 
 class RealtimeScheduling:
-    """Gives the whole process precedence, from :meth:`take` until :meth:`give_back`.
+    """Gives a whole process real-time priority, from :meth:`take` until :meth:`give_back`.
 
-    Python's garbage collector rests meanwhile: a collection in the wrong moment takes milliseconds.
-    All threads count, those of the middleware too, since each of them carries a message on.
+    Python's garbage collector is off meanwhile: a collection at a bad moment takes milliseconds.
+    All threads are included, also those of the middleware, since each of them passes messages on.
     """
 
     def __init__(self) -> None:
         self._undo = ExitStack()
 
     def take(self, priority: int) -> None:
-        """Take precedence, with a SCHED_FIFO priority or 0.
+        """Take a SCHED_FIFO priority (none with 0), stop garbage collection, switch threads sooner.
 
-        GraphError if the system does not permit that.
+        GraphError if the system does not permit the priority.
         """
         for thread in _threads() if priority else []:
             with suppress(ProcessLookupError):  # ended just now
@@ -230,7 +231,7 @@ def require_precedence(priority: int) -> None:
         except OSError as error:
             refused.append(error)
 
-    # The scheduling of a thread ends with it.
+    # In a thread of its own, since the scheduling of a thread ends with it.
     thread = threading.Thread(target=attempt)
     thread.start()
     thread.join()
@@ -240,9 +241,9 @@ def require_precedence(priority: int) -> None:
 
 @contextmanager
 def seldom_collecting() -> Iterator[None]:
-    """Let Python's garbage collector look only at new objects, and seldom.
+    """Let Python's garbage collector run seldom, and look at new objects only.
 
-    Among those that exist already it would find nothing, but search all of them again and again.
+    In the objects that exist already it would find nothing, but search them again and again.
     """
     threshold = gc.get_threshold()
     gc.freeze()

@@ -37,7 +37,7 @@ Scalar: TypeAlias = bool | int | float | str
 Value: TypeAlias = Scalar | list[bool] | list[int] | list[float] | list[str]
 ItemType: TypeAlias = type[bool] | type[int] | type[float] | type[str]
 Vector: TypeAlias = tuple[float, ...]
-"""One value for each joint, for all of them, or a matrix row by row, as a field says."""
+"""One value for each joint, one for all of them, or a matrix row by row, as the field says."""
 PositiveVector: TypeAlias = tuple[Annotated[float, Field(gt=0.0)], ...]
 NonNegativeVector: TypeAlias = tuple[Annotated[float, Field(ge=0.0)], ...]
 Signs: TypeAlias = tuple[Literal[1, -1], ...]
@@ -46,6 +46,7 @@ ModelT = TypeVar("ModelT", bound=BaseModel)
 _DEEPEST: Final = 50
 _MOST_NODES: Final = 250_000
 _WIDEST: Final = 2**31 - 1
+"""Limits of YAML: depth and number of nodes that are read, and width of a line that is written."""
 
 Loader: Final[Any] = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 TextLoader: Final[Any] = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
@@ -80,14 +81,14 @@ class Leaf:
     array: bool
     """True if the value is a sequence."""
     description: str
-    """What it means."""
+    """Meaning of the parameter."""
     minimum: float | None
     maximum: float | None
-    """Inclusive hull of the allowed numbers; None where there is no bound."""
+    """Inclusive bounds of the allowed numbers; None where there is no bound."""
 
     @property
     def type_name(self) -> str:
-        """The type in the words of ROS: ``double``, ``string array``..."""
+        """The type as ROS names it: ``double``, ``string array``..."""
         return _TYPE_NAMES[self.item] + (" array" if self.array else "")
 
 
@@ -107,21 +108,21 @@ def leaves(model: type[BaseModel]) -> dict[str, Leaf]:
 def _leaves(
     model: type[BaseModel], schema: Mapping[str, Any], known: Mapping[str, Any], prefix: str
 ) -> Iterator[Leaf]:
-    """Leaves of a model from its JSON schema, with those of its parts and of enumerations."""
+    """Yield leaves of a model from its JSON schema; those of nested types are in ``known``."""
     described = descriptions(model)
     for key, field in model.model_fields.items():
-        one = schema["properties"][key]
-        one = {**one, **known.get(one.get("$ref", "").rpartition("/")[2], {})}
+        spec = schema["properties"][key]
+        spec = {**spec, **known.get(spec.get("$ref", "").rpartition("/")[2], {})}
         if (sub_model := _sub_model(field)) is not None:
-            yield from _leaves(sub_model, one, known, f"{prefix}{key}.")
+            yield from _leaves(sub_model, spec, known, f"{prefix}{key}.")
             continue
-        array = one.get("type") == "array"
-        item = _ITEMS.get((one.get("items", {}) if array else one).get("type"))
+        array = spec.get("type") == "array"
+        item = _ITEMS.get((spec.get("items", {}) if array else spec).get("type"))
         if item is None:
             raise TypeError(
                 f"{model.__name__}.{key}: ROS parameters cannot have type {field.annotation}"
             )
-        low, high = (one.get(end, one.get(f"exclusive{end.title()}")) for end in _ENDS)
+        low, high = (spec.get(end, spec.get(f"exclusive{end.title()}")) for end in _ENDS)
         yield Leaf(
             name=f"{prefix}{key}",
             item=item,
@@ -133,7 +134,7 @@ def _leaves(
 
 
 def descriptions(model: type[BaseModel]) -> dict[str, str]:
-    """Return what the fields of a model mean: the docstrings below them, or what they say."""
+    """Return the meaning of each field of a model: the docstring below it, or its description."""
     found = {name: field.description or "" for name, field in model.model_fields.items()}
     for kind in reversed(model.__mro__[: model.__mro__.index(BaseModel)]):
         found |= _docstrings(kind.__module__).get(kind.__name__, {})
@@ -142,9 +143,9 @@ def descriptions(model: type[BaseModel]) -> dict[str, str]:
 
 @functools.cache
 def _docstrings(module: str) -> dict[str, dict[str, str]]:
-    """Docstrings of attributes by class and name, for all classes of a module.
+    """Return the docstrings of attributes by class and name, for all classes of a module.
 
-    The option `use_attribute_docstrings` of pydantic does the same, at 4 ms a class in each start.
+    The option `use_attribute_docstrings` of pydantic does the same, for 4 ms a class at each start.
     """
     file = getattr(sys.modules[module], "__file__", None) or ""
     return {
@@ -163,7 +164,7 @@ def _docstrings(module: str) -> dict[str, dict[str, str]]:
 
 
 def defaults(model: type[BaseModel]) -> dict[str, Value]:
-    """Return the default values of a schema by dotted name, of those fields that have one."""
+    """Return the default values of a schema by dotted name, for the fields that have one."""
     found = dotted(model.model_construct().model_dump(mode="json"))
     for key, field in model.model_fields.items():
         sub_model = _sub_model(field)
@@ -189,9 +190,9 @@ def dotted(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def build(model: type[ModelT], values: Mapping[str, object]) -> ModelT:
-    """Return the instance that has these values, by dotted name, and defaults for the rest.
+    """Return an instance with these values, by dotted name, and defaults for the rest.
 
-    Integers may stand for doubles, and None for an empty array, as ROS has no type for those.
+    Integers may stand for doubles, and None for an empty array, for which ROS has no type.
 
     Raises
     ------
@@ -208,14 +209,14 @@ def build(model: type[ModelT], values: Mapping[str, object]) -> ModelT:
             branch = branch.setdefault(key, {})
         branch[last] = [] if value is None and known[name].array else _plain(name, value)
     try:
-        # In this form types are strict, and yet arrays may be of any kind.
+        # Validation from JSON is strict about types, and yet takes a list for any sequence.
         return model.model_validate_json(json.dumps(nested), strict=True)
     except ValidationError as error:
         raise ConfigurationError(explain(error)) from None
 
 
 def _plain(name: str, value: object) -> object:
-    """A value as JSON has it."""
+    """Convert a value of a parameter to what JSON can hold."""
     if isinstance(value, enum.Enum):
         return value.value
     if isinstance(value, int) and not -(2**63) <= value < 2**63:
@@ -224,16 +225,16 @@ def _plain(name: str, value: object) -> object:
         return value
     if isinstance(value, Iterable) and not isinstance(value, bytes | Mapping):
         return [_plain(name, item) for item in value]
-    raise ConfigurationError(f"parameter '{name}' = {_shown(value)}: has no type of parameters")
+    raise ConfigurationError(f"parameter '{name}' = {_shown(value)}: no parameter has such a type")
 
 
 def require_length(name: str, values: Sequence[Any], n: int, *lengths: int) -> None:
-    """Check that a parameter has one of these numbers of values, of a rig with `n` joints.
+    """Check that the number of values of a parameter, of a rig with `n` joints, is in `lengths`.
 
     Raises
     ------
     ConfigurationError
-        If it has not.
+        If it is not.
     """
     if len(values) not in lengths:
         raise ConfigurationError(
@@ -243,9 +244,9 @@ def require_length(name: str, values: Sequence[Any], n: int, *lengths: int) -> N
 
 
 def each(name: str, values: Sequence[Any], n: int) -> NDArray[Any]:
-    """Return the values (n,) of a parameter with one for all of `n` joints, or one for each.
+    """Return the values (n,) of a parameter that has one for all `n` joints, or one for each.
 
-    ConfigurationError if there are not so many.
+    ConfigurationError if it has another number of values.
     """
     require_length(name, values, n, 1, n)
     return np.resize(np.array(values), n)
@@ -254,7 +255,7 @@ def each(name: str, values: Sequence[Any], n: int) -> NDArray[Any]:
 def matrix(name: str, values: Vector, n: int) -> NDArray[np.float64]:
     """Return the matrix (n, n) that a parameter of `n` joints holds row by row.
 
-    ConfigurationError if it has not so many values.
+    ConfigurationError if it has another number of values.
     """
     require_length(name, values, n, n * n)
     return np.array(values).reshape(n, n)
@@ -266,12 +267,12 @@ def check_names(names: Iterable[str], known: Iterable[str]) -> None:
     Raises
     ------
     ConfigurationError
-        Naming the first that is not, and a valid name that is much like it, if there is one.
+        Naming the first that is not, and the most similar valid name, if one is similar.
     """
     valid = list(known)
     for name in names:
         if name not in valid:
-            # Compared without case, since that is a common slip that costs many characters.
+            # Case is ignored: a slip in it is common, and would count as many wrong characters.
             by_folded = {other.lower(): other for other in valid}
             near = difflib.get_close_matches(name.lower(), list(by_folded), n=1)
             hint = f"; the nearest valid name is '{by_folded[near[0]]}'" if near else ""
@@ -297,7 +298,7 @@ def explain(error: ValidationError) -> str:
 
 
 class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]
-    """Writes each list on one line, and text that is no key in quotes, so that it stays text."""
+    """Writes each list on one line, and all text but keys in quotes, so that it stays text."""
 
     def represent_list(self, items: list[Any]) -> Any:
         return self.represent_sequence("tag:yaml.org,2002:seq", items, flow_style=True)
@@ -322,7 +323,7 @@ def to_params_yaml(models: Mapping[str, BaseModel]) -> str:
     Parameters
     ----------
     models
-        Node name, with its namespace if it has one, to values.
+        Values by the name of the node, with its namespace if it has one.
     """
     content = {
         node: {"ros__parameters": model.model_dump(mode="json")} for node, model in models.items()
@@ -332,7 +333,7 @@ def to_params_yaml(models: Mapping[str, BaseModel]) -> str:
 
 
 def load_yaml(text: str, loader: Any = Loader, *, aliases: bool = False) -> Any:
-    """Load a YAML document that is neither deep, large nor folded.
+    """Load a YAML document, unless it is too deep, too large, or has aliases.
 
     Parameters
     ----------
@@ -341,13 +342,13 @@ def load_yaml(text: str, loader: Any = Loader, *, aliases: bool = False) -> Any:
     loader : type
         A loader of PyYAML.
     aliases : bool
-        Whether a part may stand for itself in several places: what a few lines unfold to may be
-        larger than any memory, for a loader that merges or for whoever walks through it.
+        Whether aliases are allowed. With them, a few lines may unfold to more than any memory
+        holds, in a loader that merges mappings or for code that walks through the result.
 
     Raises
     ------
     yaml.YAMLError
-        If it is not such a document, or nested too deeply, or larger than is read.
+        If it is no YAML, nested too deeply or too large, or has an alias that is not allowed.
     """
     depth = nodes = 0
     for event in yaml.parse(text, Loader=loader):

@@ -13,9 +13,9 @@ JOINT_SIZES: Final[dict[int, tuple[float, ...]]] = {
 }
 """Size of each joint of the preset with n joints; that of the shoulder of the paper's arm is 1.
 
-The rule: in bodies of one shape, torques grow with the third power of length (a muscle or motor by
-its cross-section and its lever), moments of inertia with the fifth. So the size of a joint, which
-torques are in proportion to, is s_i = (M_ii/M_11)^(3/5) with the inertia M = M_r(θ_0) + M_h of
-robot and arm. For the elbow of the paper that gives 0.614 (two joints); its Table III has 0.6,
-which stands here.
+The rule: for bodies of the same shape, torques scale with the third power of length (cross-section
+times lever arm of a muscle or motor), and moments of inertia with the fifth. So the size of a
+joint, to which torques are proportional, is s_i = (M_ii/M_11)^(3/5) with the inertia
+M = M_r(θ_0) + M_h of robot and arm. For the elbow of the paper (two joints) that gives 0.614; its
+Table III has 0.6, which is used here.
 """

@@ -1,7 +1,7 @@
-"""What nodes report of themselves: records as key-values of ``diagnostic_msgs/DiagnosticStatus``.
+"""Records in which nodes report: key-values of ``diagnostic_msgs/DiagnosticStatus``.
 
-One codec for all of them: each record is a frozen model, each field one key, written so that it
-reads back without loss. The message of the status has the same in words, for people alone.
+One codec serves all of them: each record is a frozen model and each field one key, written so that
+it reads back without loss. The ``message`` of the status says the same in words, for people only.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ LIMITER_STATUS: Final = f"{CONTROLLER_NODE}: safety limiter"
 """``name`` of the controller's status on ``/diagnostics``."""
 
 NOTICE_TICKS: Final = 200
-"""Perturbed samples of a trial that follow those by which the estimator ends it.
+"""Perturbed samples of a trial after those on which the estimator bases its decision to end it.
 
-Its decision is made and travels meanwhile, and everybody hears of the end before it comes.
+Meanwhile the decision is made and transmitted, so that every node learns of the end beforehand.
 """
 
 Value: TypeAlias = bool | int | float | str | Sequence[float]
-"""What `format_value` turns into text."""
+"""Types that `format_value` turns into text."""
 
 _INTERVALS: Final = r"^([0-9]{1,19}-[0-9]{1,19}( [0-9]{1,19}-[0-9]{1,19}){0,99})?$"
 _MOST: Final = 2**53
-"""Numbers of progress beyond which nobody is believed."""
+"""Bound of the numbers in :class:`Progress`; larger ones are refused as implausible."""
 
 
 def format_value(value: Value | None) -> str:
@@ -90,7 +90,7 @@ _MaybeNumber: TypeAlias = Annotated[float | None, BeforeValidator(_none_if_empty
 
 
 class Record(BaseModel):
-    """Base of what travels as key-values."""
+    """Base of records that are sent as key-values."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -103,7 +103,7 @@ class Record(BaseModel):
 
     @classmethod
     def from_values(cls, values: Mapping[str, str]) -> Self:
-        """Rebuild a record from its key-values; keys that are not known are ignored.
+        """Rebuild a record from its key-values; unknown keys are ignored.
 
         Raises
         ------
@@ -146,19 +146,19 @@ class Cause(str, Enum):
 
     NONE = ""
     SAMPLES_LOST = "samples_lost"
-    """Samples did not reach the controller; those that were recorded may be used."""
+    """Samples did not reach the controller; the recorded ones can still be used."""
     SAMPLES_STOPPED = "samples_stopped"
     STAMPS = "stamps"
     """Stamps went back, or jumped as the clock of the rig was set."""
     MALFORMED = "malformed"
-    """A message that cannot be decoded, or has values that are not finite."""
+    """A message could not be decoded, or had values that are not finite."""
     LIMIT = "limit"
     """The safety limiter stopped at one of its limits."""
     TARE = "tare"
     NODE_LOST = "node_lost"
     NOT_RECORDED = "not_recorded"
     STRANGER = "stranger"
-    """Somebody else publishes what the estimator alone may say."""
+    """Another node published what only the estimator may publish."""
     DECISION_MISSING = "decision_missing"
     """The estimator did not say whether the trial is over."""
     EMERGENCY_STOP = "emergency_stop"
@@ -177,39 +177,39 @@ class TrialStatus(Record):
     trial: _Number
     """Number of the present trial, from 1."""
     trials: _Number
-    """How many there are."""
+    """Number of trials."""
     joint: _Joint
     """Perturbed joint in the order of the controller's ``joints``: from 1 in messages, from 0 in
     Python."""
     joint_name: str
-    """Its name."""
+    """Name of the perturbed joint."""
     tick: _Count
     """Samples answered since the experiment began."""
     start_ns: _MaybeCount
     """Stamp of the first perturbed sample of this trial (ns); empty until it is known."""
     ticks: _Count
-    """Perturbed samples of this trial: as planned, or less from when it is to end early."""
+    """Perturbed samples of this trial: as planned, or fewer once it is known to end early."""
     seed: _Count
     """Seed of the perturbation."""
     valid: bool
-    """False as soon as something spoiled the present trial."""
+    """False as soon as something has made the present trial invalid."""
     cause: Cause = Cause.NONE
-    """Why it is not valid, as a code; empty if it is."""
+    """Why the trial is not valid, as a code; empty if it is valid."""
     reason: str = ""
-    """The same in words."""
+    """Why the trial is not valid, in words."""
     lost: _Count = 0
-    """Samples that did not reach the controller between others of this trial."""
+    """Samples missing between those of this trial that reached the controller."""
     clipped: _Count = 0
     """Joint commands that the safety limiter clipped so far during the perturbation of
     this trial."""
     clipped_intervals: str = Field(default="", pattern=_INTERVALS)
-    """When: ``first-last first-last ...`` in ticks from the first perturbed sample, which is 0; at
-    most 100 intervals, which hold all clipped ticks (and others, where there would be more)."""
+    """Clipped ticks, ``first-last first-last ...``, from the first perturbed sample, which is 0; at
+    most 100 intervals, which hold all clipped ticks (and others, if there would be more)."""
     tare: _Numbers = ()
     """What the torque transducer of each joint read at rest before this trial (N·m); empty until
     that is known, and without a tare."""
     tare_error: _Numbers = ()
-    """Standard errors of these (N·m), likewise."""
+    """Standard errors of ``tare`` (N·m); empty where that is."""
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -221,7 +221,7 @@ class TrialStatus(Record):
 
     @property
     def sentence(self) -> str:
-        """The state in words, for the ``message`` of the DiagnosticStatus."""
+        """The status in words, for the ``message`` of the DiagnosticStatus."""
         text = (
             f"trial {self.trial} of {self.trials}: {_DOING[self.phase]}"
             f" joint {self.joint + 1} ({self.joint_name})"
@@ -239,19 +239,19 @@ class StoppingDecision(Record):
     trial: _Number
     """Number of the trial, from 1."""
     samples: _Count
-    """Perturbed samples that were judged, the first ones of the trial; 0 announces the first
-    decision."""
+    """Perturbed samples that were judged, counted from the start of the trial; 0 announces the
+    first decision."""
     enough: bool
     """Whether all relative standard errors of the column are below the bound."""
     due: _MaybeCount
     """Number of samples at which the next decision is made; empty if there will be none."""
     bound: float
-    """Largest relative standard error that is enough, ``target_error``."""
+    """Relative standard error below which the trial may end, ``target_error``."""
     largest: float = math.nan
     """Largest standard error (one, not 95 %) of M, B and K of the column, relative to the absolute
     value of its parameter; NaN if it is not known."""
     element: str = ""
-    """Where it is, such as ``K21``; empty if it is not known."""
+    """Element with that error, such as ``K21``; empty if it is not known."""
 
     @model_validator(mode="after")
     def _is_due_later(self) -> Self:
@@ -278,23 +278,23 @@ class TimingFigures(Record):
     STATUS_NAME: ClassVar[str] = f"{SIM_NODE}: timing"
 
     ticks: _Count
-    """Samples sent, of all trials and of what lies between them."""
+    """Samples sent, in and between all trials."""
     late: _Count
     """Samples sent more than 0.25 ms after their deadline."""
     missed: _Count
     """Periods for which the command did not come in time, so that the last one was held."""
     period_p50: _Duration = math.nan
-    """Time from one sample to the next (s): median. Quantiles are rounded up by at most 2 %."""
+    """Median time from one sample to the next (s); quantiles are of up to 4096 drawn at random."""
     period_p99: _Duration = math.nan
-    """99 % quantile of it (s)."""
+    """99 % quantile of the time from one sample to the next (s)."""
     period_max: _Duration = math.nan
-    """Longest (s)."""
+    """Longest time from one sample to the next (s)."""
     latency_p50: _Duration = math.nan
-    """Time from a sample to the command that answers it, both at the rig (s): median."""
+    """Median time from a sample to the command that answers it, both at the rig (s)."""
     latency_p99: _Duration = math.nan
-    """99 % quantile of it (s)."""
+    """99 % quantile of the time from a sample to its command (s)."""
     latency_max: _Duration = math.nan
-    """Longest (s)."""
+    """Longest time from a sample to its command (s)."""
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -309,22 +309,22 @@ class TimingFigures(Record):
 
 
 class Progress(Record):
-    """Where an experiment stands, for display."""
+    """Progress of an experiment, for display."""
 
     STATUS_NAME: ClassVar[str] = f"{ESTIMATOR_NODE}: progress"
 
     trial: _Believed = Field(ge=1)
     """Number of the present trial, from 1."""
     trials: _Believed = Field(ge=1)
-    """How many there are; fewer than its number where a replay leaves trials out."""
+    """Number of trials; it may be below ``trial`` if a replay leaves trials out."""
     joint: _Believed
     """Perturbed joint k, from 1."""
     phase: Phase
     """What the controller is doing."""
     samples: _Believed
-    """Perturbed samples recorded so far, complete ones."""
+    """Complete perturbed samples recorded so far."""
     planned: _Believed
-    """Perturbed samples that there will be."""
+    """Perturbed samples planned for the trial."""
     rate: float = Field(ge=0.0, lt=_MOST)
     """Samples per second of wall time."""
     coherence_motion: _MaybeNumber = None
@@ -332,23 +332,23 @@ class Progress(Record):
     coherence_torque: _MaybeNumber = None
     """Band mean of γ²(τ_Δ, τ_k) so far, likewise."""
     M: _Numbers = ()
-    """Column k of the inertia as ``lpm_full`` finds it from this trial so far and those before
-    (kg·m²); anew at most once a second, empty while samples are too few or if one is missing."""
+    """Column k of the inertia as ``lpm_full`` estimates it from this trial so far and earlier ones
+    (kg·m²); renewed at most once a second, empty while samples are too few or if one is missing."""
     M_se: _Numbers = ()
     """Standard errors of M."""
     B: _Numbers = ()
-    """The same of the viscosity (N·m·s/rad)."""
+    """Column k of the viscosity, likewise (N·m·s/rad)."""
     B_se: _Numbers = ()
     """Standard errors of B."""
     K: _Numbers = ()
-    """The same of the stiffness (N·m/rad)."""
+    """Column k of the stiffness, likewise (N·m/rad)."""
     K_se: _Numbers = ()
     """Standard errors of K."""
     largest_error: _MaybeNumber = None
     """Largest of these standard errors relative to the absolute value of its parameter."""
     preliminary: bool = False
-    """Whether another joint had no trial yet: the values then contain what locked joints move, of
-    which the standard errors know nothing."""
+    """Whether another joint has had no trial yet: the values then are biased by the motion of the
+    locked joints, which the standard errors do not include."""
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -363,7 +363,7 @@ class Progress(Record):
 
     @property
     def sentence(self) -> str:
-        """How far the trial is."""
+        """How far the trial is, in words."""
         return f"trial {self.trial} of {self.trials}: {self.samples} of {self.planned}"
 
 
@@ -404,7 +404,7 @@ def make_status(
 def status_message(
     record: TrialStatus | StoppingDecision | TimingFigures | Progress,
 ) -> DiagnosticStatus:
-    """Return the message of a record; of trials ERROR if aborted, WARN if not valid, else OK."""
+    """Return the message of a record; aborted trials are an ERROR, other invalid ones a WARN."""
     level = Level.OK
     if isinstance(record, TrialStatus) and not record.valid:
         level = Level.ERROR if record.phase is Phase.ABORTED else Level.WARN

@@ -12,7 +12,7 @@ NS_PER_S: Final = 1_000_000_000
 PERIOD_NS: Final = 1_000_000
 """Control and acquisition period (ns)."""
 PERIOD: Final = PERIOD_NS / NS_PER_S
-"""The same (s)."""
+"""Control and acquisition period (s)."""
 RATE: Final = NS_PER_S / PERIOD_NS
 """Samples per second (Hz)."""
 
@@ -60,7 +60,7 @@ class Qos(NamedTuple):
     """Quality of service of a topic, with the names that rosbag2 has for it."""
 
     depth: int
-    """Messages that are kept until they are taken."""
+    """Messages that are queued until they are taken."""
     reliability: Literal["reliable", "best_effort"] = "reliable"
     durability: Literal["volatile", "transient_local"] = "volatile"
 
@@ -77,7 +77,7 @@ QOS: Final[dict[str, Qos]] = {
     CLOCK: Qos(1, "best_effort"),  # only the newest counts, and nobody may hold the simulator up
     DIAGNOSTICS: Qos(10),  # what diagnostic aggregators expect
 }
-"""That of every topic of the contract."""
+"""Quality of service of every topic of the contract."""
 
 VALUE_FIELD: Final[dict[str, ValueField]] = {
     JOINT_STATES: "position",
@@ -87,10 +87,10 @@ VALUE_FIELD: Final[dict[str, ValueField]] = {
 """Where each JointState stream carries its numbers: encoder angle (rad) or torque (N·m)."""
 
 RECORDER_GONE: Final = 2**64 - 1
-"""On ``impedance_estimator/received``: nothing is recorded any more, nobody has to wait."""
+"""On ``impedance_estimator/received``: recording has ended, so nobody has to wait for it."""
 
 RECEIVED_EVERY: Final = 10
-"""Samples after which the recorder tells how many it has received."""
+"""Samples from one report of the recorder on how many it has received to the next."""
 
 
 def alive(node: str) -> str:
@@ -99,9 +99,9 @@ def alive(node: str) -> str:
 
 
 def clock_step(before_ns: int, stamp_ns: int) -> str:
-    """Say that the clock behind the stamps of samples was set between two of them; else empty.
+    """Say that the clock behind the stamps was set between two samples; empty if it was not.
 
-    No stall is that long: samples of a rig that were lost for a second end a trial by other means.
+    Steps of a second count: no stall is so long, as samples lost for a second end a trial anyway.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ UNKNOWN: Final = "unknown"
 
 _PACKAGES: Final = ("numpy", "scipy", "numba", "rclpy", "rosbags", "mcap", "armimp")
 _OTHER_NAMES: Final = {"rclpy": "ros-jazzy-rclpy", "armimp": "armimp_common"}
-"""In the wheels of ROS, and in a workspace that holds some of the packages of this project."""
+"""Names of distributions: in the wheels of ROS, and in a workspace with a part of this project."""
 
 
 @functools.cache

@@ -51,13 +51,13 @@ from armimp_control.trial_sequencer import (
 )
 
 _WATCHDOG_PERIODS = {"lockstep": 0.02, "realtime": topics.PERIOD}
-"""How often the watchdog is asked (s); on the way down to zero once a period in any mode."""
+"""Time between two checks of the watchdog (s); during a ramp to zero, one period in any mode."""
 _DIAGNOSTICS_TICKS = 1000
 _STOPPED = "emergency stop"
 _UNCHECKED = 0.05
-"""How old what is known of the other nodes may be when torque is commanded (s)."""
+"""Largest age of the last check of the other nodes when torque is commanded (s)."""
 _FAREWELL = Duration(seconds=0.2)
-"""How long the last command and status may take to arrive before this process ends."""
+"""How long to wait for the last command and status to arrive before this process ends."""
 _NO_SAMPLE = "no sensor sample arrived any more"
 _NO_DECISION = "the estimator does not say whether the trial is over"
 
@@ -92,7 +92,7 @@ class ImbicControllerNode(ManagedNode):
 
     @reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Check the parameters and the stability of the loop; make the topics."""
+        """Check the parameters and the stability of the loop; create the topics."""
         parameters = self._settings = self._declared.load()
         names = parameters.joints
         for warning in self._prepare().warnings:
@@ -122,7 +122,7 @@ class ImbicControllerNode(ManagedNode):
 
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Wait for the other end, then answer samples; refused while a fault is latched."""
+        """Wait for the other nodes, then answer samples; refused while a fault is latched."""
         self._declared.require_unchanged()
         if self._fault:
             raise GraphError(
@@ -186,7 +186,7 @@ class ImbicControllerNode(ManagedNode):
         return self._sequencer if self._active else None
 
     def _rest(self, reason: str) -> None:
-        """Leave the rig with zero torque and the world with an explanation."""
+        """Leave the rig with zero torque, and announce the reason."""
         sequencer = self._sequencer
         self._active = self._lockstep = False
         self._timer.cancel()
@@ -194,7 +194,7 @@ class ImbicControllerNode(ManagedNode):
         self._scheduling.give_back()
         if sequencer is not None and not sequencer.at_rest:
             self._abort(sequencer, Cause.NODE_ENDED, reason)
-        # What is lost on its way now is not sent again, once the publishers are gone.
+        # Once the publishers are gone, what was lost on its way is not sent again.
         for publisher in (self._commands.publisher, self._trial):
             publisher.wait_for_all_acked(_FAREWELL)
 
@@ -212,7 +212,7 @@ class ImbicControllerNode(ManagedNode):
         self._trial.publish(status_message(status))
         if status.phase is Phase.ABORTED:
             self._held = None  # answered by the command that ends the experiment
-            # Without being active: the node was told to end the experiment, which is no fault.
+            # While inactive, the node was told to end the experiment, which is no fault.
             if self._active:
                 self._latch(status.reason)
 
@@ -226,7 +226,7 @@ class ImbicControllerNode(ManagedNode):
         elif (bad := first_bad(values)) is not None and (
             self._sequencer is not None and not self._sequencer.at_rest
         ):
-            # A fault already while its partner is still to come, which may be never.
+            # A fault at once, as the other reading of the sample may never come.
             what = "torque reading" if kind else "position"
             self._refuse(f"{what} of joint {bad + 1} is not finite: {values[bad]}")
 
@@ -234,7 +234,7 @@ class ImbicControllerNode(ManagedNode):
         self._refuse(f"malformed sensor message: {error}")
 
     def _refuse(self, reason: str) -> None:
-        """End the experiment with zero torque because of a message that can not be used."""
+        """End the experiment with zero torque, because of a message that cannot be used."""
         if (sequencer := self._running) is not None:
             self._garbled = reason
             self._abort(sequencer, Cause.MALFORMED, reason)
@@ -245,15 +245,15 @@ class ImbicControllerNode(ManagedNode):
             return
         now = time.monotonic()
         if not self._lockstep and self._watchdog.expired(now):
-            # The sample came before the timer, as after a stall of this process.
+            # The sample came before the timer's check, as after a stall of this process.
             self._on_watchdog()
         self._watchdog.feed(now)
         self._stamp_ns, self._garbled = stamp_ns, ""
         held, self._held = self._held, None
         if held is not None:
-            self._command(sequencer, *held)  # whoever sends the next sample does not wait
+            self._command(sequencer, *held)  # nobody waits for a decision any more
         elif self._lockstep and sequencer.awaits_decision:
-            # So that a trial ends at the same sample however fast the machine is.
+            # Held, so that a trial ends at the same sample however fast the machine is.
             self._held = (stamp_ns, theta, tau_h)
             return
         self._command(sequencer, stamp_ns, theta, tau_h)
@@ -270,7 +270,7 @@ class ImbicControllerNode(ManagedNode):
             self._report()
 
     def _lost(self, sequencer: TrialSequencer) -> bool:
-        """Whether the experiment ends now, as another node was lost in a stall of this process."""
+        """Check the other nodes; return whether that ends the experiment, as one was lost."""
         before = sequencer.at_rest
         for monitor in (*self._partners, self._supervisor):
             monitor.check()
@@ -279,7 +279,7 @@ class ImbicControllerNode(ManagedNode):
     def _on_watchdog(self) -> None:
         sequencer, now = self._sequencer, time.monotonic()
         if sequencer is None or not self._watchdog.expired(now):
-            # Not for nothing: in real time this is asked every millisecond.
+            # Not cancelled without need, as in real time this runs every millisecond.
             if not self._ramp.is_canceled():
                 self._ramp.cancel()
             return
@@ -299,31 +299,31 @@ class ImbicControllerNode(ManagedNode):
     # The other nodes.
 
     def _on_rig(self, monitor: HeartbeatMonitor) -> None:
-        # In lockstep time stands still with a simulator that is stalled; a rig goes on. Before
-        # the first sample there is no torque to take away from one that is only slow to start.
+        # In lockstep time stands still with a stalled simulator; a rig goes on. Before the first
+        # sample there is no torque to take away from a rig that is only slow to start.
         begun = self._sequencer is not None and self._sequencer.tick > 0
         if monitor.presence.lost or (monitor.presence.mute and not self._lockstep and begun):
             self._take_away(Cause.NODE_LOST, monitor.sentence)
 
     def _on_supervisor(self, monitor: HeartbeatMonitor) -> None:
-        # Silence alone is no danger: the other nodes still watch one another.
+        # Its silence alone is no danger: the other nodes still watch one another.
         if monitor.presence in (Presence.GONE, Presence.LEFT):
             self._take_away(Cause.NODE_LOST, monitor.sentence)
 
     def _on_recorder(self, monitor: HeartbeatMonitor) -> None:
-        # In lockstep the simulator waits for a recorder which is only stopped; a rig cannot wait.
+        # In lockstep the simulator waits for a recorder that is only stopped; a rig cannot wait.
         waits = self._lockstep and monitor.presence in (Presence.STALLED, Presence.SILENT)
         if monitor.presence.mute and not waits:
             self._take_away(Cause.NODE_LOST, monitor.sentence)
 
     def _on_received(self, samples: int) -> None:
-        """Hear from the recorder; without one a trial is of no use to anybody."""
+        """Note whether there is a recorder; without one, a trial is of no use."""
         recorded, self._recorded = self._recorded, samples != topics.RECORDER_GONE
         if recorded and not self._recorded:
             self._take_away(Cause.NOT_RECORDED, "nothing is recorded any more")
 
     def _on_decision(self, message: DiagnosticStatus) -> None:
-        """Hear from the estimator how good the trial is already."""
+        """Take the estimator's decision whether the trial has lasted long enough."""
         sequencer = self._running
         if sequencer is None:
             return
@@ -373,10 +373,10 @@ class ImbicControllerNode(ManagedNode):
         return response
 
     def _reset_refusal(self) -> str:
-        """Why the fault must not be forgotten now; empty if it may."""
+        """Say why the fault must not be forgotten now; empty if it may."""
         sequencer = self._running
         if sequencer is None:
-            return ""  # nothing is heard of the rig; the first sample will be checked
+            return ""  # no samples are taken now; the first one will be checked
         if not sequencer.finished:
             return "a trial is running"
         if self._watchdog.expired(time.monotonic()):
@@ -385,7 +385,7 @@ class ImbicControllerNode(ManagedNode):
         return f"the cause persists: {persisting}" if persisting else ""
 
     def _report(self) -> None:
-        """Publish what the safety limiter does on ``/diagnostics``."""
+        """Publish the state of the safety limiter on ``/diagnostics``."""
         sequencer = self._sequencer
         if self._diagnostics is None:
             return

@@ -35,7 +35,7 @@ class ControllerParameters(Schema):
     seed: int = Field(default=1, ge=0)
     """Seed of the perturbation."""
     mode: Literal["lockstep", "realtime"] = "lockstep"
-    """lockstep: time waits for commands; realtime: it does not, as on every rig."""
+    """lockstep: time waits for commands; realtime: it does not wait, as on every real rig."""
     realtime: SchedulingParameters = SchedulingParameters()
     target: TargetParameters
     law: LawParameters
@@ -60,7 +60,7 @@ class ControllerParameters(Schema):
         encoder_resolution: float = 0.0,
         law: presets.LawName = "observer",
     ) -> ControllerParameters:
-        """A preset of the law for a rig, with the perturbation of a level from 1 to 3.
+        """Return a preset of the law for a rig, with the perturbation of a level from 1 to 3.
 
         Parameters
         ----------
@@ -77,7 +77,7 @@ class ControllerParameters(Schema):
         preset, n = presets.LAWS[law], len(joints)
         inertia, damping, stiffness = presets.target(robot_inertia)
         perturbed, locked = presets.unknown_torque(n)
-        # With encoders as coarse as can be, dither would be a motion to be felt.
+        # With very coarse encoders, the dither would be a motion that can be felt.
         count = min(encoder_resolution, presets.COARSEST)
         perturbing = presets.perturbation(perturbation, n, perturbation_kind)
         return cls(
@@ -109,11 +109,11 @@ class ControllerParameters(Schema):
         )
 
     def control_law(self) -> Law:
-        """The law that was chosen."""
+        """Return the law that was chosen."""
         return LAWS[self.law.kind](target=self.target, law=self.law, known=self.known)
 
     def priors(self) -> tuple[JointPrior, ...]:
-        """What is expected of each joint while it is perturbed."""
+        """Return what is expected of each joint while it is perturbed."""
         target, known, n = self.target, self.known, len(self.joints)
         inertia = np.diag(matrix("known.arm_inertia", known.arm_inertia, n))
         omega = each("known.arm_frequency", known.arm_frequency, n)
@@ -126,7 +126,7 @@ class ControllerParameters(Schema):
         )
 
     def signal(self, joint: int, *, trial: int, ticks: int) -> FloatArray:
-        """Perturbation (ticks,) of a joint, 0-based, in a trial, from 1; N·m."""
+        """Return the perturbation (ticks,) of a joint (0-based) in a trial (from 1), N·m."""
         return perturbation(
             self.perturbation,
             joint=joint,

@@ -16,32 +16,32 @@ from armimp_common.errors import ConfigurationError
 from armimp_common.schema import NonNegativeVector, PositiveVector, Schema
 from armimp_common.topics import RATE
 
-_STREAM = 1  # keeps these random streams apart from that of the voluntary torque
-_LINES = 7  # and that of the lines of a multisine, which all trials have in common
+_STREAM = 1  # keeps these random streams apart from those of the voluntary torque
+_LINES = 7  # likewise for the lines of a multisine, which all trials have in common
 
 PerturbationKind: TypeAlias = Literal["noise", "multisine", "optimal"]
 
 CREST_OF_NOISE = 3.65
-"""Peak of the noise over its rms: mean of trials of 50 s, which have 3.2 to 4.3."""
-_FEWEST_PERIODS = 4
-_SHORTEST_PERIOD = 1.0
-_GROUP = 4
-_GRID = 16
-_ROUNDS = 600
-_CLIP = 0.9
-_DRAWS = 4
+"""Crest factor of the noise: mean over trials of 50 s, which have 3.2 to 4.3."""
+_FEWEST_PERIODS = 4  # of a multisine in a trial
+_SHORTEST_PERIOD = 1.0  # s, of a multisine
+_GROUP = 4  # neighbouring odd harmonics, one of which is left out
+_GRID = 16  # points, per period of the highest line, at which the crest factor is lowered
+_ROUNDS = 600  # of clipping, for each draw of phases
+_CLIP = 0.9  # level of clipping, relative to the peak
+_DRAWS = 4  # of phases, at most
 CREST = 1.8
 """Crest factor above which phases are drawn again."""
-_EXPECTED_CREST = 1.7
+_EXPECTED_CREST = 1.7  # of an optimal multisine, to get its rms from its peak
 _SPREADS = (0.2, 0.3, 0.45, 0.7)
-"""Shares of the torque's power that all lines have in equal parts, whatever the prior says.
+"""Shares of the power, tried in turn, that are spread evenly over all lines despite the prior.
 
-They show arms that are not of the form of M, B and K.
+They reveal arms that are not of the form of M, B and K.
 """
 
-_STEPS = 500
+_STEPS = 500  # of the algorithm for optimal powers
 _EVERYWHERE = 2e-3
-"""Disturbance at all frequencies, relative to that at the lowest; an assumption."""
+"""Floor of the density of the disturbance, relative to the lowest frequencies; an assumption."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,18 +49,18 @@ class JointPrior:
     """What is expected of a joint while it is perturbed: M, B and K, SI units."""
 
     arm: tuple[float, float, float]
-    """Of the arm, diagonal elements."""
+    """Diagonal elements of the arm's M, B and K."""
     target: tuple[float, float, float]
-    """Of the target impedance, with which the robot yields."""
+    """Those of the target impedance, with which the robot yields."""
 
     def response(self, f: FloatArray) -> ComplexArray:
-        """Angle over perturbation at frequencies (Hz), rad/(N·m)."""
+        """Return the response of the angle to the perturbation at frequencies (Hz), rad/(N·m)."""
         M, B, K = np.add(self.arm, self.target)
         s = 2j * np.pi * f
         return np.asarray(1.0 / ((M * s + B) * s + K))
 
     def rms_angle(self, f: FloatArray, power: FloatArray) -> float:
-        """Rms of the angle that torque of some power (N·m)² at each frequency makes, rad."""
+        """Return the rms angle (rad) that torques of this power (N·m)² at the frequencies cause."""
         return float(np.sqrt(np.sum(power * np.abs(self.response(f)) ** 2)))
 
 
@@ -70,19 +70,19 @@ class PerturbationParameters(Schema):
     kind: PerturbationKind = "noise"
     """Kind of the perturbation: noise, uniform, through a Butterworth low-pass; or multisine, odd
     harmonics with random phases and a low crest factor, of equal amplitudes up to the cut-off
-    frequency; or optimal, the same with the amplitudes that tell most of M, B and K of the expected
-    arm."""
+    frequency; or optimal, a multisine with the amplitudes that are most informative about M, B and
+    K of the expected arm."""
     peak: PositiveVector
     """Largest perturbation torque of each joint while it is perturbed (N·m); a multisine has the
-    rms that noise with this peak has, and half the peak; an optimal one has this peak if the angle
+    rms of noise with this peak, and about half the peak; an optimal one has this peak if the angle
     allows it."""
     angle_limit: NonNegativeVector = (0.0,)
-    """Largest rms angle that the perturbation may move each joint by, as far as the expected arm
-    tells (rad); what would move it more is made smaller; one value for all joints or one for each;
-    0: no limit, or, of optimal, the angle of a multisine with this peak."""
+    """Largest rms angle by which the perturbation may move each joint, as predicted from the
+    expected arm (rad); a larger perturbation is scaled down; one value for all joints or one for
+    each; 0: no limit or, for optimal, the angle of a multisine with this peak."""
     disturbance_cutoff: float = Field(default=2.0, gt=0.0, le=0.5 * RATE)
-    """Frequency up to which a person is expected to move by intention (Hz); an optimal perturbation
-    keeps above it as far as it pays."""
+    """Frequency up to which a person is expected to move voluntarily (Hz); an optimal perturbation
+    stays above it as far as that pays."""
     cutoff: float = Field(default=15.0, gt=0.0, lt=0.5 * RATE)
     """Cut-off frequency of the perturbation (Hz)."""
     order: int = Field(default=8, ge=1, le=20)
@@ -101,9 +101,9 @@ def perturbation(
     seed: int,
     prior: JointPrior | None = None,
 ) -> FloatArray:
-    """Signal τ_Δ of one trial; the same for the same arguments.
+    """Return the signal τ_Δ of one trial; the same for the same arguments.
 
-    A multisine goes on for as long as the trial lasts, from where it is nearest to zero.
+    A multisine repeats for as long as the trial lasts, and begins where it is nearest to zero.
 
     Parameters
     ----------
@@ -117,12 +117,12 @@ def perturbation(
     Returns
     -------
     (ticks,) NDArray
-        N·m. The largest absolute value of noise is the peak.
+        N·m. The largest absolute value of noise is the peak, unless the angle limit is lower.
 
     Raises
     ------
     ConfigurationError
-        If a prior is needed and not there.
+        If a prior is needed and missing.
     """
     peak = parameters.peak[joint]
     limits = parameters.angle_limit
@@ -163,10 +163,10 @@ def _optimal(
     angle: float,
     cutoff: float,
 ) -> FloatArray:
-    """One period of a multisine that tells most of the prior, scaled to its peak."""
+    """Return a period of the multisine most informative about the prior arm, scaled to its peak."""
     f = np.asarray(lines * (RATE / period), dtype=np.float64)
     torque = peak / _EXPECTED_CREST
-    # Few lines beat, so where the crest factor is high, there have to be more.
+    # A few lines beat with each other: if the crest factor is high, more of them need power.
     for spread in _SPREADS:
         power = optimal_power(f, prior, torque=torque, angle=angle, cutoff=cutoff, spread=spread)
         signal = multisine(lines, power, period, random)
@@ -177,9 +177,9 @@ def _optimal(
 
 
 def disturbance(f: FloatArray, cutoff: float) -> FloatArray:
-    """Spectral density of what a person does, up to a factor: low-pass noise of second order.
+    """Return the relative spectral density of the disturbance: second-order low-pass noise.
 
-    Beside tremor, sensors and the friction of a robot it doesn't go on to fall.
+    Owing to tremor, sensors and the friction of a robot, it does not fall below a constant.
     """
     return np.asarray(1.0 / (1.0 + (f / cutoff) ** 4) + _EVERYWHERE)
 
@@ -187,18 +187,18 @@ def disturbance(f: FloatArray, cutoff: float) -> FloatArray:
 def optimal_power(
     f: FloatArray, prior: JointPrior, *, torque: float, angle: float, cutoff: float, spread: float
 ) -> FloatArray:
-    """Powers of the lines for which the worst relative error of M, B and K is least.
+    """Return the powers of the lines for which the worst relative error of M, B and K is least.
 
     While joint k is perturbed and the others are locked, its angle answers the perturbation by
     ``R = 1/(Z_rd + Z_kk)``, with the target impedance and that of the arm. With lines of power p_l
-    (N·m)² and a disturbance of the spectral density S, a second has the Fisher information
+    (N·m)² and a disturbance of spectral density S, one second of data has the Fisher information
 
         F = Σ_l 2 p_l |R_l|²/S_l Re(conj(φ_l) φ_lᵀ) ,    φ = (s², s, 1)
 
     about M, B and K of any row of column k. The powers are those for which the largest of the
     relative standard errors ``sqrt((F⁻¹)_aa)/x_a`` is least, with the prior arm for x, under limits
     of the rms torque, ``Σ p_l ≤ T²``, and of the rms angle, ``Σ p_l |R_l|² ≤ A²``. The problem is
-    convex. Of each parameter and of each limit the weight grows while it is the worst, and the
+    convex. The weight of each parameter and of each limit grows while it is the worst, and the
     powers follow by the multiplicative algorithm for A-optimal designs, ``p_l ← p_l
     sqrt(g_l/c_l)``, with the sensitivity g of the weighted sum of variances and the cost c of the
     weighted limits (Silvey, Titterington & Torsney, Commun. Statist. Theory Methods A7, 1978;
@@ -211,7 +211,7 @@ def optimal_power(
     prior : JointPrior
     torque, angle : largest rms of the perturbation and of the motion, N·m and rad
     cutoff : of the disturbance, Hz
-    spread : share of the power, as the limits count it, that all lines have in equal parts
+    spread : share of the power, as the limits count it, that is spread evenly over all lines
 
     Returns
     -------
@@ -219,7 +219,7 @@ def optimal_power(
         (N·m)²; one of the limits is reached.
     """
     s = 2j * np.pi * f
-    # Derivatives of Z by ln M, ln B and ln K, and what the power of each line tells.
+    # Derivatives of Z by ln M, ln B and ln K, and the information per unit of power of each line.
     slopes = np.array(prior.arm)[:, None] * np.stack([s**2, s, np.ones_like(s)])
     told = np.abs(prior.response(f)) ** 2 / disturbance(f, cutoff)
     limits = np.stack([np.ones(f.size) / torque**2, np.abs(prior.response(f)) ** 2 / angle**2])
@@ -244,10 +244,10 @@ def optimal_power(
 def multisine_lines(
     parameters: PerturbationParameters, *, ticks: int, seed: int
 ) -> tuple[NDArray[np.intp], int]:
-    """Harmonics of a multisine: odd ones, but for one of each four neighbours.
+    """Return the harmonics of a multisine: odd ones, without one of each four neighbours.
 
-    Which ones are left out is by chance, the same in all trials of an experiment. Even distortion
-    then shows at even harmonics, odd at those that are left out (Pintelon & Schoukens, *System
+    Those left out are drawn at random, the same in all trials of an experiment. Even distortion
+    then shows at even harmonics, odd distortion at those left out (Pintelon & Schoukens, *System
     Identification: A Frequency Domain Approach*, 2nd ed., ch. 4).
 
     Parameters
@@ -269,25 +269,25 @@ def multisine_lines(
     choice = np.random.default_rng(np.random.SeedSequence([seed, _LINES]))
     groups = count // _GROUP
     left_out = _GROUP * np.arange(groups) + choice.integers(_GROUP, size=groups)
-    # The slowest tells most of the stiffness.
+    # The lowest line, most informative about the stiffness, stays.
     return np.delete(lines, left_out[left_out > 0]), period
 
 
 def multisine(
     lines: NDArray[np.intp], power: FloatArray, period: int, random: np.random.Generator
 ) -> FloatArray:
-    """One period of a multisine with a low crest factor.
+    """Return one period of a multisine with a low crest factor.
 
-    The phases begin at random; then, in turn, all beyond a level is clipped, and the amplitudes are
-    put right again (van der Ouderaa, Schoukens & Renneboog, IEEE Trans. Instrum. Meas. 37(1),
-    1988), which leaves a crest factor of 1.5 to 1.8; from others it begins again.
+    From random phases on, the signal is clipped and its amplitudes are restored, in turn (van der
+    Ouderaa, Schoukens & Renneboog, IEEE Trans. Instrum. Meas. 37(1), 1988). This leads to a crest
+    factor of 1.5 to 1.8; after a larger one it begins again from other phases.
 
     Parameters
     ----------
     lines : (n_lines,) harmonics
-    power : (n_lines,) of each, (N·m)²
+    power : (n_lines,) power of each, (N·m)²
     period : samples
-    random : gives the phases
+    random : draws the phases
 
     Returns
     -------
@@ -321,15 +321,15 @@ def multisine(
 
 
 def crest_factor(signal: FloatArray) -> float:
-    """Largest absolute value over the rms."""
+    """Return the largest absolute value over the rms."""
     return float(np.max(np.abs(signal)) / np.sqrt(np.mean(signal**2)))
 
 
 def butterworth(order: int, cutoff: float, rate: float) -> FloatArray:
-    """Second-order sections, as of ``scipy.signal.butter(order, cutoff, fs=rate, output="sos")``.
+    """Return what ``scipy.signal.butter(order, cutoff, fs=rate, output="sos")`` does, to the bit.
 
-    To the bit. Importing `scipy.signal` takes longer than everything else that a run imports, and
-    this filter is all that the graph needs of it.
+    Importing `scipy.signal` takes longer than everything else that a run imports, and this filter
+    is all that the graph needs of it.
 
     Parameters
     ----------
@@ -350,7 +350,7 @@ def butterworth(order: int, cutoff: float, rate: float) -> FloatArray:
     gain = warped**order * np.real(1.0 / np.prod(twice - analogue))
     zeros = np.full(order + order % 2, -1.0)
     pairs = [(pole, pole.conjugate()) for pole in poles[: order // 2]]
-    if order % 2:  # a pole and a zero at zero complete those that are single
+    if order % 2:  # a pole and a zero at the origin make a pair of the single ones
         pairs.append((poles[order // 2].real, 0.0))
         zeros[-1] = 0.0
     pairs.sort(key=lambda pair: abs(1.0 - abs(pair[0])))
@@ -367,7 +367,7 @@ def butterworth(order: int, cutoff: float, rate: float) -> FloatArray:
 
 @compiled_entry
 def filtered(sections: FloatArray, signal: FloatArray) -> FloatArray:
-    """Signal behind a filter that was at rest, as of ``scipy.signal.sosfilt``.
+    """Filter a signal from rest, like ``scipy.signal.sosfilt``.
 
     Parameters
     ----------

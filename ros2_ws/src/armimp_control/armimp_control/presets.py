@@ -20,17 +20,17 @@ InternalModel: TypeAlias = Literal["observer", "tde"]
 LawName: TypeAlias = Literal["observer", "patient", "tde", "paper"]
 
 FINEST = 1e-4
-"""Rounding of encoders (rad) below which the observer gets no faster: delays would show."""
+"""Resolution of encoders (rad) below which the observer gets no faster: delays would matter."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LawPreset:
-    """What makes one law of :data:`LAWS`."""
+    """Settings of one law of :data:`LAWS`."""
 
     internal_model: InternalModel = "observer"
     """``observer``, or ``tde``, time-delay estimation."""
     lock_frequency: float
-    """ω of locked joints, rad/s; 0: they have the target of perturbed ones."""
+    """ω of locked joints, rad/s; 0: they keep the target of perturbed ones."""
     lock_approach: float = 0.05
     """Time constant of their approach to the posture, s."""
     dither: float
@@ -40,38 +40,38 @@ class LawPreset:
     inertia: float = 1.0
     """M̄ as a share of M_r(θ_0)."""
     finest: float = FINEST
-    """Rounding of encoders (rad) below which the observer gets no faster."""
+    """Resolution of encoders (rad) below which the observer gets no faster."""
 
 
 LAWS: Final[Mapping[LawName, LawPreset]] = {
     "observer": LawPreset(lock_frequency=120.0, dither=0.35),
-    # With the lags of the realistic rig it is stable for arms a third to thrice as heavy.
+    # With the lags of the realistic rig, it is stable for arms from a third to thrice as heavy.
     "patient": LawPreset(lock_frequency=80.0, dither=0.35, gamma=60.0, finest=2.0 * np.pi / 51200),
     "tde": LawPreset(internal_model="tde", lock_frequency=100.0, dither=0.7, inertia=0.6),
-    # Locked joints as in the paper, end of II-B: they just do not feel the arm.
+    # Locked joints as in the paper, end of II-B: they do not sense the arm, and that is all.
     "paper": LawPreset(
         internal_model="tde", lock_frequency=0.0, lock_approach=0.0, dither=0.0, inertia=0.6
     ),
 }
-"""The laws that there are presets of. Assumptions.
+"""Presets of the laws. Assumptions.
 
 M̄ = M_r(θ_0) for the observer, whose torques are all fed forward through it, and 0.6·M_r(θ_0) for
 time-delay estimation, where it is a gain. A third of a count of dither is enough; with time-delay
-estimation joints follow less well, and are asked for twice that.
+estimation joints follow their target less well, so they get twice that.
 """
 
 COARSEST = 0.01
-"""Rounding of encoders (rad) for which laws are made at most: eighty times that of the study."""
+"""Coarsest resolution of encoders (rad) for which laws are made: eighty times the study's."""
 _PEAK = 3.0  # N·m of a shoulder at level 1; the levels are multiples (Table III)
 
 
 def perturbation(
     level: int, joints: int, kind: PerturbationKind = "noise"
 ) -> PerturbationParameters:
-    """Perturbation at a level from 1 to 3, for 1 to 7 joints.
+    """Return the perturbation at a level from 1 to 3, for 1 to 7 joints.
 
     Shoulder and elbow have that of Table III: 3 and 1.8, 6 and 3.6, 9 and 5.4 N·m. Assumption: the
-    peak of any joint is in proportion to its size, see :data:`armimp_common.sizes.JOINT_SIZES`.
+    peak of any joint is proportional to its size, see :data:`armimp_common.sizes.JOINT_SIZES`.
     """
     # Rounded, so that the peaks of Table III are exact.
     return PerturbationParameters(
@@ -83,7 +83,7 @@ def perturbation(
 def safety(
     joints: int, peak: float, internal_model: InternalModel = "observer"
 ) -> SafetyParameters:
-    """Limits of commands. Assumptions, above all that nominal experiments need.
+    """Return limits of commands. Assumptions, which exceed all that nominal experiments need.
 
     With an observer the torque limit is three times the largest peak of the perturbation, and
     commands may change by that much in a tick. The power limit is the 80 W that ISO 10218-1:2006 is
@@ -125,11 +125,11 @@ def safety(
 
 
 def target(robot_inertia: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Diagonals (n,) of M_rd, B_rd and K_rd for a robot of M_r(θ_0) (n, n); SI units. Assumptions.
+    """Return diagonals (n,) of M_rd, B_rd and K_rd for a robot of M_r(θ_0) (n, n); assumptions.
 
-    For two joints they are those of the study's rig. For other numbers M_rd = 0.56·diag(M_r(θ_0)),
-    and a perturbed joint has B_rd/M_rd = 10 1/s, as the rig of the study, and K_rd/M_rd = 100 1/s²,
-    as its elbow.
+    SI units. For two joints they are those of the study's rig. For other numbers of joints
+    M_rd = 0.56·diag(M_r(θ_0)), and a perturbed joint has B_rd/M_rd = 10 1/s, like the study's rig,
+    and K_rd/M_rd = 100 1/s², like its elbow.
     """
     if len(robot_inertia) == 2:
         return np.array([0.2, 0.1]), np.array([2.0, 1.0]), np.array([10.0, 10.0])
@@ -138,11 +138,11 @@ def target(robot_inertia: FloatArray) -> tuple[FloatArray, FloatArray, FloatArra
 
 
 def unknown_torque(joints: int) -> tuple[FloatArray, FloatArray]:
-    """Rms change within a period that the observer expects, perturbed and locked, (n,) each, N·m.
+    """Return rms changes in a period that the observer expects, perturbed and locked, (n,), N·m.
 
-    Assumptions, chosen by ``make research ARGS=controller``. Friction at a joint that reverses
+    Assumptions, chosen by ``make research ARGS=controller``. Friction of a joint that reverses
     changes by some N·m within ten milliseconds; that of a locked joint, which moves by a count or
-    so, hardly changes. Both are in proportion to the size of the joint, see
+    so, hardly changes. Both are proportional to the size of the joint, see
     :data:`armimp_common.sizes.JOINT_SIZES`.
     """
     sizes = np.array(JOINT_SIZES[joints])

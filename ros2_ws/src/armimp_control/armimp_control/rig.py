@@ -1,4 +1,4 @@
-"""What is known of the rig beforehand: inertia, arm, and how late commands and torques are."""
+"""What is known of the rig beforehand: inertia, arm, and delays of commands and torques."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from armimp_common.arrays import FloatArray
 from armimp_common.schema import PositiveVector, Schema, Vector
 
 MOST_DELAY = 20
-"""Control periods by which commands may be known to act late, at most."""
+"""Largest delay of commands that can be told to the controller (control periods)."""
 
 
 class RigDynamics(Schema):
-    """Between command and reading: late commands, slow drives, late torques; all joints alike."""
+    """Delays and lags between a command and the torque reading, the same for all joints."""
 
     command_delay: int = Field(default=0, ge=0, le=MOST_DELAY)
-    """Control periods by which commands act later than right after the sample that they answer; the
-    observer and the stability check take it into account."""
+    """Control periods by which commands act late, counted from just after the sample they answer;
+    the observer and the stability check take it into account."""
     actuator_lag: float = Field(default=0.0, ge=0.0, le=0.1)
     """Time constant with which the torque of the drives follows commands (s); 0 for at once."""
     torque_delay: float = Field(default=0.0, ge=0.0, le=0.1)
@@ -44,7 +44,7 @@ class RigDynamics(Schema):
         )
 
     def __str__(self) -> str:
-        """In words, for an error that they may be the reason of."""
+        """Describe the dynamics in words, for an error that they may explain."""
         return (
             f"commands that act {self.command_delay} periods late, torques read "
             f"{1e3 * self.torque_delay:g} ms late, a low-pass at {self.torque_cutoff:g} Hz "
@@ -52,13 +52,13 @@ class RigDynamics(Schema):
         )
 
     def sampled(self, period: float) -> SampledDynamics:
-        """The same from tick to tick, for a command that is held over the period (s)."""
-        # Only this check and the observer have to wait for the import.
+        """Return the dynamics from tick to tick, for a command that is held over the period (s)."""
+        # Imported here, as only the stability check and the observer need it.
         from scipy.linalg import expm
 
         poles, lags = self.torque_order if self.torque_cutoff else 0, int(self.actuator_lag > 0.0)
         size = 3 + lags + poles
-        # Way, speed, torque of the drive if it lags, low-pass, and the command, which is held.
+        # The state: way, speed, torque of the drive if it lags, low-pass; then the held command.
         system, reads = np.zeros((size, size)), np.zeros(size)
         torque, low_pass = 2 if lags else -1, slice(2 + lags, 2 + lags + poles)
         system[0, 1] = system[1, torque] = 1.0
@@ -95,12 +95,12 @@ class KnownParameters(RigDynamics):
 
 
 class SampledDynamics(NamedTuple):
-    """From tick to tick, for q states of drive and low-pass x and a command u, of each joint."""
+    """Dynamics of a joint from tick to tick: q states x of drive and low-pass, and a command u."""
 
     over: FloatArray
-    """(2 + q, q + 1) what (x, u) make of a period: way (s²) and speed (s) per unit of torque /
-    inertia, and the states after it."""
+    """(2 + q, q + 1) from (x, u) to the way (s²) and speed (s) gained in a period, per unit of
+    torque over inertia, and to the states after it."""
     reading: FloatArray
-    """(q + 1,) torque of the drive as it is read, from x before and u during the last period."""
+    """(q + 1,) from x before, and u during, the last period to the drive's torque as it is read."""
     delay: int
-    """Ticks that it comes later."""
+    """Ticks by which the reading is later still."""

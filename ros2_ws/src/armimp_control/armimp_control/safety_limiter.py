@@ -15,16 +15,16 @@ Beyond a limit one of two things is done. *Stop*: the fault is latched, and the 
 in a straight line, tick by tick. *Clip*: the command is changed by as little as the limit needs.
 Beyond a limit of position or velocity that means: no torque that drives the joint farther out, or
 that makes it faster. Beyond the torque limit all joints get less in proportion: the links are
-coupled, so that one joint that gives less than its share would throw the others about.
+coupled, so a joint that gives less than its share would throw the others about.
 
-What holds for every output u, whatever comes in (T, R, P: limits of torque, rate, power)::
+Every output u satisfies, whatever comes in (T, R, P: limits of torque, rate, power)::
 
     finite    |u_i| ≤ T_i    |u_i θ̇_i| ≤ P_i    |u_i − u_i(previous)| ≤ R_i L
 
-with two exceptions of the last: zero torque at once (1, and where the caller asks for it); and a
-command that has to come closer to zero faster, because the power would be too large otherwise.
-From a fault on, the torque of every joint keeps its sign, never grows, is zero after the ticks of
-the ramp, and stays so: the way back is a new limiter.
+with two exceptions from the last: zero torque at once (1, and where the caller asks for it); and a
+command that has to approach zero faster, because the power would be too large otherwise. From a
+fault on, the torque of every joint keeps its sign, never grows, is zero after the ticks of the
+ramp, and stays zero: only a new limiter lets commands through again.
 
 All comparisons are written so that a NaN fails them.
 """
@@ -48,12 +48,12 @@ WINDOW = 5
 """Ticks over which a velocity is taken."""
 
 POSITION, VELOCITY, TORQUE, RATE, POWER = range(5)
-"""Numbers of the limits."""
+"""Indices of the limits."""
 
 LIMITS = 5
-"""How many there are."""
+"""Number of limits."""
 
-# Rows of the rules, an array (RULE_ROWS, n): the limits by number, in rad, rad/s, N·m, N·m per tick
+# Rows of the rules, an array (RULE_ROWS, n): the limits by index, in rad, rad/s, N·m, N·m per tick
 # and W; then in the same order whether each means a stop, 1 or 0; the posture, rad; the number of
 # ticks of a ramp.
 STOPS = LIMITS
@@ -100,7 +100,7 @@ class Action(str, Enum):
 
 
 class Limit(str, Enum):
-    """What is limited, in the order of the numbers of the limits."""
+    """What is limited, in the order of the indices of the limits."""
 
     POSITION = "position"
     VELOCITY = "velocity"
@@ -143,11 +143,11 @@ class SafetyParameters(Schema):
     command, which may be a peak of chatter."""
 
     def ramp_ticks(self, period: float) -> int:
-        """Ticks in which a stop brings the torque to zero, from the control period L, s."""
+        """Return the ticks in which a stop brings the torque to zero, for a control period L, s."""
         return max(math.floor(self.ramp_time / period + 1e-9), 1)
 
     def rules(self, posture: FloatArray, period: float) -> FloatArray:
-        """What compiled code needs, (RULE_ROWS, n).
+        """Return the limits as compiled code takes them, (RULE_ROWS, n).
 
         Parameters
         ----------
@@ -178,7 +178,7 @@ class SafetyParameters(Schema):
 
 
 def fault_of(journal: FloatArray, place: int, rules: FloatArray) -> tuple[Cause, str]:
-    """A fault as a code, and in words with its joint (from 1), the value and the limit.
+    """Return a fault as a code, and in words with its joint (from 1), the value and the limit.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ def fault_of(journal: FloatArray, place: int, rules: FloatArray) -> tuple[Cause,
     Returns
     -------
     Cause, str
-        NONE and empty if there is none, or the caller knows it.
+        NONE and empty if there is none, or if the caller reported it itself.
     """
     cause, joint, value = int(journal[place]), int(journal[place + 1]), float(journal[place + 2])
     if cause in {NO_CAUSE, OTHER_CAUSE}:
@@ -208,8 +208,8 @@ class SaturationCounter:
     """Counts clipped joint commands, and remembers the ticks in which that happened.
 
     The intervals hold every clipped tick. They hold others too only where there would be more than
-    :data:`MOST_INTERVALS`: then the two that are nearest to each other become one, the earliest of
-    equals.
+    :data:`MOST_INTERVALS`: then the two that are nearest to each other are merged, the earliest of
+    equally near ones.
     """
 
     MOST_INTERVALS = 100
@@ -219,7 +219,7 @@ class SaturationCounter:
         self._intervals: list[tuple[int, int]] = []
 
     def add(self, tick: int, clipped: int) -> None:
-        """``clipped`` joint commands were clipped in a tick; ticks come in increasing order."""
+        """Count ``clipped`` joint commands of a tick; ticks must come in increasing order."""
         if clipped <= 0:
             return
         self.clipped += clipped
@@ -248,7 +248,7 @@ def _note(journal: FloatArray, place: int, cause: int, joint: int, value: float)
 
 @inlined
 def _stop(journal: FloatArray, ticks: float, cause: int, joint: int, value: float) -> None:
-    """Let no command through any more; the first cause stays, and a ramp never gets longer."""
+    """Let no command through any more; the first cause is kept, and a ramp never gets longer."""
     if journal[STOPPED] == 0.0:
         journal[STOPPED] = 1.0
         journal[REMAINING] = ticks
@@ -259,14 +259,14 @@ def _stop(journal: FloatArray, ticks: float, cause: int, joint: int, value: floa
 
 @inlined
 def copy_values(values: FloatArray, to: FloatArray) -> None:
-    """Copy (n,) values. A slice assignment would take 2.5 s more to compile, for its errors."""
+    """Copy (n,) values; slice assignment, with its checks, would take 2.5 s more to compile."""
     for i in range(values.size):
         to[i] = values[i]
 
 
 @inlined
 def _first_bad(values: FloatArray) -> int:
-    """Index of the first value that is not finite; -1 if there is none."""
+    """Return the index of the first value that is not finite; -1 if there is none."""
     for i in range(values.size):
         if not abs(values[i]) < np.inf:
             return i
@@ -277,7 +277,7 @@ def _first_bad(values: FloatArray) -> int:
 def _remember(
     theta: FloatArray, rules: FloatArray, period: float, memory: FloatArray, journal: FloatArray
 ) -> None:
-    """Work out excursions and velocities of a finite sample, and keep it."""
+    """Compute excursions and velocities of a finite sample, and remember it."""
     samples = int(journal[SAMPLES])
     slot = HISTORY + samples % WINDOW
     span, oldest = (WINDOW, slot) if samples >= WINDOW else (samples, HISTORY)
@@ -340,9 +340,9 @@ def _clip(command: FloatArray, i: int, value: float, number: int, journal: Float
 
 @inlined
 def _within_torque(command: FloatArray, rules: FloatArray, journal: FloatArray) -> int:
-    """Give all joints less in proportion, if one is asked for more than its limit.
+    """Reduce all commands in proportion, if one of them is beyond its torque limit.
 
-    Returns the joint with which that means a stop; else -1.
+    Returns the joint for which that means a stop; else -1.
     """
     largest = 1.0
     for i in range(command.size):
@@ -352,7 +352,7 @@ def _within_torque(command: FloatArray, rules: FloatArray, journal: FloatArray) 
             largest = max(largest, abs(command[i]) / rules[TORQUE, i])
     if largest > 1.0:
         for i in range(command.size):
-            # Rounding must lead neither beyond the limit nor, where that is the most, below.
+            # Rounding must not lead beyond the limit, nor below it for the joint most beyond it.
             share = min(abs(command[i]) / largest, rules[TORQUE, i])
             if abs(command[i]) / rules[TORQUE, i] >= largest:
                 share = rules[TORQUE, i]
@@ -366,11 +366,11 @@ def _limit(
 ) -> tuple[int, int, float]:
     """Bring a finite command within the limits.
 
-    Returns the number of the limit, the joint and the value where that means a stop; else -1.
+    Returns the index of the limit, the joint and the value if that means a stop; else -1 first.
     """
     for i in range(command.size):
         for number, row in ((POSITION, EXCURSION), (VELOCITY, SPEED)):
-            # What means a stop has led to one with the sample.
+            # Where this means a stop, the sample has already led to one.
             outward = command[i] * memory[row, i] > 0.0
             if outward and not abs(memory[row, i]) <= rules[number, i]:
                 _clip(command, i, 0.0, number, journal)
@@ -397,7 +397,7 @@ def _limit(
 
 @inlined
 def _ramp(command: FloatArray, rules: FloatArray, memory: FloatArray, journal: FloatArray) -> None:
-    """One tick of the way down to zero: a straight line, or less where the power says so."""
+    """Take one tick of the ramp to zero: a straight line, or less where the power limit asks."""
     remaining = journal[REMAINING]
     share = (remaining - 1.0) / remaining if remaining > 1.0 else 0.0
     journal[REMAINING] = remaining - 1.0 if remaining > 1.0 else 0.0
@@ -416,7 +416,7 @@ def limit_command(
 
     Parameters
     ----------
-    command : (n,) N·m, changed where it has to be; without meaning once it has stopped
+    command : (n,) N·m, changed where it has to be; after a stop the input is ignored
     rules, memory, journal : as of :func:`check_sample`
 
     Returns
@@ -452,7 +452,7 @@ def stop_commands(ticks: int, fault: bool, memory: FloatArray, journal: FloatArr
 
     Parameters
     ----------
-    ticks : length of the ramp to zero; with 0, what was sent counts as zero from now on
+    ticks : length of the ramp to zero; with 0, the last command counts as zero from now on
     fault : whether this is a fault, or just the end
     memory, journal : as of :func:`check_sample`
     """
@@ -468,11 +468,11 @@ def stop_commands(ticks: int, fault: bool, memory: FloatArray, journal: FloatArr
 def continue_ramp(
     ticks: int, command: FloatArray, rules: FloatArray, memory: FloatArray, journal: FloatArray
 ) -> None:
-    """Go on with the ramp after a stop where no samples come.
+    """Advance the ramp after a stop, where no samples come.
 
     Parameters
     ----------
-    ticks : that have passed since the last command
+    ticks : number that have passed since the last command
     command : (n,) N·m, written
     rules, memory, journal : as of :func:`check_sample`; the velocity is that of the last sample
     """

@@ -14,15 +14,15 @@ from armimp_common.status import Phase
 from armimp_common.topics import PERIOD
 
 _PARTS = 4
-"""Parts of the readings of a tare, whose scatter tells how sure it is."""
+"""Parts of the readings of a tare, whose scatter gives its standard error."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tare:
-    """Offsets of the torque transducers, and what a person's muscles do at rest."""
+    """Offsets of the torque transducers, with the torque of a person's muscles at rest."""
 
     offset: tuple[float, ...]
-    """Of each joint, N·m."""
+    """Offset of each joint, N·m."""
     error: tuple[float, ...]
     """Standard error of each, N·m."""
 
@@ -32,8 +32,8 @@ class TareParameters(Schema):
 
     All joints are held in the posture θ_0, where the arm has no elastic torque. What the
     transducers read there is their offset, and the mean torque of the person's muscles, which is
-    no answer to the perturbation either. The law of the perturbed joint acts on the reading
-    without it; otherwise an offset c would hold that joint at a distance c/(K_rd + K_h) from θ_0. A
+    no answer to the perturbation either. The law subtracts both from the reading of the perturbed
+    joint; otherwise an offset c would hold that joint at a distance c/(K_rd + K_h) from θ_0. A
     drift is not followed within a trial.
     """
 
@@ -48,7 +48,7 @@ class TareParameters(Schema):
 
     @model_validator(mode="after")
     def _long_enough(self) -> TareParameters:
-        # Each part has to be far longer than a period of what is to average out: dither, mains.
+        # Each part has to be far longer than the periods of dither and mains, to average them out.
         if 0.0 < self.duration < 0.4:
             raise ValueError(f"duration must be 0 or at least 0.4 s, got {self.duration} s")
         return self
@@ -59,12 +59,12 @@ class TareParameters(Schema):
         return round((self.wait + self.duration) / PERIOD) if self.duration else 0
 
     def of(self, torque: FloatArray) -> Tare:
-        """Tare from the torques (n, ticks) since all joints are held, N·m.
+        """Compute the tare from the torques (n, ticks) since all joints are held, N·m.
 
-        The readings after the wait are cut into four parts of equal length. Of each the mean is
-        taken with a Hann window, which the dither of held joints and mains hum do not pass. The
-        tare is the mean of these; its standard error comes from their scatter, so it also shows
-        slow unrest and drift.
+        The readings after the wait are cut into four parts of equal length. Each is averaged with a
+        Hann window, which suppresses the dither of held joints and mains hum. The tare is the mean
+        of these four means; its standard error comes from their scatter, so it also shows slow
+        unrest and drift.
         """
         torque = torque[:, round(self.wait / PERIOD) :]
         length = torque.shape[1] // _PARTS
@@ -75,7 +75,7 @@ class TareParameters(Schema):
         return Tare(offset=tuple(means.mean(axis=1).tolist()), error=tuple(error.tolist()))
 
     def refusal(self, tare: Tare, names: Sequence[str]) -> str:
-        """Why no trial may begin with a tare, in words; else empty."""
+        """Say why no trial may begin with a tare; empty if one may."""
         for name, offset, error in zip(names, tare.offset, tare.error, strict=True):
             # Written so that NaN fails.
             if not abs(offset) <= self.limit:
@@ -98,7 +98,7 @@ class SequenceParameters(Schema):
     """Length of the perturbation of each trial (s)."""
     # Recorders learn of a trial while it settles, and that it is over while it rests.
     settle: float = Field(default=0.5, ge=0.05)
-    """Time before each perturbation, roles already taken (s)."""
+    """Time before each perturbation, with joints already in their roles (s)."""
     rest: float = Field(default=0.5, ge=0.05)
     """Time after each perturbation, for motion to die down (s)."""
     may_end_early: bool = False
@@ -130,13 +130,13 @@ class Segment:
 def timetable(
     sequence: SequenceParameters, *, joints: int, tare: TareParameters | None = None
 ) -> tuple[Segment, ...]:
-    """Timetable of an experiment with one trial for each joint, in order and without gaps.
+    """Return the timetable of an experiment: one trial for each joint, in order, without gaps.
 
     Parameters
     ----------
     sequence : SequenceParameters
     joints : number of joints n, and so of trials
-    tare : TareParameters, by default there is none
+    tare : TareParameters; by default there is no tare
     """
     lengths = [
         (Phase.SETTLE, 0 if tare is None else tare.ticks, True),

@@ -29,30 +29,29 @@ from armimp_control.laws.imbic import Imbic
 from armimp_control.rig import RigDynamics
 
 WARNING_GAIN = 1.25
-"""Factor by which gains may become larger without a warning."""
+"""Factor by which gains may become larger without a warning of instability."""
 ARM_RANGE = 3.0
 """Factor by which the arm may be heavier or lighter than known."""
 _GROWTH = 1e-4
-"""Growth per tick taken for rounding: a target without stiffness and damping has exactly none."""
+"""Growth per tick attributed to rounding: without target stiffness and damping there is none."""
 
 
 def check_stability(law: Law, dynamics: RigDynamics | None = None) -> tuple[str, ...]:
     """Check the sampled loop with every joint perturbed in turn, and with all locked.
 
-    The condition is that the loop of law and inertia returns to rest, see :func:`spectral_radius`,
-    with the arm as it is known and one that is heavier or lighter by a factor of 3. Warnings tell
-    of changes with which the loop would be unstable: larger gains, torques or commands one period
-    later.
+    The loop of law and inertia must return to rest, see :func:`spectral_radius`, with the arm as it
+    is known and with one that is heavier or lighter by a factor of 3. Warnings name changes with
+    which the loop would be unstable: larger gains, or torques or commands one period later.
 
     Parameters
     ----------
-    law : with what it knows of the inertia of robot and arm
+    law : has the known inertia of robot and arm
     dynamics : of drives and transducers; by default those that the law knows
 
     Returns
     -------
     tuple of str
-        The warnings, a sentence each.
+        The warnings, one sentence each.
 
     Raises
     ------
@@ -107,15 +106,15 @@ def check_stability(law: Law, dynamics: RigDynamics | None = None) -> tuple[str,
 def spectral_radius(
     law: Law, dynamics: RigDynamics, *, perturbed: int, gain: float = 1.0, arm: float = 1.0
 ) -> float:
-    """Largest factor by which a deviation from rest can grow from tick to tick.
+    """Return the spectral radius of the sampled loop: the growth per tick of its worst motion.
 
-    Exact for the laws as coded on a rig that consists of inertia only, with torque held between
-    ticks and sensors read just before it changes; or with the given dynamics of drives and
-    transducers.
+    It is exact for the laws as coded, on a rig that consists of inertia only and of the given
+    dynamics of drives and transducers, with commands held between ticks and sensors read just
+    before the command changes.
 
     Parameters
     ----------
-    law : with what it knows of the inertia of robot and arm
+    law : has the known inertia of robot and arm
     dynamics : of drives and transducers
     perturbed : joint that yields, 0-based, or NO_JOINT while all are locked
     gain : factor on M̄, or on the gains of a law without it
@@ -125,15 +124,15 @@ def spectral_radius(
     robot_inertia, arm_inertia = _inertia(law, arm)
     rig, delay = dynamics.sampled(period), dynamics.command_delay
     role, model = law.role(perturbed), law.model(perturbed)
-    # Those that may act, and that which the observer believes to have acted.
+    # Commands in the state: those yet to act, and the one that the observer takes to have acted.
     observed = int(role[LATE, 0])
     sent = max(delay, observed + 1)
     lagging = len(rig.reading) - 1
     count = 6 + sent + lagging + rig.delay + 1
     per_inertia = np.linalg.inv(robot_inertia + arm_inertia)
-    # Everything is linear in the state: each of these (n, count·n) gives one vector of it.
+    # Everything is linear in the state: each of these matrices (n, count·n) gives one vector of it.
     vectors = np.eye(count * n).reshape(count, n, count * n)
-    # Of the past: two angles, or what the observer makes of it.
+    # The past is two angles, or the three vectors that the observer has made of it.
     theta, velocity, *past, ideal = vectors[:6]
     commands, states, readings = np.split(vectors[6:], [sent, sent + lagging])
     load = arm_inertia @ per_inertia @ readings[-1]

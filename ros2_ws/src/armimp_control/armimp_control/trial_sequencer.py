@@ -22,7 +22,7 @@ Reading = tuple[float, ...]
 
 
 class TrialSequencer:
-    """Answers each sample with a command and leads through the trials.
+    """Answers each sample with a command, and leads through the trials.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class TrialSequencer:
         self._start_ns: int | None = None
         self._next_ns: int | None = None  # stamp that is expected
         self._signal: FloatArray = np.zeros(0)
-        # In lockstep made when its trial begins, as memory is worth more there than time.
+        # In lockstep each is made when its trial begins, as memory then matters more than time.
         prepared = range(n) if parameters.mode == "realtime" else ()
         self._signals = {joint: self._make_signal(joint) for joint in prepared}
         self._fill = partial(struct.Struct(f"{2 * n}d").pack_into, self._law.sample.data, 0)
@@ -97,7 +97,7 @@ class TrialSequencer:
 
     @property
     def at_rest(self) -> bool:
-        """Whether the experiment is over and the torque zero."""
+        """Whether the experiment is over and the torque is zero."""
         return self.finished and not self.command.any()
 
     @property
@@ -118,14 +118,14 @@ class TrialSequencer:
     def decide(self, decision: StoppingDecision) -> None:
         """End the present trial early if its estimates are good enough already.
 
-        The perturbation then ends :data:`NOTICE_TICKS` samples after those that were judged, or as
-        many from now on if it is too late for that. Its end is announced at once.
+        The perturbation then ends :data:`NOTICE_TICKS` samples after those that were judged or, if
+        it is too late for that, as many samples from now. Its end is announced at once.
         """
         segment = self._segment
         if self.finished or segment is None or segment.phase is not Phase.PERTURB:
             return
         if decision.trial != segment.trial or decision.samples > self._place:
-            return  # it is of another experiment
+            return  # the decision is on another experiment
         self._due = decision.due
         end = decision.samples + NOTICE_TICKS
         if end < self._place:
@@ -137,24 +137,24 @@ class TrialSequencer:
 
     @property
     def _place(self) -> int:
-        """Number of samples of the present phase that were answered."""
+        """Number of samples answered in the present phase."""
         return 0 if self._segment is None else self.tick - self._segment.first
 
     def abort(self, cause: Cause, reason: str) -> None:
-        """End the experiment with zero torque at once. The first reason stays."""
+        """End the experiment with zero torque at once. The first reason is kept."""
         self._law.cut()
         self._end(cause, reason)
 
     def stop(self, cause: Cause, reason: str) -> None:
-        """End the experiment and let the torque ramp down to zero. The first reason stays.
+        """End the experiment and let the torque ramp down to zero. The first reason is kept.
 
-        The ramp takes one tick for each further answer, or those of :meth:`continue_ramp`.
+        The ramp advances by one tick with each further answer, or by :meth:`continue_ramp`.
         """
         self._law.stop()
         self._end(cause, reason)
 
     def continue_ramp(self, ticks: int) -> None:
-        """Go on with the ramp after :meth:`stop` by some ticks, where no samples come."""
+        """Advance the ramp after :meth:`stop` by some ticks, where no samples come."""
         self._law.continue_ramp(ticks)
 
     def _end(self, cause: Cause, reason: str) -> None:
@@ -166,7 +166,7 @@ class TrialSequencer:
             self._tell(Phase.ABORTED)
 
     def _check_stamp(self, stamp_ns: int) -> None:
-        """Check what the limiter can not know: the order of the samples, and gaps between them."""
+        """Check what the limiter cannot know: the order of samples, and gaps between them."""
         if self._next_ns is None:
             return
         last = self._next_ns - PERIOD_NS
@@ -180,7 +180,7 @@ class TrialSequencer:
             self.lost += max(round((stamp_ns - last) / PERIOD_NS) - 1, 0)
 
     def _advance(self, stamp_ns: int) -> None:
-        """Enter the next phase, whose first tick has come."""
+        """Enter the next phase, as its first tick has come."""
         self._due = None
         if self._next_segment == len(self._segments):
             self.finished = True
@@ -188,7 +188,7 @@ class TrialSequencer:
             self._tell(Phase.DONE)
             return
         before = self._segment
-        # A trial that ended early brings forward all that follows.
+        # If a trial has ended early, everything that follows is brought forward.
         segment = self._enter(replace(self._segments[self._next_segment], first=self.tick))
         self._next_segment += 1
         self.tau_delta[:] = 0.0
@@ -226,7 +226,7 @@ class TrialSequencer:
     def _control(self, theta: Sequence[float], tau_h: Sequence[float]) -> None:
         segment = self._segment
         place: int | None = None  # within the perturbation
-        # The other joints, and all of them in other phases, were set to zero as the phase began.
+        # All other values of the perturbation were set to zero when the phase began.
         if not self.finished and segment is not None and segment.phase is Phase.PERTURB:
             place = self.tick - segment.first
             self.tau_delta[segment.joint] = self._signal[place]
@@ -269,13 +269,13 @@ class TrialSequencer:
 
 
 class SamplePairs:
-    """The two readings of a sample, which come as messages of their own: pairing by stamp."""
+    """Pairs by stamp the two readings of a sample, which come as separate messages."""
 
     def __init__(self) -> None:
         self._waiting: tuple[dict[int, Reading], dict[int, Reading]] = ({}, {})
 
     def other(self, kind: int, stamp_ns: int, values: Reading) -> Reading | None:
-        """Take a position (kind 0) or torque (1); the other of that stamp (ns), or None as yet."""
+        """Take a position (kind 0) or torque (1); return the other of that stamp (ns), or None."""
         own, others = self._waiting[kind], self._waiting[1 - kind]
         other = others.pop(stamp_ns, None)
         if other is None:
@@ -289,9 +289,9 @@ class SamplePairs:
 
 
 class Watchdog:
-    """Tells for how long no sample came, and how far the ramp to zero has to be by now.
+    """Detects that samples stay away, and tells how far the ramp to zero has to be by then.
 
-    Time is any monotonic clock in seconds; the caller feeds it, so tests need not wait.
+    The caller passes the time of any monotonic clock (s), so tests need not wait.
 
     Parameters
     ----------
@@ -306,7 +306,7 @@ class Watchdog:
         self._given = 0
 
     def feed(self, now: float) -> None:
-        """A sample came at time ``now``, s."""
+        """Note that a sample came at the time ``now``, s."""
         self._last = now
         self._given = 0
 
@@ -315,9 +315,9 @@ class Watchdog:
         return self._last is not None and not now - self._last < self._patience
 
     def ticks_due(self, now: float) -> int:
-        """Ticks of the ramp that have become due since this was asked last.
+        """Return the ticks of the ramp that have become due since the last call.
 
-        The first is due when patience ends; all are, where the clock tells nonsense.
+        The first is due when the patience ends; all are, if the clock is not a number.
         """
         if self._last is None or not self.expired(now):
             return 0

@@ -27,12 +27,13 @@ EFFORTS = "armimp_efforts/commands"
 """Commands for ros2_control, as a forward_command_controller of that name takes them."""
 
 _SILENCE_PERIOD = 0.01
-"""How long joint states may stay away (s)."""
+"""Time within which joint states have to come, and between two checks of that (s)."""
 _REPORT_CHECKS = 100
+"""Checks from one regular report to the next."""
 
 
 class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
-    """Splits joint states into angles and torques, and lets commands through its protection."""
+    """Splits joint states into angles and torques, and passes commands through its protection."""
 
     def __init__(self, **kwargs: Any) -> None:
         self._listened = 0
@@ -41,7 +42,7 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
 
     @reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Read the parameters, and make the topics of both sides."""
+        """Read the parameters, and create the topics of both sides."""
         parameters = self._settings = self.declared.load()
         names = parameters.joints
         self._readings = Readings(parameters)
@@ -56,22 +57,22 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
 
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Begin to pass samples and commands on, once both sides are there."""
+        """Begin to pass on samples and commands, once both sides are there."""
         self.declared.require_unchanged()
         self.wait_for_controller([self._efforts], [self._states])
         self._scheduling.take(self._settings.realtime.priority)
         self._stamps = Stamps()
         self._heard = self._heard_before = 0
-        # Last, as robots publish always: what piled up meanwhile would come as one burst.
+        # Last, as robots always publish: what queued up meanwhile would come as one burst.
         self.destroy_subscription(self._states)
         self._states = self._listen()
         self.active = True
-        # A forward controller holds what it was last told, by whomever.
+        # A forward controller holds the last command that it got, from whomever.
         self.torque_was_taken()
         return super().on_activate(state)
 
     def _listen(self) -> Subscription:
-        """Listen from now on; what an older subscription still delivers is not heard any more."""
+        """Subscribe anew; what an older subscription still delivers is ignored."""
         self._listened += 1
         listened = self._listened
 
@@ -95,17 +96,17 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
             return
         for name, value in zip(self._settings.names_there(), torques, strict=True):
             if math.isnan(value):
-                # What a broadcaster says where there is no such interface, too.
+                # A broadcaster also sends this if there is no effort interface.
                 self.limiter.latch(f"{STATES}: the effort of {name!r} is not a number")
         self.check_sample(angles, steps)
         self.publish_sample(stamp_ns, angles, torques)
 
     def drive(self, torque: Sequence[float]) -> None:
-        """Command torques of the joints (n,), N·m, in the directions of the robot."""
+        """Command torques of the joints (n,), N·m, in the directions of ros2_control."""
         self._efforts.publish(self._readings.commands(torque))
 
     def obey_again(self) -> None:
-        """Undo a fault; stamps may have jumped meanwhile."""
+        """Clear a fault; stamps may have jumped meanwhile."""
         super().obey_again()
         if self.active:
             self._stamps = Stamps()
@@ -113,13 +114,13 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
 
     def _check_silence(self) -> None:
         self._checks += 1
-        # Those that piled up while this process was held up are heard before the next check.
+        # What queued up while this process was held up is heard before the next check.
         if self.active and self._heard:
             if self._heard == self._heard_before:
                 self.limiter.latch(f"{STATES}: nothing for {1e3 * _SILENCE_PERIOD:g} ms")
             self._heard_before = self._heard
         if self.active and self.limiter.fault:
-            # The reader over there listens by best effort: once might be too seldom.
+            # The forward controller listens by best effort: once might be too seldom.
             self.drive(self.limiter.applied)
         if self._checks % _REPORT_CHECKS == 0:
             self.report()
@@ -127,19 +128,19 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
             self.report_news()
 
     def values(self) -> dict[str, Any]:
-        """Samples that were lost on the way here, and those that were left out."""
+        """Numbers of samples that were lost on the way here, and that were left out."""
         if not self.active:
             return {}
         return {"lost": self._stamps.lost, "left_out": self._stamps.left_out}
 
     @reported
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Forget the topics; only an emergency stop remains."""
+        """Forget the topics; an emergency stop stays in force."""
         self.destroy_subscription(self._states)
         return super().on_cleanup(state)
 
     def rest(self) -> None:
-        """Command no torque any more."""
+        """Stop commanding torque."""
         if not self.active:
             return
         self.active = False

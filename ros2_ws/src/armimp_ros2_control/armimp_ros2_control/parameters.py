@@ -17,7 +17,7 @@ class BridgeParameters(Schema):
     joints: tuple[str, ...] = ("shoulder", "elbow")
     """Names of the joints, in the order of commands."""
     mode: Literal["realtime"] = "realtime"
-    """ros2_control does not wait for commands."""
+    """Always realtime, as ros2_control does not wait for commands."""
     names: tuple[str, ...] = ()
     """Names of the joints in ros2_control, in the same order; empty: the same names."""
     directions: Signs = (1,)

@@ -1,4 +1,4 @@
-"""What a joint state of ros2_control means here: which joints, which signs, and which time."""
+"""How joint states of ros2_control are read: which joints, which signs, and which stamps."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from armimp_common.topics import PERIOD_NS, clock_step
 from armimp_ros2_control.parameters import BridgeParameters
 
 _CROWD, _THIN = 5.0, 50.0
-"""Samples that may be too many, and too few, in a row of which each normal one makes up a tenth."""
+"""Limits of two counts, of surplus and of missing samples; each normal one takes 0.1 off them."""
 _LONGEST = 10
-"""Periods from one sample to the next; a clock that was set may make it any number."""
+"""Most periods from one sample to the next; a clock that was set can make it any number."""
 _SLACK, _TOLERANCE = 5, 1e-3
-"""Periods, and share, by which stamps may differ from one period for each sample."""
+"""Deviation of stamps from one period per sample: some periods, plus a share of all of them."""
 
 
 class Readings:
-    """Picks angles and torques of our joints from joint states that have both.
+    """Picks angles and torques of the configured joints from joint states that have both.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ class Readings:
     Raises
     ------
     ConfigurationError
-        If there are neither 1 nor n signs of one kind.
+        If the number of directions or of signs is neither 1 nor n.
     """
 
     def __init__(self, parameters: BridgeParameters) -> None:
@@ -45,24 +45,24 @@ class Readings:
         Raises
         ------
         MalformedMessageError
-            If a joint is missing or there twice, or there are not as many positions and efforts as
-            joints.
+            If a joint is missing or duplicate, or the numbers of positions and efforts are not that
+            of the joints.
         """
         stamp_ns, angles = self._angles.decode(data)
         _, torques = self._torques.decode(data)
         return stamp_ns, _signed(angles, self._directions), _signed(torques, self._signs)
 
     def commands(self, torque: Sequence[float]) -> tuple[float, ...]:
-        """Return the efforts (n,) to command there for torques (n,), N·m."""
+        """Return the efforts (n,) to command in ros2_control for torques (n,), N·m."""
         return _signed(torque, self._directions)
 
 
 class Stamps:
-    """Sees to it that stamps are what the contract asks for, or says why they cannot be.
+    """Checks that stamps are what the contract asks for, and leaves out samples that are too many.
 
-    Samples keep the stamps that they have, and their jitter. Only a sample that comes less than
-    half a period after the last one is left out: rounded to whole periods, as everybody here does,
-    it would be the same sample again. The gap shows as a lost one.
+    Samples keep their stamps, jitter included. Only a sample stamped at most half a period after
+    the last one is left out: rounded to whole periods, as all nodes do it, it would be the same
+    sample again. If that leaves a gap, it shows as a lost sample.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class Stamps:
         Raises
         ------
         MalformedMessageError
-            If time stands still or goes back, or samples do not come once in a period.
+            If stamps stand still or go back, or samples do not come once in a period.
         """
         if self._ticks < 0:
             self._ticks, self._first, self._last = 0, stamp_ns, stamp_ns

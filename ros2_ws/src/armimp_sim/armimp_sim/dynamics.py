@@ -1,12 +1,12 @@
 """The compiled plant: equations of motion and RK4, for many trials side by side.
 
-Trials stand in lanes, and lanes in blocks of equal width. The numbers of a batch fill an array
-(blocks, quantities, width), with a place in each quantity for each lane of a block. A block goes
-through a whole control period on its own: its numbers stay in the processor's registers and first
-cache. The width and the number of joints n are compile-time constants, carried by the lengths of
-two tuples; arithmetic is on all lanes of a block at once (:mod:`armimp_sim.simd`). A block of
-width 1 is the ordinary single trial; the arithmetic is the same operation by operation, so a lane
-gives the same bits in any batch.
+Each trial has a lane, and lanes are grouped in blocks of equal width. The numbers of a batch fill
+an array (blocks, quantities, width), with a place in each quantity for each lane of a block. A
+block goes through a whole control period on its own, so its numbers stay in the processor's
+registers and first-level cache. The width and the number of joints n are compile-time constants,
+carried by the lengths of two tuples; arithmetic is on all lanes of a block at once
+(:mod:`armimp_sim.simd`). A block of width 1 is the ordinary single trial; its arithmetic is the
+same operation by operation, so a lane gives the same bits in any batch.
 
 Places in a block (n times the width each unless said otherwise), in the order of :func:`rows`:
 state θ, v, z; input τ, d; parameters; work space.
@@ -22,8 +22,8 @@ from armimp_sim.model.friction import bristle_force, lugre
 from armimp_sim.simd import Tag, fill, load, sine_cosine, store
 
 WIDTH = 8
-"""Lanes of a block when there are several: the widest registers have as many. Twice that is faster
-by a tenth only, and leaves more lanes unused. Those of the last block are at rest."""
+"""Lanes of a block if there are several: the widest registers hold as many. Twice as many are only
+a tenth faster, and leave more lanes unused; the unused ones of the last block are at rest."""
 
 # Vectors, in units of n rows: state, inputs, parameters, outputs, work space.
 THETA, VELOCITY, BRISTLE = 0, 1, 2
@@ -44,12 +44,12 @@ MATRICES = 5
 
 
 def rows(n: int) -> int:
-    """Number of quantities of a lane with n joints."""
+    """Return the number of quantities of a lane with n joints."""
     return VECTORS * n + MATRICES * n * n
 
 
 def width_for(lanes: int) -> int:
-    """Width of the blocks of a batch."""
+    """Return the width of the blocks of a batch."""
     return 1 if lanes == 1 else WIDTH
 
 
@@ -70,9 +70,9 @@ def _matrix_row(which: int, i: int, j: int, n: int) -> int:
 
 @compiled
 def _kinematics(w: FloatArray, joints: Tag, width: Tag) -> None:
-    """Sines and cosines of the absolute link angles, and squared absolute rates."""
+    """Compute sines and cosines of the absolute link angles, and squared absolute rates."""
     n = len(joints)
-    # The dynamics depend on angle differences only: the first link may stand at zero.
+    # The dynamics depend on differences of angles only, so the first link is put at zero.
     angle = fill(0.0, width)
     rate = _get(w, VELOCITY * n, width)
     _put(w, _COSINE * n, width, fill(1.0, width))
@@ -89,7 +89,7 @@ def _kinematics(w: FloatArray, joints: Tag, width: Tag) -> None:
 
 @compiled
 def _bristle_force(w: FloatArray, i: int, n: int, width: Tag) -> float:
-    """LuGre's g(v) of joint i."""
+    """Return LuGre's g(v) of joint i."""
     return bristle_force(
         _get(w, VELOCITY * n + i, width),
         _get(w, COULOMB * n + i, width),
@@ -100,7 +100,7 @@ def _bristle_force(w: FloatArray, i: int, n: int, width: Tag) -> float:
 
 @compiled
 def _friction(w: FloatArray, joints: Tag, width: Tag) -> None:
-    """Slope of the bristle deflection, and −F into the right-hand side."""
+    """Compute the slope of the bristle deflection, and put −F into the right-hand side."""
     n = len(joints)
     for i in range(n):
         dz, force = lugre(
@@ -117,7 +117,7 @@ def _friction(w: FloatArray, joints: Tag, width: Tag) -> None:
 
 @compiled
 def _arm(w: FloatArray, joints: Tag, width: Tag) -> None:
-    """Take B_h θ̇ + K_h (θ − θ_0) + d from the right-hand side."""
+    """Subtract B_h θ̇ + K_h (θ − θ_0) + d from the right-hand side."""
     n = len(joints)
     for i in range(n):
         total = _get(w, VOLUNTARY * n + i, width)
@@ -132,7 +132,7 @@ def _arm(w: FloatArray, joints: Tag, width: Tag) -> None:
 
 @compiled
 def _links(w: FloatArray, joints: Tag, width: Tag) -> None:
-    """Inertia and centripetal torque of the chain in absolute link angles φ.
+    """Compute inertia and centripetal torque of the chain in absolute link angles φ.
 
     There the kinetic energy is ½ Σ_ab A_ab cos(φ_a − φ_b) φ̇_a φ̇_b with constant A. Since
     φ_a = Σ_{i≤a} θ_i, joint quantities are sums over the links from the joint outwards.
@@ -164,7 +164,7 @@ def _drive(w: FloatArray, joints: Tag, width: Tag) -> None:
 
 @compiled
 def _masses(w: FloatArray, joints: Tag, width: Tag) -> None:
-    """M_r(θ) + M_h from the inertia of the links: sums over columns, then over rows."""
+    """Compute M_r(θ) + M_h from the inertia of the links: sum over columns, then over rows."""
     n = len(joints)
     first, arm = _matrix_row(_MASS, 0, 0, n), _matrix_row(INERTIA, 0, 0, n)
     for i in range(n):
@@ -184,9 +184,9 @@ def _accumulate(w: FloatArray, row: int, other: int, width: Tag) -> None:
 
 @compiled
 def _solve(w: FloatArray, joints: Tag, width: Tag) -> None:
-    """θ̈ = (M_r + M_h)⁻¹ rhs by elimination.
+    """Solve θ̈ = (M_r + M_h)⁻¹ rhs by elimination.
 
-    No pivoting: configuration checks that the symmetric part is positive definite, for which
+    Without pivoting: configuration checks that the symmetric part is positive definite, for which
     elimination in the given order is stable.
     """
     n = len(joints)
@@ -211,7 +211,7 @@ def _solve(w: FloatArray, joints: Tag, width: Tag) -> None:
 
 @compiled
 def _slopes(w: FloatArray, joints: Tag, width: Tag) -> None:
-    """Time derivatives of v and z at the present state (that of θ is v itself)."""
+    """Compute the time derivatives of v and z at the present state (that of θ is v itself)."""
     _kinematics(w, joints, width)
     _friction(w, joints, width)
     _arm(w, joints, width)
@@ -223,7 +223,7 @@ def _slopes(w: FloatArray, joints: Tag, width: Tag) -> None:
 
 @compiled
 def rk4_step(w: FloatArray, joints: Tag, width: Tag, h: float) -> None:
-    """One classical Runge–Kutta step of length h with constant command."""
+    """Take one classical Runge–Kutta step of length h with constant command."""
     n = len(joints)
     for row in range(3 * n):
         _put(w, _START * n + row, width, _get(w, row, width))
@@ -249,7 +249,7 @@ def rk4_step(w: FloatArray, joints: Tag, width: Tag, h: float) -> None:
 
 @compiled
 def sample_block(w: FloatArray, joints: Tag, width: Tag) -> None:
-    """TORQUE = M_h θ̈ + B_h θ̇ + K_h (θ − θ_0) + d in a block, as :func:`sample_now`."""
+    """Set TORQUE = M_h θ̈ + B_h θ̇ + K_h (θ − θ_0) + d in a block, as :func:`sample_now`."""
     n = len(joints)
     _slopes(w, joints, width)
     for i in range(n):
@@ -266,7 +266,7 @@ def sample_block(w: FloatArray, joints: Tag, width: Tag) -> None:
 
 @compiled_entry
 def sample_now(w: FloatArray, joints: Tag, width: Tag) -> None:
-    """Torque on the arm at this instant, N·m, under the command still in force, into TORQUE."""
+    """Put the torque on the arm at this instant, N·m, under the present command, into TORQUE."""
     for block in w:
         sample_block(block, joints, width)
 
@@ -279,7 +279,7 @@ def advance(w: FloatArray, joints: Tag, width: Tag, steps: int, h: float) -> Non
     ----------
     w : (blocks, rows(n), width)
         The batch; its COMMAND and VOLUNTARY rows are held constant (zero-order hold).
-    joints, width : tuples of n and of the width of the blocks zeros
+    joints, width : tuples of zeros, n of them and as many as a block is wide
         Carry the two numbers as compile-time constants.
     steps : int
         Number of steps.
@@ -294,13 +294,13 @@ def advance(w: FloatArray, joints: Tag, width: Tag, steps: int, h: float) -> Non
 
 @compiled_entry
 def stiffness_ratio(w: FloatArray, joints: Tag, width: Tag, h: float) -> float:
-    """Largest h·σ0|v|/g(v) of all joints and lanes, for the step-stability check.
+    """Return the largest h·σ0|v|/g(v) of all joints and lanes, for the check of the step.
 
     Parameters
     ----------
     w : (blocks, rows(n), width)
         The batch.
-    joints, width : tuples of n and of the width of the blocks zeros
+    joints, width : tuples of zeros, n of them and as many as a block is wide
         Carry the two numbers as compile-time constants.
     h : s
 

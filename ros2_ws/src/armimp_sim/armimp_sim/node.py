@@ -89,7 +89,7 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
 
     @property
     def locked(self) -> AbstractContextManager[object]:
-        """Keeps the thread that paces the rig away from it."""
+        """Context that keeps the thread that paces the rig away from it."""
         return nullcontext() if self._simulator is None else self._simulator.lock
 
     def stamp_ns(self) -> int:
@@ -102,7 +102,7 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
         return {"tick": self._told_tick}
 
     def obey_again(self) -> None:
-        """Undo a fault, also in the thread that paces the rig."""
+        """Clear a fault, also in the thread that paces the rig."""
         if self._simulator is not None:
             self._simulator.reset()
         else:
@@ -122,7 +122,7 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
             self.report()
 
     def on_command(self, command: tuple[float, ...]) -> None:
-        """Let the rig take the step that the command asks for, now or at the next sample."""
+        """Let the rig take the step that a command triggers: now, or at the next sample."""
         if not self.active:
             return
         if self._simulator is not None:
@@ -134,9 +134,9 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
         self._step(command)
 
     def _step(self, command: tuple[float, ...]) -> None:
-        """Take the step that a command asks for, in lockstep."""
+        """Take the step that a command triggers, in lockstep."""
         if self._holding:
-            # The sample which the next command will answer was not even sent.
+            # The sample that the next command is to answer has not even been sent.
             if any(command):
                 self.accuse("a command that answers no sample")
             return
@@ -148,7 +148,7 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
             self._publish()
 
     def on_malformed(self, error: ArmimpError) -> None:
-        """Go on without torque."""
+        """Latch a fault, and go on without torque."""
         if not self.active:
             return
         if self._simulator is not None:
@@ -158,7 +158,7 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
         self._step((0.0,) * self.limiter.position.size)
 
     def _on_recorder(self, recorder: HeartbeatMonitor) -> None:
-        """Wait for a recorder that is silent: it may only be stopped. There is no trial without."""
+        """Wait for a silent recorder, which may only be stopped; a lost one ends the trial."""
         self._flow.silent = recorder.presence in (Presence.STALLED, Presence.SILENT)
         if recorder.presence in (Presence.GONE, Presence.LEFT) and self._flow.recorded:
             self.latch(f"{recorder.sentence}, and a trial without recorder is of no use")
@@ -171,7 +171,7 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
             self.report()
 
     def check(self) -> None:
-        """Report also what has happened in the thread, which must not lose time on reports."""
+        """Report also for the thread that paces the rig, as it must not lose time on reports."""
         super().check()
         if self._simulator is None:
             return

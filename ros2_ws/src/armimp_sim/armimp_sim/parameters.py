@@ -22,17 +22,17 @@ from armimp_sim.model.sensors import ReadingParameters, SensorParameters
 from armimp_sim.voluntary import VoluntaryParameters
 
 RK4_RADIUS = 2.6
-"""|h·λ| up to which explicit RK4 is stable for any λ of a decaying motion; worst are swings with
-ζ = 0.54."""
+"""|h·λ| up to which explicit RK4 is stable for any λ of a decaying motion; the worst are
+oscillations with ζ = 0.54."""
 
 
 class SimulatorParameters(Schema):
     """All parameters of the node ``arm_sim``: one arm in one exoskeleton.
 
-    A soft cuff makes a plant of 2n coordinates: first the n joints of the robot, then those of the
-    arm. Its equations are those of a rigid arm on a chain whose outer n links are without mass;
-    arm and cuff are in its inertia, damping and stiffness. What a rigid arm would take from the
-    first n coordinates is then the torque of the cuff, which the transducers measure.
+    With a soft cuff the plant has 2n coordinates: first the n joints of the robot, then those of
+    the arm. Its equations are those of a rigid arm on a chain whose outer n links are massless; arm
+    and cuff are in its inertia, damping and stiffness. The torque of that arm on the first n
+    coordinates is then the torque of the cuff, which the transducers measure.
     """
 
     joints: tuple[str, ...] = Field(min_length=1, max_length=7)
@@ -40,10 +40,10 @@ class SimulatorParameters(Schema):
     seed: int = Field(default=1, ge=0)
     """Seed of voluntary torque, tremor, and noise of the sensors."""
     mode: Literal["lockstep", "realtime"] = "lockstep"
-    """lockstep: one step for each command received; realtime: one each millisecond."""
+    """lockstep: one step for each command received; realtime: one step every millisecond."""
     realtime: SchedulingParameters = SchedulingParameters()
     watchdog_ticks: int = Field(default=WATCHDOG_PERIODS, ge=1, le=100)
-    """Control periods without a command, or by which commands are behind, after which the drives
+    """Control periods without a command, or by which commands lag behind, after which the drives
     take the torque away in mode realtime."""
     substeps: int = Field(default=100, ge=1)
     """RK4 steps in one control period of 1 ms."""
@@ -67,10 +67,10 @@ class SimulatorParameters(Schema):
         seed: int = 1,
         rig: presets.Rig = "paper",
     ) -> SimulatorParameters:
-        """Parameters of the study's rig at given friction and resolution levels (0 to 3).
+        """Return parameters of the study's rig at given friction and resolution levels (0 to 3).
 
-        With ``rig="realistic"`` it has what a good real one has beside
-        (:func:`armimp_sim.presets.realistic`).
+        With ``rig="realistic"`` it also has what a good real rig has beyond that, see
+        :func:`armimp_sim.presets.realistic`.
         """
         sensors = presets.sensors(resolution)
         real = presets.realistic(joints) if rig == "realistic" else {}
@@ -94,7 +94,7 @@ class SimulatorParameters(Schema):
 
     @property
     def ideal(self) -> bool:
-        """Whether drives and readings are direct, and the arm is M, B and K alone."""
+        """Whether drives and readings are ideal, but for rounding, and the arm is M, B, K alone."""
         rounded = SensorParameters(
             position=ReadingParameters(resolution=self.sensors.position.resolution),
             torque=ReadingParameters(resolution=self.sensors.torque.resolution),
@@ -103,7 +103,7 @@ class SimulatorParameters(Schema):
         return person and (self.actuators, self.sensors) == (ActuatorParameters(), rounded)
 
     def coordinates(self) -> tuple[FloatArray, ...]:
-        """Inertia beside the robot's, damping, stiffness, and coefficients of the chain.
+        """Return inertia without the robot's, damping, stiffness, and coefficients of the chain.
 
         Each is (n, n), or (2n, 2n) with a soft cuff, in the units of the arm.
         """
@@ -124,7 +124,7 @@ class SimulatorParameters(Schema):
         )
 
     def mass_matrix(self) -> FloatArray:
-        """Inertia of all coordinates in the posture, kg·m²: of a rigid arm M_r(θ_0) + M_h."""
+        """Return the inertia of all coordinates in the posture, kg·m²; M_r(θ_0) + M_h if rigid."""
         inertia: FloatArray = self.coordinates()[0].copy()
         n = self.arm.joints
         inertia[:n, :n] += self.robot.mass_matrix(self.arm.theta_0)
@@ -160,7 +160,7 @@ class SimulatorParameters(Schema):
         self._check_step(mass, period / self.substeps)
 
     def _check_step(self, mass: FloatArray, step: float) -> None:
-        """Refuse a step which is unstable for the linear system with all joints stuck."""
+        """Refuse a step that is unstable for the linear system with all joints stuck."""
         _, damping, stiffness, _ = (one.copy() for one in self.coordinates())
         law, robot = self.friction.of_joints(self.arm.joints), np.arange(self.arm.joints)
         stiffness[robot, robot] += law["sigma_0"]

@@ -1,4 +1,4 @@
-"""The plant as the rest of the world sees it: torques in, quantised readings out, once per tick."""
+"""The plant from outside: torques in, quantised readings out, once per tick."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class IntegrationError(ArmimpError):
 
 
 class Batch(NamedTuple):
-    """A batch of plants as compiled code takes it."""
+    """A batch of plants, in the form that compiled code takes."""
 
     w: FloatArray
     joints: Tag
@@ -36,7 +36,7 @@ class Batch(NamedTuple):
     step: float
     """Number and length (s) of the RK4 steps of a period."""
     interval_mean: bool
-    """Whether torque is the mean over the period."""
+    """Whether torque is read as the mean over the period."""
     resolutions: FloatArray
     """(lanes, 2) of encoders, rad, and torque transducers, N·m."""
     position: FloatArray
@@ -45,7 +45,7 @@ class Batch(NamedTuple):
 
 
 class Plant:
-    """A batch of plants, one per lane, that share numbers of joints and time step.
+    """A batch of plants, one per lane, that share the number of joints and the time step.
 
     Reading arrays are reused from tick to tick; copy what must last.
 
@@ -56,16 +56,16 @@ class Plant:
 
     Attributes
     ----------
-    config : the first of them
+    config : the first of `configs`
     position : (lanes, n) encoder readings θ, rad
     torque : (lanes, n) torque transducer readings, torque on the arm, N·m
-    batch : all of it, for :func:`tick`
-    real : of :mod:`armimp_sim.real_rig`; None where all rigs are ideal
+    batch : the plants, for :func:`tick`
+    real : what :mod:`armimp_sim.real_rig` adds; None where all rigs are ideal
 
     Raises
     ------
     ConfigurationError
-        If a lane is no rig that can be simulated, or another kind of rig than the first one.
+        If a lane is no rig that can be simulated, or not the same kind of rig as the first one.
     """
 
     def __init__(self, configs: Sequence[SimulatorParameters], period: float = PERIOD) -> None:
@@ -120,8 +120,7 @@ class Plant:
         ----------
         command : (lanes, n) joint torques, N·m
         voluntary : (lanes, n) voluntary torque d, N·m
-        noise : (lanes, 2, n) of the readings of angles and torques, rad and N·m; ideal ones have
-            none
+        noise : (lanes, 2, n) on readings of angles and torques, rad and N·m; ideal rigs ignore it
 
         Raises
         ------
@@ -142,7 +141,7 @@ class Plant:
 
 
 def _shared(config: SimulatorParameters) -> tuple[object, ...]:
-    """What all lanes of a batch must have in common."""
+    """Return what all lanes of a batch must have in common."""
     return config.arm.joints, config.substeps, config.sensors.sampling, config.soft
 
 
@@ -172,7 +171,7 @@ def check_ratio(ratio: float, step: float) -> None:
 
 
 def _pack(config: SimulatorParameters) -> FloatArray:
-    """All rows of one lane, at rest in the posture."""
+    """Return all rows of one lane, at rest in the posture."""
     n = config.arm.joints
     inertia, damping, stiffness, chain = config.coordinates()
     vectors = np.zeros((dynamics.VECTORS, len(chain)))
@@ -180,7 +179,7 @@ def _pack(config: SimulatorParameters) -> FloatArray:
     vectors[dynamics.THETA] = vectors[dynamics.POSTURE] = posture
     # An arm in a cuff has no friction of its own.
     law = config.friction.of_joints(n)
-    # Without friction g(v) may be anything but zero, which it divides.
+    # Without friction g(v) may be anything but zero, as it is a divisor.
     vectors[dynamics.COULOMB] = 1.0
     vectors[dynamics.COULOMB, :n] = np.where(law["coulomb"] > 0.0, law["coulomb"], 1.0)
     vectors[dynamics.STRIBECK, :n] = law["static"] - law["coulomb"]
@@ -217,12 +216,12 @@ def tick(
     voluntary: FloatArray,
     noise: FloatArray,
 ) -> float:
-    """One period of all lanes: hold the inputs, integrate, read.
+    """Take all lanes through one period: hold the inputs, integrate, read.
 
     Parameters
     ----------
     batch : Batch, updated
-    real : of :mod:`armimp_sim.real_rig`, updated; None where all rigs are ideal
+    real : what :mod:`armimp_sim.real_rig` adds, updated; None where all rigs are ideal
     command, voluntary : (lanes, n) N·m
     noise : (lanes, 2, n) on readings of angles and torques, rad and N·m, where a rig is real
 
@@ -243,9 +242,9 @@ def tick(
     for lane in range(command.shape[0]):
         for i in range(used):
             w[lane // m, dynamics.COMMAND * n + i, lane % m] = command[lane, i]
-            # The arm comes last.
+            # The coordinates of the arm come last.
             w[lane // m, dynamics.VOLUNTARY * n + n - used + i, lane % m] = voluntary[lane, i]
-    # Of the two only the one that is needed gets compiled, as None is a type.
+    # Only the branch that is needed gets compiled, as None has a type of its own.
     if real is None:
         dynamics.advance(w, joints, width, substeps, step)
         read(batch)

@@ -76,8 +76,8 @@ _ROBOTS = {
 Rig = Literal["paper", "realistic"]
 
 TRANSDUCER_NOISE = 0.005
-"""Of the realistic rig, N·m rms. Assumption: 0.01 % of a range of 50 N·m."""
-# Of the even chain, see _rods.
+"""Rms noise of the realistic rig's transducers (N·m). Assumption: 0.01 % of a range of 50 N·m."""
+# Assumptions on the even chain, see _rods.
 _REACH = 0.65  # m
 _FIRST, _BEND = 62.708, 77.260  # degrees
 _INERTIA, _DAMPING, _STIFFNESS = 0.187, 0.651, 7.967  # of the shoulder
@@ -88,7 +88,7 @@ _LINK_SHARE = 0.125  # of M_r,ii
 
 
 def human_arm(joints: int) -> HumanArm:
-    """The arm: Table I of the paper for two joints, its elbow alone for one.
+    """Return the arm: Table I of the paper for two joints, its elbow alone for one.
 
     Assumptions: for three joints a wrist is added; four to seven are an even chain, see
     :func:`_rods`.
@@ -97,17 +97,17 @@ def human_arm(joints: int) -> HumanArm:
 
 
 def robot(joints: int) -> PlanarChain:
-    """The exoskeleton. Assumption, constrained by an endpoint mass of about 1 kg.
+    """Return the exoskeleton. Assumption, constrained by an endpoint mass of about 1 kg.
 
-    One joint is the second of two; four to seven are an even chain, see :func:`_rods`.
+    A single joint is the second of two; four to seven are an even chain, see :func:`_rods`.
     """
     return _ROBOTS[joints] if joints in _ROBOTS else _even_robot(joints)
 
 
 def friction(level: int, joints: int) -> LuGre:
-    """LuGre friction of every joint at a level from 0 (none) to 3. Assumption.
+    """Return the LuGre friction of every joint at a level from 0 (none) to 3. Assumption.
 
-    Shoulder and elbow have the same. The friction of any other joint is in proportion to its size,
+    Shoulder and elbow have the same. The friction of any other joint is proportional to its size,
     as drives are: see :data:`armimp_common.sizes.JOINT_SIZES`.
     """
     law = _FRICTION[level]
@@ -117,7 +117,7 @@ def friction(level: int, joints: int) -> LuGre:
 
 
 def sensors(level: int) -> SensorParameters:
-    """Encoder and torque resolution at a level from 0 (unquantised) to 3 (Table II)."""
+    """Return encoder and torque resolution at a level from 0 (unquantised) to 3 (Table II)."""
     counts = _ENCODER_COUNTS[level]
     return SensorParameters(
         position=ReadingParameters(resolution=2.0 * np.pi / counts if counts else 0.0),
@@ -126,9 +126,9 @@ def sensors(level: int) -> SensorParameters:
 
 
 def realistic(joints: int) -> dict[str, Any]:
-    """What a good real rig has and the paper's has not, by group of the simulator's parameters.
+    """Return what a good real rig has and the paper's lacks, by group of simulator parameters.
 
-    All of it is assumption. With four joints and more, cuff and person suit the smallest joint.
+    All of it is assumption. With four joints or more, cuff and person suit the smallest joint.
     """
     size = 1.0 if joints <= 3 else min(JOINT_SIZES[joints])
     return {
@@ -143,7 +143,7 @@ def realistic(joints: int) -> dict[str, Any]:
 
 
 def _even_arm(joints: int) -> HumanArm:
-    """The arm with 4 to 7 joints."""
+    """Return the arm with 4 to 7 joints."""
     posture = _posture(joints)
     size = np.array(JOINT_SIZES[joints])
     mean_size = np.sqrt(np.outer(size, size))
@@ -158,11 +158,11 @@ def _even_arm(joints: int) -> HumanArm:
 
 
 def _even_robot(joints: int) -> PlanarChain:
-    """The robot for it."""
+    """Return the robot with 4 to 7 joints."""
     rods = _rods(joints)
     inertia = np.diag(rods.mass_matrix(_posture(joints)))
     links = _LINK_SHARE * _ROBOT_SHARE
-    # What a joint has more of than the next one outwards is its own.
+    # The inertia at a joint includes the drives outwards of it: its own is the difference.
     drives = (_ROBOT_SHARE - links) * (inertia - np.append(inertia[1:], 0.0))
     return PlanarChain(
         lengths=rods.lengths,
@@ -178,9 +178,9 @@ def _posture(joints: int) -> FloatArray:
 
 
 def _rods(joints: int) -> PlanarChain:
-    """The segments of the assumed arm of four to seven joints.
+    """Return the segments of the assumed arm of four to seven joints.
 
-    No arm has so many parallel joints; this is a test piece for the method at larger n. All of it
+    No arm has so many parallel joints; this is a test case for the method at larger n. All of it
     is assumption, by one rule that ties it to the arm of the paper and the robot with two joints:
 
     - n equal segments reach as far as the two of that robot together. The first joint stands as the
@@ -191,8 +191,8 @@ def _rods(joints: int) -> PlanarChain:
       they are √(X_ii X_jj) c^|i−j|, with c from the two joints of the paper: 0.46 in damping, and
       in stiffness 0.43 above and 0.22 below the diagonal.
     - The robot: M_r,ii(θ_0) = 2 M_h,ii, of which an eighth are links, shaped as the arm, and the
-      rest are drives. (Without drives the chain is so light in some directions that bristles of
-      friction swing faster there than the control period, which no sampled law can follow.)
+      rest are drives. (Without drives the chain is so light in some directions that the bristles of
+      friction oscillate faster there than any law sampled at the control period can follow.)
     """
     length = _REACH / joints
 

@@ -1,11 +1,11 @@
 """What a real rig and a real arm add to the equations of motion: drives, muscles, sensors.
 
-Each seam is crossed once. Commands become torques of the drives at every step of the integration;
-what muscles add to the linear arm goes where voluntary torque goes, at every step; and the signals
-that are read go through one chain, the same for angles and torques. Low-pass, delay and memory are
-those of *channels*: angles, torques on the arm, and what excites reflexes, which are n each.
-Signals are known at both ends of each step, and taken as linear between them. A soft cuff needs
-nothing of this: with it a plant has twice the coordinates, :mod:`armimp_sim.plant`.
+At every step of the integration, commands become torques of the drives, and what muscles add to
+the linear arm is added to the voluntary torque. Signals that are read pass one chain, the same for
+angles and torques. Low-pass, delay and memory belong to *channels* of three kinds, n of each:
+angles, torques on the arm, and what excites the reflexes. Signals are known at both ends of each
+step, and taken as linear in between. A soft cuff needs none of this: with it a plant has twice the
+coordinates, see :class:`armimp_sim.parameters.SimulatorParameters`.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from armimp_sim.simd import Tag
 
 ANGLE, TORQUE, REFLEX = 0, 1, 2
 """Kinds of channels."""
-# A joint's row of numbers. Drive: steps by which commands are late, largest torque, what a current
-# loop leaves of the distance to the command after a step and on the mean over it, ripple and
-# cogging with their cycles per radian. Muscles: whether there is anything of them, gains of the
-# reflex, short-range stiffness and its reach, cubic stiffness. Memory: command and torque of the
-# drive, voluntary torque, where the short-range spring has yielded to.
+# Columns of a joint's row. Drive: steps by which commands are late, largest torque, share of the
+# distance to the command that a current loop leaves after a step and on average over it, ripple and
+# cogging with their cycles per radian. Muscles: whether they add anything, gains of the reflex,
+# short-range stiffness and its reach, cubic stiffness. Memory: command and torque of the drive,
+# voluntary torque, angle to which the short-range spring has yielded.
 _LATE_COMMAND, _LARGEST, _KEEP, _SHARE = 0, 1, 2, 3
 _RIPPLE, _RIPPLE_CYCLES, _COGGING, _COGGING_CYCLES = 4, 5, 6, 7
 _MUSCULAR, _VELOCITY_GAIN, _STRETCH_GAIN, _SHORT_RANGE, _REACH, _CUBIC = 8, 9, 10, 11, 12, 13
 _TARGET, _APPLIED, _VOLUNTARY, _YIELDED = 14, 15, 16, 17
 # Then its channels, each with the order of the low-pass, steps by which it is late, signal and
 # output at the end of the last step, and a row for each state of the low-pass: transition over a
-# step, what the signal at its start and end adds, what is put out, where a constant signal of 1
-# takes the state, the state and the next one. Last, its row of the growth of K_h per second.
+# step, weights of the signal at its start and end, weight in the output, steady state for a signal
+# of 1, the state and the next one. Last, the joint's row of the growth of K_h per second.
 _CHANNELS = 18
 _ORDER, _LATE, _LAST, _FILTERED, _LOW_PASS = 0, 1, 2, 3, 4
 _START, _END, _OUTPUT, _SETTLED, _STATE, _NEXT = (
@@ -54,30 +54,30 @@ _GROWTH = _CHANNELS + 3 * _CHANNEL
 
 
 class RealRig(NamedTuple):
-    """L lanes with n joints as compiled code takes them: what they are, and what they remember."""
+    """L lanes with n joints, in the form that compiled code takes: parameters and memory."""
 
     rows: FloatArray
-    """(L, n, …) what is needed at every step; columns are above."""
+    """(L, n, …) what is needed at every step; for the columns, see above."""
     commands: FloatArray
-    """(L, n, periods) of the last periods, N·m."""
+    """(L, n, periods) commands of the last periods, N·m."""
     past: FloatArray
-    """(L, n, 3, steps) of each channel, in the units of the signal."""
+    """(L, n, 3, steps) past outputs of each channel, in the units of the signal."""
     clock: IntArray
     """(1,) steps taken."""
     mix: FloatArray
     """(L, 2, n, n) gain with cross-talk of the readings of angles and torques."""
     added: FloatArray
-    """(L, 2, n, 2) offset and drift, rad or N·m, and that per second."""
+    """(L, 2, n, 2) offset, rad or N·m, and drift, that per second."""
     chain: FloatArray
     """(L, 2, 5) amplitude and angular frequency of hum, half the hysteresis, limit, resolution."""
     played: FloatArray
-    """(L, 2, n) readings as far as hysteresis lets them follow."""
+    """(L, 2, n) signals as far as hysteresis lets them follow; NaN before the first reading."""
 
 
 def real_rig(configs: Sequence[SimulatorParameters], step: float) -> RealRig | None:
-    """Numbers of all lanes, without any torque, for steps of the integration of this length, s.
+    """Return all lanes, without any torque, for integration steps of this length, s.
 
-    None if each of them is an ideal rig.
+    None if all of them are ideal rigs.
     """
     if all(one.ideal for one in configs):
         return None
@@ -114,7 +114,7 @@ def _chain(reading: ReadingParameters) -> tuple[float, ...]:
 
 
 def _fill(rows: FloatArray, config: SimulatorParameters, step: float) -> None:
-    """Put what a rig is into the rows of its joints."""
+    """Put the parameters of a rig into the rows of its joints."""
     drive, reflex, muscle = config.actuators, config.reflex, config.muscle
     over = step / drive.lag if drive.lag else np.inf
     for column, values in {
@@ -150,7 +150,7 @@ def _fill(rows: FloatArray, config: SimulatorParameters, step: float) -> None:
 def _butterworth(reading: ReadingParameters, step: float) -> FloatArray:
     if not reading.cutoff:
         return np.zeros((0, _WIDE))
-    # Where there is no low-pass, nobody has to wait for this import.
+    # Imported here, as it is needed for a low-pass only.
     from scipy.signal import butter, zpk2ss
 
     zpk = butter(reading.order, 2.0 * np.pi * reading.cutoff, analog=True, output="zpk")
@@ -159,7 +159,7 @@ def _butterworth(reading: ReadingParameters, step: float) -> FloatArray:
 
 
 def _muscle(reflex: ReflexParameters, step: float) -> FloatArray:
-    """ω²/(s² + 2ζωs + ω²)."""
+    """Return the rows of the muscle ω²/(s² + 2ζωs + ω²), none without a reflex."""
     if reflex == ReflexParameters():
         return np.zeros((0, _WIDE))
     square = reflex.muscle**2
@@ -168,7 +168,7 @@ def _muscle(reflex: ReflexParameters, step: float) -> FloatArray:
 
 
 def _stepwise(a: FloatArray, b: FloatArray, c: FloatArray, step: float) -> FloatArray:
-    """Rows of the states of a linear system for a signal that is linear over a step, s."""
+    """Return rows of the states of a linear system, for a signal that is linear over a step, s."""
     from scipy.linalg import expm
 
     p = len(a)
@@ -188,14 +188,14 @@ def _stepwise(a: FloatArray, b: FloatArray, c: FloatArray, step: float) -> Float
 
 @compiled
 def _stretch(w: FloatArray, lane: int, i: int, joints: Tag) -> float:
-    """Angle of coordinate i from the posture."""
+    """Return the angle of coordinate i from the posture."""
     n = len(joints)
     return float(w[dynamics.THETA * n + i, lane] - w[dynamics.POSTURE * n + i, lane])
 
 
 @compiled
 def _drive(w: FloatArray, lane: int, i: int, joints: Tag, row: FloatArray, torque: float) -> None:
-    """Put the torque of a current loop on its joint, with ripple and cogging."""
+    """Apply the torque of a current loop to its joint, with ripple and cogging."""
     if row[_RIPPLE] > 0.0 or row[_COGGING] > 0.0:
         angle = w[dynamics.THETA * len(joints) + i, lane]
         torque += torque * row[_RIPPLE] * np.sin(row[_RIPPLE_CYCLES] * angle)
@@ -213,7 +213,7 @@ def _effort(
     now: int,
     seconds: float,
 ) -> None:
-    """Put voluntary torque on the arm, and what its muscles are beside K_h."""
+    """Apply to the arm the voluntary torque, and the torque of its muscles beyond K_h."""
     n = rows.shape[1]
     arm = len(joints) - n  # with a cuff, the arm comes after the robot
     for i in range(n):
@@ -233,7 +233,7 @@ def _effort(
 def _load(
     w: FloatArray, joints: Tag, width: Tag, rows: FloatArray, past: FloatArray, now: int, h: float
 ) -> None:
-    """TORQUE is what the transducers feel at this instant, `now` steps from the start."""
+    """Set TORQUE to the torque at the transducers, at the instant `now` steps from the start."""
     for lane in range(rows.shape[0]):
         for i in range(rows.shape[1]):
             row = rows[lane, i]
@@ -244,7 +244,7 @@ def _load(
 
 @compiled
 def _signal(w: FloatArray, lane: int, kind: int, i: int, joints: Tag, rows: FloatArray) -> float:
-    """What enters a channel at this instant."""
+    """Return the input of a channel at this instant."""
     n = len(joints)
     if kind == ANGLE:
         return float(w[dynamics.THETA * n + i, lane])
@@ -257,7 +257,7 @@ def _signal(w: FloatArray, lane: int, kind: int, i: int, joints: Tag, rows: Floa
 
 @compiled
 def _pass(row: FloatArray, past: FloatArray, kind: int, at: int, signal: float, mean: bool) -> None:
-    """Let a channel go on by a step, at the end of which is the signal; the past may be of means.
+    """Advance a channel by a step that ends with `signal`; store the output, or its mean over it.
 
     `past` is that of the joint, (3, steps).
     """
@@ -285,7 +285,7 @@ def _pass(row: FloatArray, past: FloatArray, kind: int, at: int, signal: float, 
 
 @compiled_entry
 def settle(w: FloatArray, joints: Tag, width: Tag, rig: RealRig, h: float) -> None:
-    """Sample a rig that has stood still for long, with the torque of its drives as it is.
+    """Put all channels in the state of a rig that has long stood still with its present torque.
 
     Parameters
     ----------
@@ -296,7 +296,7 @@ def settle(w: FloatArray, joints: Tag, width: Tag, rig: RealRig, h: float) -> No
     for block in range(w.shape[0]):
         lanes = slice(block * len(width), (block + 1) * len(width))
         rows, past = rig.rows[lanes], rig.past[lanes]
-        # A reflex is part of the torque.
+        # Reflexes come first, as they are part of the torque.
         for kind in (REFLEX, ANGLE, TORQUE):
             if kind == TORQUE:
                 _load(w[block], joints, width, rows, past, 0, h)
@@ -351,7 +351,7 @@ def _begin(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
             row[_TARGET] = commands[lane, i, tick % commands.shape[2]]
             if row[_KEEP] == 0.0:
                 row[_APPLIED] = row[_TARGET]
-    # So the torque on the arm jumps.
+    # The torque on the arm has jumped: the step begins with its new value.
     _load(w, joints, width, rows, past, now, h)
     for lane in range(rows.shape[0]):
         for i in range(rows.shape[1]):
@@ -361,7 +361,7 @@ def _begin(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
 
 @compiled
 def _follow(w: FloatArray, joints: Tag, rows: FloatArray) -> None:
-    """Drives go on by a step; COMMAND is the mean of their torque over it."""
+    """Advance the drives by a step; COMMAND becomes the mean of their torque over it."""
     for lane in range(rows.shape[0]):
         for i in range(rows.shape[1]):
             row = rows[lane, i]
@@ -381,7 +381,7 @@ def _end(
     h: float,
     mean: bool,
 ) -> None:
-    """Muscles and channels go on by the step that ends `now` steps from the start."""
+    """Advance muscles and channels by the step that ends `now` steps from the start."""
     n, at = rows.shape[1], now % past.shape[3]
     for lane in range(rows.shape[0]):
         for i in range(n):
@@ -405,11 +405,11 @@ def _end(
 def advance(
     w: FloatArray, joints: Tag, width: Tag, steps: int, h: float, interval_mean: bool, rig: RealRig
 ) -> None:
-    """As :func:`armimp_sim.dynamics.advance`, for a real rig.
+    """Advance all lanes as :func:`armimp_sim.dynamics.advance` does, for real rigs.
 
     Parameters
     ----------
-    w, joints, width, steps, h : as there; COMMAND is what is commanded
+    w, joints, width, steps, h : as there; COMMAND holds the commands to the drives
     interval_mean : whether torques are read as means over the period
     rig : RealRig, updated
     """
@@ -431,7 +431,7 @@ def advance(
 def read(
     rig: RealRig, count: int, h: float, noise: FloatArray, position: FloatArray, torque: FloatArray
 ) -> None:
-    """Readings of the present sample.
+    """Take the readings of the present sample.
 
     Parameters
     ----------
@@ -469,7 +469,7 @@ def read(
 
 @compiled
 def _mean(past: FloatArray, newest: int, count: int) -> float:
-    """Mean of the last values of a channel up to one of them."""
+    """Return the mean of `count` values of a channel, up to the one at `newest`."""
     total = 0.0
     for back in range(count):
         total += past[(newest - back) % past.shape[0]]

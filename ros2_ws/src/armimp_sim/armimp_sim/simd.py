@@ -1,9 +1,9 @@
 """Several floating-point numbers as one value of compiled code: a SIMD register, or a few.
 
 A compiler may or may not turn a loop over lanes into SIMD instructions, depending on the length of
-the loop, on what surrounds it and on its version. With this type nothing is left to chance: it is
-LLVM's own vector type, which becomes the widest registers that the processor has. The same
-functions compile for a plain ``float`` too, operation by operation, so that a lane gives the same
+the loop, on the code around it and on the compiler's version. This type leaves nothing to chance:
+it is LLVM's own vector type, which uses the widest registers that the processor has. The same
+functions also compile for a plain ``float``, operation by operation, so that a lane gives the same
 bits alone and beside others.
 
 Supported are ``+ - * /``, negation and ``abs`` between packed values and with floats, and the
@@ -26,7 +26,7 @@ from armimp_common.arrays import FloatArray
 from armimp_common.compiled import compiled
 
 Tag = tuple[float, ...]
-"""Carries a number as a compile-time constant: the number of elements."""
+"""Carries a compile-time constant: its number of elements."""
 
 _DOUBLE, _INTEGER = ir.DoubleType(), ir.IntType(64)
 _OPERATIONS: dict[Callable[..., Any], str] = {
@@ -72,14 +72,14 @@ register_model(_Packed)(_Model)
 
 
 def _common(kinds: Sequence[Any]) -> Any:
-    """The packed type among ``kinds``, if the others are that too or floats."""
+    """Return the packed type among ``kinds``, if all others are the same or floats; else None."""
     packed = {kind for kind in kinds if isinstance(kind, _Packed)}
     floats = all(isinstance(kind, _Packed | types.Float) for kind in kinds)
     return packed.pop() if floats and len(packed) == 1 else None
 
 
 def _widened(context: Any, builder: Any, value: Any, kind: Any, target: Any) -> Any:
-    """``value`` in every lane of ``target``."""
+    """Put ``value`` into every lane of the type ``target``."""
     if kind == target:
         return value
     single = context.cast(builder, value, kind, types.float64)
@@ -132,7 +132,7 @@ _define_sign(abs, _absolute)
 
 
 def _address(context: Any, builder: Any, array: Any, index: Any, kind: Any) -> Any:
-    """Pointer to a value of type ``kind`` that begins at a flat index of an array."""
+    """Return a pointer to a value of type ``kind`` that begins at a flat index of an array."""
     array_type, array_value = array
     data = context.make_array(array_type)(context, builder, array_value).data
     return builder.bitcast(builder.gep(data, [index]), _vector(kind).as_pointer())
@@ -144,7 +144,7 @@ def _load_typed(_typing: Any, array: Any, _index: Any, width: Any) -> Any:
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         address = _address(context, builder, (signature.args[0], args[0]), args[1], kind)
         value = builder.load(address)
-        value.align = 8  # arrays begin where they like
+        value.align = 8  # arrays need not be aligned to more than a double
         return value
 
     return kind(array, types.intp, width), codegen
@@ -192,19 +192,19 @@ def _power_of_two_typed(_typing: Any, kind: Any) -> Any:
 
 
 load = cast("Callable[[FloatArray, int, Tag], float]", intrinsic(_load_typed))
-"""Numbers of a C-contiguous array from a flat index on, as many as the tag has elements."""
+"""Read numbers of a C-contiguous array from a flat index on, as many as the tag has elements."""
 store = cast("Callable[[FloatArray, int, float], None]", intrinsic(_store_typed))
-"""Put the numbers of a value into a C-contiguous array from a flat index on."""
+"""Write the numbers of a value into a C-contiguous array from a flat index on."""
 fill = cast("Callable[[float, Tag], float]", intrinsic(_fill_typed))
-"""One float in every lane."""
+"""Put one float into every lane."""
 where_less = cast("Callable[[float, float, float, float], float]", intrinsic(_where_less_typed))
-"""Of a, b, x, y: x in lanes where a < b, else y (also where one of the two is not a number)."""
+"""Given a, b, x, y: x in lanes where a < b, else y (also where a or b is not a number)."""
 _power_of_two = cast("Callable[[float], float]", intrinsic(_power_of_two_typed))
 """2**k from the float ``k + 1.5 * 2**52``, the lowest bits of which hold the integer k."""
 
 # --- elementary functions ------------------------------------------------------------------------
 #
-# A call of the C library's exp or sin in a loop over lanes stops the compiler from vectorising it,
+# A call of the C library's exp or sin in a loop over lanes keeps the compiler from vectorising it,
 # and a vectorised library would round differently from the scalar one. These versions consist of
 # additions, multiplications and one bit operation only, so a lane gives the same bits whether it
 # runs alone or beside others. They are accurate to one or two units in the last place (tested
@@ -231,7 +231,7 @@ _COSINE = tuple((1 - k % 4) / math.factorial(k) for k in range(18, 3, -2))
 
 @compiled
 def _series(x: float, coefficients: tuple[float, ...]) -> float:
-    """Polynomial by Horner's rule."""
+    """Evaluate a polynomial by Horner's rule."""
     total = x * coefficients[0] + coefficients[1]
     for coefficient in coefficients[2:]:
         total = total * x + coefficient
@@ -240,7 +240,7 @@ def _series(x: float, coefficients: tuple[float, ...]) -> float:
 
 @compiled
 def exp_minus(y: float) -> float:
-    """Exponential of −y.
+    """Compute the exponential of −y.
 
     Parameters
     ----------
@@ -261,7 +261,7 @@ def exp_minus(y: float) -> float:
 
 @compiled
 def _reduced(x: float) -> tuple[float, float]:
-    """(r, q): x = q·π/2 + r with |r| ≤ π/4 and q reduced to 0, 1, 2 or 3."""
+    """Return (r, q): x = q·π/2 + r with |r| ≤ π/4, and q modulo 4, that is 0, 1, 2 or 3."""
     k = (x * _TWO_OVER_PI + _ROUNDER) - _ROUNDER
     r = ((x - k * _PIO2_1) - k * _PIO2_2) - k * _PIO2_3
     # k modulo 4 by the same rounding trick: k/4 − 3/8 rounds to floor(k/4).
@@ -271,7 +271,7 @@ def _reduced(x: float) -> tuple[float, float]:
 
 @compiled
 def sine_cosine(x: float) -> tuple[float, float]:
-    """Sine and cosine at once.
+    """Compute sine and cosine at once.
 
     Parameters
     ----------
@@ -281,7 +281,7 @@ def sine_cosine(x: float) -> tuple[float, float]:
     Returns
     -------
     tuple of float
-        (sin x, cos x), each to about two units in the last place, also beside its zeros.
+        (sin x, cos x), each to about two units in the last place, also near its zeros.
     """
     r, q = _reduced(x)
     s = r * r

@@ -1,6 +1,6 @@
 """The simulated rig as a device: commands in, samples out, and no torque after a fault.
 
-In lockstep a step follows each command; by the wall clock time goes on, whether one has come or
+In lockstep a step follows each command; in real time, time goes on whether a command has come or
 not.
 """
 
@@ -22,8 +22,9 @@ from armimp_sim.plant import IntegrationError, Plant
 from armimp_sim.voluntary import reading_noise, voluntary_torque
 
 HEARD_TICKS = 100
-"""If the first command comes later than that, in periods, what was sent before was not heard."""
+"""Periods after which, without any command, the samples sent so far count as not heard."""
 _PATIENCE = 2.0
+"""How long to wait for the thread to end (s)."""
 
 
 class SimulatedRig(TorqueLatch):
@@ -57,7 +58,7 @@ class SimulatedRig(TorqueLatch):
         self._command = np.zeros((1, joints))
         self.tick = 0
         # Have the plant compiled before time matters.
-        with suppress(IntegrationError):  # it will be reported when it happens in earnest
+        with suppress(IntegrationError):  # reported when it happens in the simulation proper
             Plant([parameters]).tick(np.zeros((1, joints)), np.zeros((1, joints)))
 
     @property
@@ -90,10 +91,10 @@ class RealtimeSimulator:
     """Runs a rig in a thread of its own: sample k at its deadline, under the latest command.
 
     The command that answers sample k acts from sample k to sample k + 1, as in lockstep. The step
-    between them is taken as soon as it comes, so that nothing is left to do at the deadline of
-    k + 1 but to send. If it has not come by then, the last command is held and the tick counts as
-    missed. A run without a missed tick takes the steps of a run in lockstep, and gives the same
-    samples to the last bit.
+    between them is taken as soon as the command comes, so that at the deadline of k + 1 there is
+    nothing left to do but to send. If it has not come by then, the last command is held and the
+    tick counts as missed. A run without a missed tick takes the steps of a run in lockstep, and
+    gives the same samples to the last bit.
 
     Parameters
     ----------
@@ -102,13 +103,13 @@ class RealtimeSimulator:
         Sends the present sample; called in the thread.
     pacer : Pacer
     watchdog_ticks : int
-        Periods after which the rig takes the torque away: without any command, or by which commands
-        that come are behind. A controller that works through old samples is none any more.
+        Periods without a command, or by which commands lag behind, after which the rig takes the
+        torque away. A controller that is still working through old samples no longer controls.
 
     Attributes
     ----------
     lock : held while the rig or the figures are used
-    error : what ended the thread, if it was not :meth:`stop`
+    error : exception that ended the thread; None if none did
     """
 
     def __init__(
@@ -130,11 +131,11 @@ class RealtimeSimulator:
         self.error: BaseException | None = None
 
     def start(self) -> None:
-        """Send the first sample, and all others in their time."""
+        """Send the first sample, and all others at their deadlines."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Send no more; harmless if repeated."""
+        """Stop sending; calling it again is harmless."""
         self._stopped.set()
         if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join(_PATIENCE)
@@ -147,7 +148,7 @@ class RealtimeSimulator:
             self._arrive(now_ns)
 
     def refuse(self, reason: str) -> None:
-        """Take a message that is no command: no torque from now on."""
+        """Take a message that is no valid command: no torque from now on."""
         now_ns = self._pacer.now()
         with self.lock:
             self._rig.latch(reason)
@@ -167,7 +168,7 @@ class RealtimeSimulator:
             self._watch.reset()
 
     def figures(self) -> TimingFigures:
-        """Timing since the start."""
+        """Return the timing since the start."""
         with self.lock:
             return self._meter.figures()
 

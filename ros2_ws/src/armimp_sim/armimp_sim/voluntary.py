@@ -1,4 +1,4 @@
-"""Noise of the person and of the sensors: voluntary torque, tremor, readings."""
+"""Noise of the person and of the sensors: voluntary torque, tremor, noise of readings."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from armimp_common.schema import Schema
 from armimp_common.topics import RATE
 from armimp_sim.model.sensors import SensorParameters
 
-# Of the random streams, which keep these apart from each other and from those of perturbations.
+# Keys of random streams, which keep these apart from each other and from those of perturbations.
 _VOLUNTARY, _TREMOR, _READINGS = 2, 3, 4
-_BLOCK = 4096
+_BLOCK = 4096  # ticks that are drawn at once
 _NYQUIST = 0.5 * RATE
 
 
@@ -43,7 +43,7 @@ class VoluntaryParameters(Schema):
         return self
 
     def bands(self) -> list[tuple[float, tuple[float, ...], int]]:
-        """Of all that the person does: rms, edges of a low-pass or band-pass, random stream."""
+        """Return rms, edges of low-pass or band-pass, and random stream of each torque present."""
         both = (
             (self.rms, (self.cutoff,), _VOLUNTARY),
             (self.tremor, (self.tremor_low, self.tremor_high), _TREMOR),
@@ -53,8 +53,8 @@ class VoluntaryParameters(Schema):
 
 @functools.lru_cache(maxsize=16)
 def band_filter(edges: tuple[float, ...]) -> tuple[FloatArray, float]:
-    """Second-order sections, and the rms with which white noise of rms 1 leaves them (Parseval)."""
-    # Where nobody asks for this torque, nobody waits for the import, which takes 0.6 s.
+    """Return second-order sections, and their output's rms for white noise of rms 1 (Parseval)."""
+    # Imported here, as it takes 0.6 s and is needed for this torque only.
     from scipy import signal
 
     kind, at = ("low", edges[0]) if len(edges) == 1 else ("band", edges)
@@ -66,7 +66,7 @@ def band_filter(edges: tuple[float, ...]) -> tuple[FloatArray, float]:
 def _blocks(
     rms: Sequence[float], *, seed: int, stream: int, edges: tuple[float, ...] = ()
 ) -> Iterator[FloatArray]:
-    """Gaussian noise with these rms in its columns, block after block; white without edges (Hz)."""
+    """Yield blocks of Gaussian noise with these rms by column; white without edges (Hz)."""
     strength = np.array(rms)
     random = np.random.default_rng(np.random.SeedSequence([seed, stream]))
     if edges:
@@ -83,11 +83,11 @@ def _blocks(
 
 
 class Noise:
-    """An endless, reproducible sum of Gaussian noises, an array in each tick.
+    """An endless, reproducible sum of Gaussian noises, with one array for each tick.
 
     Parameters
     ----------
-    sources : blocks of each, with as many columns as the array has values; without any it is zero
+    sources : blocks of each noise, with a column for each value of the array; without any, zero
     shape : of the array
     """
 
@@ -96,7 +96,7 @@ class Noise:
         self._left = np.zeros((0, *shape))
 
     def take(self, ticks: int) -> FloatArray:
-        """Values (ticks, *shape) of the next ticks; independent of how the stream is cut."""
+        """Return the values (ticks, *shape) of the next ticks, however the stream is cut."""
         if not self._sources:
             return np.zeros((ticks, *self._shape))
         while len(self._left) < ticks:
@@ -107,7 +107,7 @@ class Noise:
 
 
 def voluntary_torque(config: VoluntaryParameters, *, joints: int, seed: int) -> Noise:
-    """Voluntary torque and tremor d (n,), N·m, of a number of joints.
+    """Return voluntary torque and tremor d (n,), N·m, of a number of joints.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def voluntary_torque(config: VoluntaryParameters, *, joints: int, seed: int) -> 
 
 
 def reading_noise(sensors: SensorParameters, *, joints: int, seed: int) -> Noise:
-    """Noise (2, n) on readings of angles and torques, rad and N·m; arguments as above."""
+    """Return noise (2, n) on readings of angles and torques, rad, N·m; arguments as above."""
     rms = [sensors.position.noise] * joints + [sensors.torque.noise] * joints
     sources = [_blocks(rms, seed=seed, stream=_READINGS)] if any(rms) else []
     return Noise(sources, (2, joints))

@@ -16,39 +16,39 @@ from armimp_control import presets
 from armimp_control.rig import MOST_DELAY, KnownParameters
 
 THETA_1, THETA_2, IDEAL_VELOCITY, TICKS, OFFSET, SENSED_BEFORE = range(6)
-"""Memory between ticks: the last two positions, ∫ u dt, ticks since the start, distance of the
-target from θ_rd, and the first row of the role."""
+"""Rows of the memory between ticks: the last two positions, ∫ u dt, ticks since the start, distance
+of the target from θ_rd, and SENSED of the role at the last tick."""
 ANGLE, VELOCITY, DISTURBANCE = 6, 7, 8
-"""Memory of the observer: angle (rad), velocity (rad/s), acceleration that no torque explains
-(rad/s²)."""
+"""Rows of the observer's memory: angle (rad), velocity (rad/s), and acceleration that no known
+torque explains (rad/s²)."""
 COMMAND = 9
-"""The command sent, and in the rows after it those that the observer knows to be under way."""
+"""Row of the command sent; those after it hold what the observer knows to be still under way."""
 MEMORY_ROWS = COMMAND + 1 + MOST_DELAY
 
 SENSED, INERTIA, DAMPING, STIFFNESS, APPROACH, DITHER, DITHER_ANGLE, TARE, LATE = range(9)
-"""Role in a trial: share of τ_h' sensed; impedance that a joint is to show; what is left after a
-tick of the distance of its target from θ_rd; amplitude (rad) and angle per tick (rad) of the dither
-in its target; what the torque transducer reads at rest (N·m), which the law takes from τ_h'; and
-periods by which the observer takes commands to act late."""
+"""Rows of the role in a trial: share of τ_h' that is sensed; target inertia, damping and stiffness;
+share of the distance of the target from θ_rd that a tick leaves; amplitude (rad) and angle per tick
+(rad) of the dither in the target; what the torque transducer reads at rest (N·m), which the law
+subtracts from τ_h'; and periods by which the observer takes commands to act late."""
 ROLE_ROWS = 9
 
 INERTIA_MODEL, INVERSE, ANGLE_GAIN, VELOCITY_GAIN, DISTURBANCE_GAIN = range(5)
-"""Internal model in a trial, matrices (n, n): M̄ (kg·m²), and for the observer M̄⁻¹ and what an error
-of the encoders (rad) adds to angles (rad), velocities (rad/s) and accelerations (rad/s²)."""
+"""Matrices (n, n) of the internal model in a trial: M̄ (kg·m²), and for the observer M̄⁻¹ and the
+gains from innovations (rad) to angles (rad), velocities (rad/s) and accelerations (rad/s²)."""
 MODEL_ROWS = 5
 
 NO_JOINT = -1
 """Stands for the perturbed joint while all joints are locked."""
 
 IMBIC, PD, IMBIC_OBSERVER = 0, 1, 2
-"""What tells the laws apart in compiled code."""
+"""Codes of the laws in compiled code."""
 
 SECOND_TONE = 1.55
 """Frequency of the second sine of the dither, over that of the first.
 
-Rounding mixes the two: slow motion of the joint is read beside each ``m f_1 - n f_2``. With 1.3 the
-strongest, ``f_2 - f_1``, is at the end of the band, and the errors of a heavy locked joint hide the
-response of a light one; ratios of small whole numbers make many of them meet.
+Rounding mixes the two: slow motion of the joint also shows around each ``m f_1 - n f_2``. With 1.3
+the strongest of these, ``f_2 - f_1``, lies at the end of the band, and the errors of a heavy locked
+joint hide the response of a light one; with ratios of small whole numbers many of them coincide.
 """
 
 
@@ -64,23 +64,22 @@ class TargetParameters(Schema):
     stiffness: Vector
     """Target stiffness K_rd of each joint while it is perturbed (N·m/rad)."""
     lock_frequency: float = Field(default=100.0, ge=0.0, le=1e4)
-    """Natural frequency of the target of joints locked by the law imbic (rad/s); 0: the target that
-    they have while they are perturbed."""
+    """Natural frequency of the target of joints locked by the law imbic (rad/s); 0: they keep the
+    target of perturbed joints."""
     lock_damping_ratio: float = Field(default=1.0, gt=0.0)
     """Damping ratio of the target of joints locked by the law imbic (–)."""
     lock_approach: float = Field(default=0.05, ge=0.0)
-    """Time constant with which the target of a joint that gets locked goes from where the joint is
+    """Time constant with which the target of a joint that gets locked moves from where the joint is
     to the target posture (s); 0: it is there at once."""
     lock_dither: float = Field(default=0.0, ge=0.0, lt=0.01)
-    """Amplitude of each of two sines that locked joints make against the bias of their encoders
-    (rad)."""
+    """Amplitude of each of the two sines of the dither, with which locked joints move against the
+    bias of their encoders (rad)."""
     lock_dither_frequency: float = Field(default=35.0, gt=0.0, lt=0.5 * RATE / SECOND_TONE)
-    """Frequency of the first of two sines that locked joints make, above the band of the
-    perturbation (Hz)."""
+    """Frequency of the first sine of the dither, above the band of the perturbation (Hz)."""
 
 
 class LawParameters(Schema):
-    """Which law; internal model and ideal-velocity feedback of IMBIC; assumptions."""
+    """Choice of the law; internal model and ideal-velocity feedback of IMBIC; assumptions."""
 
     kind: Literal["imbic", "pd"] = "imbic"
     """Control law: imbic, or pd, plain PD locking as the negative control."""
@@ -90,13 +89,14 @@ class LawParameters(Schema):
     model_inertia: Vector
     """Inertia M̄ of the internal model of imbic, n×n row by row (kg·m²)."""
     encoder_resolution: float = Field(default=presets.FINEST, ge=1e-6, le=0.1)
-    """Rounding of the encoders that the observer expects (rad); a smaller one makes it faster, and
-    less patient with late commands."""
+    """Resolution of the encoders that the observer expects (rad); a finer one makes it faster, and
+    less tolerant of late commands."""
     perturbed_walk: PositiveVector = (0.4,)
-    """Rms change within a control period of the unknown torque, mostly friction, that the observer
-    expects of a joint while it is perturbed (N·m); one value for all joints or one for each."""
+    """Rms change in a control period that the observer expects of the unknown torque, mostly
+    friction, of a perturbed joint (N·m); one value for all joints or one for each."""
     locked_walk: PositiveVector = (0.02,)
-    """The same of a joint while it is locked (N·m); one value for all joints or one for each."""
+    """Rms change in a control period that the observer expects of the unknown torque of a locked
+    joint (N·m); one value for all joints or one for each."""
     gamma: float = Field(default=100.0, gt=0.0)
     """Gain Γ of the ideal-velocity feedback of imbic (rad/s)."""
     pd_frequency: float = Field(default=25.0, gt=0.0)
@@ -107,7 +107,7 @@ class LawParameters(Schema):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Law(ABC):
-    """A law with the parameters of the controller that it is made from."""
+    """Base of the laws, with the parameters of the controller from which a law is made."""
 
     target: TargetParameters
     law: LawParameters
@@ -116,7 +116,7 @@ class Law(ABC):
     @property
     @abstractmethod
     def kind(self) -> int:
-        """Which law it is in compiled code."""
+        """Code of the law in compiled code."""
 
     @property
     def joints(self) -> int:
@@ -135,11 +135,11 @@ class Law(ABC):
 
     @abstractmethod
     def role(self, perturbed: int | None) -> FloatArray:
-        """Law parameters (ROLE_ROWS, n) while joint ``perturbed`` (0-based) yields, others lock.
+        """Return the roles (ROLE_ROWS, n) while joint ``perturbed`` (0-based) yields, others lock.
 
-        With None all joints yield, with NO_JOINT all lock.
+        With None all joints yield, with NO_JOINT all are locked.
         """
 
     def model(self, _perturbed: int | None) -> FloatArray:
-        """Internal model (MODEL_ROWS, n, n) in the same trial; zeros of a law that has none."""
+        """Return the internal model (MODEL_ROWS, n, n) in that trial; zeros if the law has none."""
         return np.zeros((MODEL_ROWS, self.joints, self.joints))

@@ -12,29 +12,29 @@ estimation,
     τ_t  = τ_{t−L} + M̄ [u + Γ (v_id − θ̇) − θ̈_{t−L}]
 
 with θ̇ = (θ_k − θ_{k−1})/L and θ̈_{t−L} = (θ_k − 2θ_{k−1} + θ_{k−2})/L², where τ_{t−L} is the command
-actually sent, after saturation. One count of an encoder is a torque of M̄ δ/L² there. Or with an
-observer of angles θ̂, velocities v̂, and accelerations d̂ that no known torque explains, which takes
-the place of the differences in u as well,
+actually sent, after saturation. With it, one encoder count δ makes a torque of M̄ δ/L². Or, with an
+observer of angles θ̂, velocities v̂, and accelerations d̂ that no known torque explains, whose
+estimates also replace θ and the differences in u,
 
     τ_t  = M̄ [u + Γ (v_id − v̂) − d̂] + τ_h .
 
-The torque on the arm is measured, so what is left for the observer is the robot alone::
+The torque on the arm is measured, so the observer has to model the robot alone::
 
     a  = M̄⁻¹ (τ_{t−(1+D)L} − τ_h) + d̂
     e  = θ − (θ̂ + L v̂ + L²a/2)
     θ̂ ← θ̂ + L v̂ + L²a/2 + G_θ e,    v̂ ← v̂ + L a + G_v e,    d̂ ← d̂ + G_d e
 
-with the command that acted, where they are known to act D periods late.
+where τ_{t−(1+D)L} is the command that acted, as commands are known to act D periods late.
 
-When a joint gets locked, its target starts where the joint is and goes to θ_rd from there: a stiff
-target that jumps would ask for more torque than there is.
+When a joint gets locked, its target starts at the position of the joint and moves to θ_rd from
+there: a stiff target that jumps would ask for more torque than is available.
 
 A locked joint can be given a dither: two sines in its target, above the band of the perturbation,
-that move it by about a count of its encoder. A joint that is held to within a fraction of a count
-is read with an error that follows perturbation and voluntary torque, and every estimate is biased
-by it. With the dither readings are right on the mean: what is left of the error is in proportion
-to the characteristic function of the motion at the resolution (Schuchman, IEEE Trans. Commun.
-Technol. 12(4), 1964), here J_0(2π a/q)² for sines of amplitude a and a resolution q.
+that move it by about a count of its encoder. The reading of a joint that is held to within a
+fraction of a count has an error that depends on perturbation and voluntary torque, and that biases
+every estimate. With the dither, readings are right on average: the error that remains is
+proportional to the characteristic function of the motion at the resolution (Schuchman, IEEE Trans.
+Commun. Technol. 12(4), 1964), here J_0(2π a/q)² for sines of amplitude a and a resolution q.
 """
 
 from __future__ import annotations
@@ -89,13 +89,13 @@ class Imbic(Law):
 
     @property
     def kind(self) -> int:
-        """Which of the two internal models it has."""
+        """Code of the law with the chosen one of the two internal models."""
         return IMBIC_OBSERVER if self.law.internal_model == "observer" else IMBIC
 
     def model(self, perturbed: int | None) -> FloatArray:
-        """See :meth:`Law.model`; don't change it.
+        """See :meth:`Law.model`; don't modify the result.
 
-        Gains take some ten control periods to be worked out, so they are kept.
+        Computing the gains takes some ten control periods, so models are kept.
         """
         if perturbed not in self._models:
             rows = super().model(perturbed)
@@ -108,24 +108,23 @@ class Imbic(Law):
         return self._models[perturbed]
 
     def _gains(self, inverse: FloatArray, locked: BoolArray) -> FloatArray:
-        """G_θ, G_v (1/s) and G_d (1/s²), together (3, n, n): those of a steady-state Kalman filter.
+        """Return G_θ, G_v (1/s) and G_d (1/s²), (3, n, n), of a steady-state Kalman filter.
 
-        Rounding of the encoders counts as white noise of variance δ²/12. Torques that nobody knows,
-        mostly friction, count as random walks. They act on all joints through M̄⁻¹, so that friction
-        which is seen in the motion of the perturbed joint is known at the locked ones before they
-        move.
+        Rounding of encoders is modelled as white noise of variance δ²/12, and unknown torques,
+        mostly friction, as random walks. They act on all joints through M̄⁻¹, so friction that shows
+        in the motion of the perturbed joint is known at the locked joints before they move.
 
         Parameters
         ----------
         inverse : (n, n) M̄⁻¹, 1/(kg·m²)
-        locked : (n,) which joints are
+        locked : (n,) which joints are locked
         """
-        # Only this law has to wait for the import.
+        # Imported here, so that other laws need not wait for it.
         from scipy.linalg import solve_discrete_are
 
         n, law = len(inverse), self.law
         unit, none = np.eye(n), np.zeros((n, n))
-        # Angles, velocities, and the unknown torques against them.
+        # The state: angles, velocities, and the unknown torques that oppose them.
         transition = np.block(
             [
                 [unit, PERIOD * unit, -0.5 * PERIOD**2 * inverse],
@@ -150,8 +149,8 @@ class Imbic(Law):
         """See :meth:`Law.role`.
 
         Rows: share of τ_h' sensed (1 or 0), M_rd (kg·m²), B_rd (N·m·s/rad), K_rd (N·m/rad), what a
-        tick leaves of the distance between target and θ_rd, amplitude (rad) and angle per tick
-        (rad) of the dither in the target, tare (N·m; 0), periods by which commands act late.
+        tick leaves of the distance from target to θ_rd (a factor), amplitude (rad) and angle per
+        tick (rad) of the target's dither, tare (N·m; 0), periods by which commands act late.
         """
         locked = self.locked(perturbed)
         target, rows = self.target, np.empty((ROLE_ROWS, self.joints))
@@ -187,7 +186,7 @@ def _observe(
     memory: FloatArray,
     command: FloatArray,
 ) -> None:
-    """Let ANGLE, VELOCITY and DISTURBANCE be those of this sample; ``command`` is overwritten."""
+    """Update ANGLE, VELOCITY and DISTURBANCE with this sample; ``command`` is work space."""
     n, late = theta.size, int(role[LATE, 0])
     for i in range(n):
         command[i] = memory[COMMAND + late, i] - (tau_h[i] - role[TARE, i])
@@ -226,7 +225,7 @@ def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
 
     Parameters
     ----------
-    observer : whether it is the internal model
+    observer : whether the internal model is the observer
     theta, tau_h, tau_delta : (n,) rad, N·m, N·m: encoders, torque transducers, perturbation
     role : (ROLE_ROWS, n) from :meth:`Imbic.role`
     target : (n,) θ_rd, rad
@@ -281,14 +280,14 @@ def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
 
 @inlined
 def forgo(command: FloatArray, model: FloatArray, period: float, memory: FloatArray) -> None:
-    """Take from the ideal velocity what a clipped command can't bring about.
+    """Subtract from the ideal velocity what a clipped command can't bring about (anti-windup).
 
-    Otherwise it would go on without limit while commands are clipped, and throw the joint about
-    once they no longer are. With this it comes to the observed velocity, as fast as Γ.
+    Otherwise it would grow without limit while commands are clipped, and throw the joint about once
+    they no longer are. With this it approaches the observed velocity, as fast as Γ.
 
     Parameters
     ----------
-    command : (n,) what is sent, N·m; the memory still has what was asked for
+    command : (n,) what is sent, N·m; the memory still holds what the law asked for
     model, period, memory : as of :func:`imbic`
     """
     n = command.size

@@ -1,4 +1,4 @@
-"""Whichever law is chosen, between the two steps of the safety limiter."""
+"""The chosen law, between the two steps of the safety limiter."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ LAWS: Final[Mapping[str, type[Law]]] = {"imbic": Imbic, "pd": Pd}
 
 
 def _unpacked(w: FloatArray, n: int) -> tuple[FloatArray, ...]:
-    """Views of what a controller works on.
+    """Return views of the array `w` on which a controller works.
 
     They are sample; command and target posture; role; rules, memory of the law and of the limiter;
     internal model; journal; Γ (rad/s) and L (s).
@@ -76,7 +76,7 @@ def _unpacked(w: FloatArray, n: int) -> tuple[FloatArray, ...]:
 
 
 def packed_size(n: int) -> int:
-    """Numbers of a controller of n joints."""
+    """Return the length of the array on which a controller of n joints works."""
     rows = 5 + ROLE_ROWS + RULE_ROWS + MEMORY_ROWS + LIMITER_ROWS + MODEL_ROWS * n
     return rows * n + JOURNAL + 2
 
@@ -86,20 +86,20 @@ _views = inlined(_unpacked)
 
 @compiled
 def packed_tick(law: int, n: int, w: FloatArray) -> int:
-    """One tick of a law, with the safety limiter before and after it.
+    """Compute one tick of a law, with the safety limiter before and after it.
 
     Parameters
     ----------
     law : `kind` of the law
     n : number of joints
-    w : (packed_size(n),) all that a controller works on, see :func:`_unpacked`; the sample comes
+    w : (packed_size(n),) array on which a controller works, see :func:`_unpacked`; the sample comes
         first: θ (rad), τ_h and τ_Δ (N·m), then the command, which is written (N·m)
 
     Returns
     -------
     int
-        Number of joints whose command was clipped. After a stop, which the journal tells, the law
-        is not computed any more and its memory is empty.
+        Number of joints whose command was clipped. After a stop, which the journal records, the law
+        is no longer computed and its memory is zero.
     """
     sample, posture, role, rules, memory, limiter, model, journal, scalars = _views(w, n)
     theta, tau_h, tau_delta = sample[0], sample[1], sample[2]
@@ -134,20 +134,20 @@ def packed_tick(law: int, n: int, w: FloatArray) -> int:
 
 @compiled_entry
 def _tick(law: int, n: int, w: FloatArray) -> int:
-    """:func:`packed_tick` for Python: each array that is passed takes as long as the law."""
+    """:func:`packed_tick` for Python; one array, as passing each takes as long as the law."""
     return packed_tick(law, n, w)
 
 
 class Controller:
     """A law and its safety limiter with their memory, for use tick by tick.
 
-    Arrays given back are reused; copy what must last. A limiter that has stopped stays so.
+    Returned arrays are reused; copy what must last. A limiter that has stopped stays stopped.
 
     Parameters
     ----------
     law : one of :data:`LAWS`
     safety : limits
-    storage : (packed_size(n),) zeros for all that it works on, if it is to be there
+    storage : (packed_size(n),) zeros to work on; by default a new array
 
     Attributes
     ----------
@@ -175,16 +175,16 @@ class Controller:
         scalars[:] = law.law.gamma, PERIOD
         self.rules[:] = safety.rules(law.target_posture, PERIOD)
         self._tare = np.zeros(n)
-        # None of them is to be worked out between two samples.
+        # Computed beforehand, so that none has to be between two samples.
         for joint in (NO_JOINT, *range(n)):
             law.model(joint)
         self.perturb_joint(0)
         self._ramp_ticks = safety.ramp_ticks(PERIOD)
-        self._notes = self._journal.data  # read in half the time
+        self._notes = self._journal.data  # a memoryview, read in half the time
 
     @property
     def stopped(self) -> bool:
-        """Whether the torque is zero, or on its way there, for good."""
+        """Whether the torque is zero, or ramping down to it, for good."""
         return self._notes[STOPPED] != 0.0
 
     @property
@@ -205,15 +205,15 @@ class Controller:
     def perturb_joint(self, joint: int | None) -> None:
         """Make ``joint`` (0-based; None: all) compliant and lock the others, without a jump.
 
-        With NO_JOINT all are held.
+        With NO_JOINT all joints are locked.
         """
         self.role[:], self.model[:] = self.law.role(joint), self.law.model(joint)
         self.role[TARE] = self._tare
 
     def tare(self, offset: Sequence[float]) -> None:
-        """From now on take what torque transducers read at rest (n,), N·m, from their readings.
+        """Subtract what torque transducers read at rest (n,), N·m, from their readings from now on.
 
-        Only what a law makes of them changes; the limiter checks the readings themselves.
+        Only the law uses the difference; the limiter checks the readings themselves.
         """
         self._tare[:] = offset
         self.role[TARE] = self._tare
@@ -233,7 +233,7 @@ class Controller:
         stop_commands(max(int(ticks), 1), False, self._limiter, self._journal)
 
     def continue_ramp(self, ticks: int) -> None:
-        """Go on with the ramp after a stop by some ticks, where no samples come."""
+        """Advance the ramp after a stop by some ticks, where no samples come."""
         continue_ramp(ticks, self.command, self.rules, self._limiter, self._journal)
 
     def tick(self, theta: FloatArray, tau_h: FloatArray, tau_delta: FloatArray) -> int:
@@ -242,12 +242,12 @@ class Controller:
         return self.compute()
 
     def compute(self) -> int:
-        """:meth:`tick` of what was written into :attr:`sample`."""
+        """Compute as :meth:`tick`, from what was written into :attr:`sample`."""
         return _tick(self._kind, self._joints, self._all)
 
 
 def compile_law(law: Law, safety: SafetyParameters) -> None:
-    """Have all that a controller calls compiled, before time matters."""
+    """Compile everything that a controller calls, before time matters."""
     spare = Controller(law, safety=safety)
     spare.compute()
     spare.stop()

@@ -1,4 +1,4 @@
-"""Plain PD locking: the negative control, which shows what the law of the study is needed for.
+"""Plain PD locking: the negative control, which shows why the law of the study is needed.
 
 With encoders alone, once per tick of length L::
 
@@ -9,11 +9,11 @@ where θ̇ = (θ_k − θ_{k−1})/L. Nothing compensates friction, inertia, cou
 arm. So locked joints give way in proportion to their load, and the perturbed joint shows the
 inertia and the friction of the robot on top of its target impedance.
 
-The gains are those of a joint that carries the inertia M of the robot, given a natural frequency ω
-and a damping ratio ζ: K_p = ω² M, K_d = 2ζω M. Assumption: ω = 25 rad/s, ζ = 1. What limits ω on a
-rig is chatter, since one count δ of an encoder commands K_d δ/L: here 2.2 N·m at the shoulder at
-resolution level 3, as much as its Coulomb friction at level 3. (Sampling alone would allow
-450 rad/s.) The stiffness is then 221 and 113 N·m/rad.
+The gains give a joint that carries the inertia M of the robot a natural frequency ω and a damping
+ratio ζ: K_p = ω² M, K_d = 2ζω M. Assumption: ω = 25 rad/s, ζ = 1. On a rig, ω is limited by
+chatter, since one encoder count δ commands K_d δ/L: here 2.2 N·m at the shoulder at resolution
+level 3, as much as its Coulomb friction at level 3. (Sampling alone would allow 450 rad/s.) The
+stiffness is then 221 and 113 N·m/rad.
 """
 
 from __future__ import annotations

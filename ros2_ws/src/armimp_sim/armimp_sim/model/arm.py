@@ -70,11 +70,11 @@ class ReflexParameters(Schema):
     """
 
     velocity_gain: Vector = (0.0,)
-    """Torque of the stretch reflex for the velocity of the joint (N·m·s/rad); one value or one for
-    each joint."""
+    """Gain of the stretch reflex from the velocity of the joint to torque (N·m·s/rad); one value or
+    one for each joint."""
     stretch_gain: Vector = (0.0,)
-    """Torque of the stretch reflex for the angle from the posture (N·m/rad); one value or one for
-    each joint."""
+    """Gain of the stretch reflex from the angle from the posture to torque (N·m/rad); one value or
+    one for each joint."""
     delay: float = Field(default=0.04, ge=0.0, le=0.2)
     """Delay of the stretch reflex (s)."""
     muscle: float = Field(default=50.0, ge=1.0, le=1000.0)
@@ -95,19 +95,19 @@ class MuscleParameters(Schema):
     """Additional stiffness of a muscle within its short range (N·m/rad); one value or one for each
     joint."""
     short_range: float = Field(default=0.005, gt=0.0)
-    """Angle on both sides at which the short-range stiffness yields, and follows (rad)."""
+    """Stretch, in either direction, at which the short-range spring yields and follows (rad)."""
     cubic: float = 0.0
     """Relative change of the diagonal of the stiffness with the square of the angle from the
     posture (1/rad²); the torque is K_ii · cubic · angle³, negative for an arm that softens."""
     stiffening: float = 0.0
-    """Relative change of the stiffness K_h with time from the start of the simulation on (1/s)."""
+    """Relative change of the stiffness K_h per second from the start of the simulation on (1/s)."""
 
 
 class CuffParameters(Schema):
     """Spring and damper between each joint of the robot and that of the arm.
 
-    Transducers are on the robot's side. Values are assumptions: 100 kN·m/rad is a cast, straps go
-    down to 1 kN·m/rad.
+    Transducers are on the robot's side. Values are assumptions: 100 kN·m/rad for a cast, down to
+    1 kN·m/rad for straps.
     """
 
     stiffness: float = Field(default=0.0, ge=0.0)

@@ -20,7 +20,7 @@ _TORQUES = ("coulomb", "static", "sigma_0", "sigma_1", "sigma_2")
 
 
 class LuGre(Schema):
-    """LuGre friction of the joints (assumption); each value is one for all of them or one for each.
+    """LuGre friction of the joints (assumption); each parameter has one value, or one per joint.
 
     By default there is none.
     """
@@ -50,17 +50,17 @@ class LuGre(Schema):
         return self
 
     def of_joints(self, n: int) -> dict[str, FloatArray]:
-        """Values (n,) of `n` joints by name.
+        """Return the values (n,) for `n` joints by name.
 
         Raises
         ------
         ConfigurationError
-            If there are neither 1 nor n of one.
+            If a parameter has neither 1 nor n values.
         """
         return {name: each(f"friction.{name}", values, n) for name, values in self}
 
     def scaled(self, factors: Sequence[float]) -> LuGre:
-        """Friction of (n,) joints that is this one with all torques multiplied by their factors."""
+        """Return this friction with all torques of each joint multiplied by its factor (n,)."""
         values = self.of_joints(len(factors))
         values |= {name: values[name] * factors for name in _TORQUES}
         return LuGre.model_validate({name: one.tolist() for name, one in values.items()})
@@ -68,7 +68,7 @@ class LuGre(Schema):
 
 @compiled
 def bristle_force(v: float, coulomb: float, stribeck: float, inverse_velocity: float) -> float:
-    """g(v), N·m, of Fc and Fs − Fc, N·m, and 1/vs, s/rad."""
+    """Return g(v), N·m, for Fc and Fs − Fc, N·m, and 1/vs, s/rad."""
     x = v * inverse_velocity
     return coulomb + stribeck * exp_minus(x * x)
 
@@ -77,6 +77,6 @@ def bristle_force(v: float, coulomb: float, stribeck: float, inverse_velocity: f
 def lugre(
     v: float, z: float, level: float, sigma_0: float, sigma_1: float, sigma_2: float
 ) -> tuple[float, float]:
-    """ż and F of a joint with velocity v, rad/s, and deflection z, rad, where g(v) is `level`."""
+    """Return ż and F of a joint with velocity v, rad/s, deflection z, rad, and g(v) = `level`."""
     dz = v - sigma_0 * abs(v) * z / level
     return dz, sigma_0 * z + sigma_1 * dz + sigma_2 * v

@@ -10,14 +10,14 @@ from pydantic import Field, field_validator, model_validator
 from armimp_common.arrays import FloatArray
 from armimp_common.schema import NonNegativeVector, PositiveVector, Schema
 
-_SLOWEST = 2.0  # Hz; no drive has less
+_SLOWEST = 2.0  # Hz; no drive has a lower bandwidth
 
 
 class PlanarChain(Schema):
     """The exoskeleton (assumption): rigid links in series.
 
-    They turn about parallel vertical axes, so there is no gravity. What the first link weighs, and
-    where its centre is, has no effect beyond its moment.
+    They turn about parallel vertical axes, so there is no gravity. Mass and centre of the first
+    link have no effect beyond its moment of inertia.
     """
 
     lengths: NonNegativeVector
@@ -49,7 +49,7 @@ class PlanarChain(Schema):
         return len(self.lengths)
 
     def coefficients(self) -> FloatArray:
-        """A (n, n), kg·m²: kinetic energy is ½ Σ_ab A_ab cos(φ_a − φ_b) φ̇_a φ̇_b.
+        """Return A (n, n), kg·m²: the kinetic energy is ½ Σ_ab A_ab cos(φ_a − φ_b) φ̇_a φ̇_b.
 
         The angles φ of the links are absolute: φ_a = θ_1 + … + θ_a.
         """
@@ -64,7 +64,7 @@ class PlanarChain(Schema):
         return a
 
     def mass_matrix(self, theta: FloatArray) -> FloatArray:
-        """M_r(θ) (n, n), kg·m², at the joint angles ``theta`` (n,), rad."""
+        """Return M_r(θ) (n, n), kg·m², at the joint angles ``theta`` (n,), rad."""
         phi = np.cumsum(theta)
         absolute = self.coefficients() * np.cos(phi[:, None] - phi[None, :])
         return _suffix_sums(_suffix_sums(absolute, 0), 1)
@@ -75,10 +75,10 @@ def _suffix_sums(values: FloatArray, axis: int) -> FloatArray:
 
 
 class ActuatorParameters(Schema):
-    """Drives, all alike: a command is late, limited, and followed by a current loop.
+    """Drives, all alike: a command is delayed, limited, and followed by a current loop.
 
-    On the torque of the loop come ripple, in proportion to it, and cogging, both by the angle of
-    the joint.
+    Ripple, in proportion to the torque of the loop, and cogging are added to it; both depend on the
+    angle of the joint.
     """
 
     bandwidth: float = Field(default=0.0, ge=0.0, le=1e5)
@@ -90,11 +90,11 @@ class ActuatorParameters(Schema):
     ripple: float = Field(default=0.0, ge=0.0, lt=1.0)
     """Amplitude of the torque ripple as a share of the torque of the drive (–)."""
     ripple_cycles: float = Field(default=60.0, gt=0.0)
-    """Periods of the torque ripple in a turn of the joint (–)."""
+    """Periods of the torque ripple per turn of the joint (–)."""
     cogging: float = Field(default=0.0, ge=0.0)
     """Amplitude of the cogging torque of a drive (N·m)."""
     cogging_cycles: float = Field(default=120.0, gt=0.0)
-    """Periods of the cogging in a turn of the joint (–)."""
+    """Periods of the cogging per turn of the joint (–)."""
 
     @field_validator("bandwidth")
     @classmethod

@@ -1,4 +1,4 @@
-"""Encoders and torque transducers: what they read, when, and what they make of it."""
+"""Encoders and torque transducers: what they read, when, and with which errors."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class Sampling(str, Enum):
 class ReadingParameters(Schema):
     """What stands between a signal and its reading, in this order; the same for both sensors.
 
-    The signal passes a Butterworth low-pass and is read late. Gain and cross-talk, hysteresis, and
-    what is added make a value that is clipped and rounded. Filter and delay act within the control
-    period, on the grid of the integration.
+    The signal passes a Butterworth low-pass and a delay, then gain and cross-talk, and hysteresis.
+    Offset, drift, hum and noise are added, and the sum is clipped and rounded. Low-pass and delay
+    act within the control period, on the grid of the integration.
     """
 
     resolution: float = Field(default=0.0, ge=0.0)
@@ -38,14 +38,14 @@ class ReadingParameters(Schema):
     offset: Vector = (0.0,)
     """Offset of the readings (rad, N·m); one value or one for each joint."""
     drift: Vector = (0.0,)
-    """Speed with which the offset of the readings grows from the start of the simulation on (rad/s,
+    """Rate at which the offset of the readings grows from the start of the simulation on (rad/s,
     N·m/s); one value or one for each joint."""
     delay: float = Field(default=0.0, ge=0.0, le=0.1)
     """Delay of the readings (s), rounded to steps of the integration."""
     cutoff: float = Field(default=0.0, ge=0.0)
     """Cut-off frequency of the low-pass before the readings (Hz); 0 for none."""
     order: int = Field(default=1, ge=1, le=ORDERS)
-    """Order of the Butterworth low-pass before them."""
+    """Order of the Butterworth low-pass before the readings."""
     cross_talk: float = Field(default=0.0, ge=-0.5, le=0.5)
     """Share of the signal of every other joint that a reading shows (–)."""
     hysteresis: float = Field(default=0.0, ge=0.0)
@@ -57,7 +57,7 @@ class ReadingParameters(Schema):
     hum_frequency: float = Field(default=50.0, gt=0.0, le=500.0)
     """Frequency of the hum (Hz)."""
     limit: float = Field(default=0.0, ge=0.0)
-    """Largest size of a reading, beyond which it is clipped (rad, N·m); 0 for none."""
+    """Largest absolute value of a reading, to which it is clipped (rad, N·m); 0 for none."""
 
     @field_validator("gain")
     @classmethod
@@ -68,7 +68,7 @@ class ReadingParameters(Schema):
 
     @property
     def calibrated(self) -> bool:
-        """Whether gain, cross-talk and hysteresis are what everybody takes them for."""
+        """Whether the gain is 1, and there is neither cross-talk nor hysteresis."""
         return set(self.gain) == {1.0} and not (self.cross_talk or self.hysteresis)
 
 
@@ -83,5 +83,5 @@ class SensorParameters(Schema):
 
 @compiled
 def quantise(value: float, resolution: float) -> float:
-    """``value`` rounded to the nearest multiple of ``resolution`` (0 leaves it as it is)."""
+    """Round ``value`` to the nearest multiple of ``resolution`` (0 leaves it as it is)."""
     return float(np.rint(value / resolution) * resolution) if resolution > 0.0 else value
