@@ -40,8 +40,8 @@ def _share(value: object) -> object:
         share = float(value.strip().removesuffix("%")) / (100.0 if percent else 1.0)
     except ValueError:
         share = math.nan
-    if not 0.0 < share < 1.0:
-        hint = "" if percent or not share >= 1.0 else f"; did you mean {value.strip()}%?"
+    if not 0.0 <= share < 1.0:
+        hint = "" if percent or not 1.0 <= share < 100.0 else f"; did you mean {value.strip()}%?"
         raise ValueError(f"is no share such as 2% or 0.02{hint}")
     return share
 

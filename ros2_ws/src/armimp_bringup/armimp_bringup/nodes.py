@@ -246,11 +246,12 @@ class SeparateNodes(NodeGroup):
     def dead(self) -> Mapping[str, str]:
         """Say which nodes died, how, and the last line of their output."""
         sentences: dict[str, str] = {}
+        signals = {int(one): one.name for one in signal.Signals}
         for name, process in self.processes.items():
             status = process.poll()
             if status is not None:
                 how = (
-                    f"was killed by {signal.Signals(-status).name}"
+                    f"was killed by {signals.get(-status, f'signal {-status}')}"
                     if status < 0
                     else f"ended with status {status}"
                 )

@@ -412,7 +412,8 @@ class _Problem:
             more = self.free(variant)
             trial = self.solve(trial, more, self.used)[0]
             value = self.criterion(trial, more)
-            if value < criterion - _STRONG:
+            possible_too = self.model.possible(self.values(trial)) or criterion == math.inf
+            if value < criterion - _STRONG and possible_too:
                 criterion, solution, free = value, trial, more
         fitted = self.impedance(solution)
         lack = lack_of_fit(self.estimate, fitted)
@@ -469,7 +470,7 @@ class _Problem:
         # A parameter that went to 0 or to infinity has no effect any more.
         free = free & (size * np.maximum(np.abs(solution), _LEAST) > _LEAST)
         normal = (np.conj(flat[free]) @ weighted[free].T).real
-        if self.doubt:
+        if self.doubt and free[-1]:
             normal[-1, -1] += 1.0 / self.doubt**2
         scale = np.sqrt(np.diag(normal))
         inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-14)

@@ -174,7 +174,7 @@ def trace_figure(trials: Sequence[Trial]) -> Figure:
         rows = rows_of(one.segments, one.window.start_ns)
         stop = min(round(_SECONDS * first.rate), rows[0].values.shape[1])
         charts.append(trace_chart(rows, first, 0, stop, stop))
-    titles = [f"{_tex(names[one.window.joint])} perturbed" for one in trials]
+    titles = [f"{_tex(names[one.segments[0].perturbed_joint])} perturbed" for one in trials]
     return matrix_figure([charts], [titles], joint_strokes(names), row_height=0.8)
 
 

@@ -218,7 +218,8 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
     def _finish(self) -> None:
         """Record all messages that have come, and conclude."""
         self._record(incomplete=True)
-        self._recording.stop()
+        with self._giving_up():
+            self._recording.stop()
         self._conclude()
 
     def _on_samples(self, samples: int) -> None:

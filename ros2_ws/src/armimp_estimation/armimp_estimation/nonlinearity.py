@@ -244,7 +244,7 @@ TERMS: Mapping[str, Term] = {
     ),
     "slack": Term(
         bend=lambda signals: -play(signals[3], SLACK),
-        code=ProblemCode.HYSTERESIS,
+        code=ProblemCode.TORQUE_HYSTERESIS,
         kind=Kind.LOST,
         lacks=lambda torque, slack: -slack * play(torque, slack),
         size=_OWN_LAG,
@@ -874,8 +874,10 @@ def _step(
     """
     products, squares = _by_parts(instrument, term, left, _SHORT)
     none = 0.0, np.inf, 1.0
+    telling = squares > 0.0
+    products, squares = products[telling], squares[telling]
     total = float(np.sum(squares))
-    if not (squares > 0.0).all():
+    if not total:
         return none, 1
     freedom = total**2 / float(np.sum(squares**2)) - 2.0
     ends = np.arange(_FEWEST_PARTS, len(squares) - _FEWEST_PARTS + 1)

@@ -114,6 +114,7 @@ class ProblemCode(str, Enum):
     DEPENDS_ON_AMPLITUDE = "depends_on_amplitude"
     DEPENDS_ON_DIRECTION = "depends_on_direction"
     HYSTERESIS = "hysteresis"
+    TORQUE_HYSTERESIS = "torque_hysteresis"
     TORQUE_NOT_LINEAR = "torque_not_linear"
     GAIN_DRIFTS = "gain_drifts"
     DEPENDS_ON_SPEED = "depends_on_speed"

@@ -304,7 +304,7 @@ def clipping(signal: FloatArray, step: float) -> list[tuple[float, int]]:
     if values.size <= _NEIGHBOURS:
         return []
     steps = np.abs(np.diff(signal))
-    reach = _REACH * float(np.median(steps[steps > 0.0])) / step
+    reach = _REACH * float(np.median(steps[steps > 0.0])) / (step or 1.0)
     above = max(_NEIGHBOURS, int(np.sum(values <= values[0] + reach)) - 1)
     below = max(_NEIGHBOURS, int(np.sum(values >= values[-1] - reach)) - 1)
     found, visits = [], 0

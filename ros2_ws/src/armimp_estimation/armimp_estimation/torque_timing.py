@@ -206,8 +206,8 @@ class TorqueReading(JsonModel):
 
     @cached_property
     def _lag(self) -> float:
-        """Lag of the drives, a little away from the time constant of a low-pass of first order."""
-        if self.cutoff > 0.0 and self.order == 1:
+        """Lag of the drives, a little away from the time constant of a low-pass of odd order."""
+        if self.cutoff > 0.0 and self.order % 2:
             ratio = 2.0 * np.pi * self.cutoff * self.actuator_lag
             if abs(ratio - 1.0) < _APART:
                 return self.actuator_lag * (1.0 + 2.0 * _APART)

@@ -137,7 +137,7 @@ class TrialData:
     spectra: CrossSpectra
     """Of ``[tau_delta_k, theta_1..theta_n, tau_1..tau_n]`` over all stretches, N·m and rad."""
     problems: tuple[Problem, ...] = ()
-    """Readings of the record that were mended."""
+    """Readings of all stretches that were mended."""
     at_lines: bool = False
     """Whether the spectra are only at the lines of a periodic perturbation."""
 
@@ -166,8 +166,8 @@ class TrialData:
             if not (largest := float(np.max(sizes))) < _ABSURD:
                 raise DataError(f"trial {stretch.trial}: {largest:.3g} is no angle and no torque")
         whole = [mended(stretch) for stretch in stretches]
-        record, problems = max(whole, key=lambda one: one[0].samples)
         stretches = tuple(stretch for stretch, _ in whole)
+        record = max(stretches, key=lambda stretch: stretch.samples)
         drift = drift_of(record)
         if drift is not None and drift.significant:
             stretches = tuple(drift.removed_from(stretch) for stretch in stretches)
@@ -189,7 +189,7 @@ class TrialData:
             return cls(
                 record=record,
                 spectra=spectra,
-                problems=tuple(problems),
+                problems=tuple(one for _, problems in whole for one in problems),
                 at_lines=periods is not None,
             )
         except DataError as error:

@@ -54,7 +54,7 @@ def elbow(perturbation: Array, position: Array, torque: Array) -> TrialRecord:
 
 
 def significant(record: TrialRecord) -> dict[str, Deviation]:
-    return {name: one for name, one in deviations(record, ARM).items() if one.significant}
+    return {name: one for name, one in deviations(record, ARM)[0].items() if one.significant}
 
 
 def test_periods_and_lines_are_found_in_the_signal_itself() -> None:
@@ -165,7 +165,7 @@ def test_nonlinear_and_changing_arms_show_beside_a_lag_that_m_b_and_k_do_not_des
     arm = MBK(M=np.array([[0.01]]), B=np.array([[0.01]]), K=np.array([[K]]))
     shown = {
         name
-        for name, one in deviations(record, arm).items()
+        for name, one in deviations(record, arm)[0].items()
         if abs(one.share) > 4.5 * one.error and abs(one.share) > 0.02
     }
     assert shown >= found
@@ -200,7 +200,7 @@ def test_a_transient_at_the_start_does_not_hide_a_transducer_that_compresses() -
     share = 0.02
     compressed = torque - share / 3.0 * torque**3 / np.var(torque)
     noise = 1e-3 * np.random.default_rng(3).standard_normal(torque.size)
-    found = deviations(elbow(source, angle, compressed + noise), ARM)["gain"]
+    found = deviations(elbow(source, angle, compressed + noise), ARM)[0]["gain"]
     assert found.share == pytest.approx(-share, rel=0.3)
     assert found.error < 0.1 * share
 

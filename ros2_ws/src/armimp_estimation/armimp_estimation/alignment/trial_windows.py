@@ -204,7 +204,7 @@ def infer_windows(
         If no joint is perturbed, or several are at once.
     """
     stamps, first = np.unique(stamps, return_index=True)
-    active = perturbation[:, first] != 0.0
+    active = np.nan_to_num(perturbation[:, first]) != 0.0
     together = np.flatnonzero(active.sum(axis=0) > 1)
     if together.size:
         joints = ", ".join(str(k + 1) for k in np.flatnonzero(active[:, together[0]]))

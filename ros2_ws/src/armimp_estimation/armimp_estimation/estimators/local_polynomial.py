@@ -323,11 +323,12 @@ def _with_neighbours(
     windows where it is small by chance. Each window spans `width`, Hz.
     """
     reach = min(0.5 * width * _ENOUGH / freedom, _NEIGHBOURS)
-    total = min(round(freedom * 2.0 * reach / width), _ENOUGH)
+    low, high = np.searchsorted(f, f - reach), np.searchsorted(f, f + reach, side="right")
+    windows = min(2.0 * reach / width, int(np.min(high - low)))
+    total = min(round(freedom * windows), _ENOUGH)
     if freedom >= total:
         return noise, freedom
     sums = np.concatenate((np.zeros_like(noise[:1]), np.cumsum(noise, axis=0)))
-    low, high = np.searchsorted(f, f - reach), np.searchsorted(f, f + reach, side="right")
     mean = (sums[high] - sums[low]) / (high - low)[:, None, None]
     share = freedom / total
     return share * noise + (1.0 - share) * mean, total

@@ -30,7 +30,13 @@ from armimp_estimation.hold_correction import (
 from armimp_estimation.mbk import MBK
 from armimp_estimation.periods import common_lines
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.signal_quality import lost_motion, rounding_lead, speed_of, without_slow
+from armimp_estimation.signal_quality import (
+    lost_motion,
+    mended,
+    rounding_lead,
+    speed_of,
+    without_slow,
+)
 from armimp_estimation.spectra import BAND
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData, drift_of
@@ -207,7 +213,7 @@ class LpmFull:
         DataError
             If a record is too short, joint k does not move, or R cannot be inverted.
         """
-        by_joint = {one.perturbed_joint: _without_drift(one) for one in (*others, record)}
+        by_joint = {one.perturbed_joint: _cleaned(one) for one in (*others, record)}
         joints, k = sorted(by_joint), record.perturbed_joint
         found = self._estimate([by_joint[joint] for joint in joints])
         preliminary = len(joints) < record.joints
@@ -448,7 +454,9 @@ def _uneven(
     return tuple(shares)
 
 
-def _without_drift(record: TrialRecord) -> TrialRecord:
+def _cleaned(record: TrialRecord) -> TrialRecord:
+    """Return a record as :meth:`TrialData.of` does."""
+    record = mended(record)[0]
     drift = drift_of(record)
     return drift.removed_from(record) if drift is not None and drift.significant else record
 
