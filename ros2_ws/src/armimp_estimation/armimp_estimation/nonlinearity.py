@@ -109,6 +109,8 @@ _JUMPING = 15.0
 relative to the control period, N·m/s: a quarter of 2 N·m (assumption) at 30 rad/s."""
 _LEFT = 0.01
 """Share of the torque that a linear arm may leave, and least share of an abrupt change."""
+_BETWEEN = 0.05
+"""Largest share of a linear residual that the linear filters leave between their frequencies."""
 _LEAST = 10.0
 _INFORMATIVE = 0.1
 """Share of a term, taken of the perturbed motion alone, that must be left once linear responses are
@@ -636,7 +638,12 @@ class _Motion:
         # The residual of a linear arm whose fit is slightly wrong is in proportion to the torque.
         nearly = band.weights(inner, _LEFT * band.inner(torque))
         left, moved, shown = map(band.of, (rest, record.position[self._k], record.torque[joint]))
-        weighed = [(one, linear.removed(band.signal(one * left)[kept])) for one in (nearly, white)]
+        weighed = []
+        for weights in (nearly, white):
+            whole = band.signal(weights * left)[kept]
+            remains = linear.removed(whole)
+            # Filters are constant within each band, so some of what is linear remains.
+            weighed.append((weights, remains, _BETWEEN * float(np.linalg.norm(whole - remains))))
         steady = self._smooth.removed(band.signal(nearly * left)[kept])
         found = {}
         for name, one in TERMS.items():
@@ -650,10 +657,13 @@ class _Motion:
             alone = one.bend(loaded if of_gain or one.even else known)
             turns = alone + turns if of_gain or one.even else turns
             bent = np.stack([band.of(signal) for signal in (turns, whole, alone)])
-            weights, remains = weighed[1 if of_gain else 0]
+            weights, remains, linear_left = weighed[1 if of_gain else 0]
             cause, term, alone = (band.signal(weights * part)[kept] for part in bent)
             instrument = linear.unlike(cause)
-            estimate = _ratio(*_by_parts(instrument, linear.removed(term), remains))
+            term = linear.removed(term)
+            slope, error, freedom = _ratio(*_by_parts(instrument, term, remains))
+            error = float(np.hypot(error, linear_left / np.linalg.norm(term)))
+            estimate = slope, error, freedom
             if np.linalg.norm(linear.unlike(alone)) <= _INFORMATIVE * np.linalg.norm(alone):
                 estimate = estimate[0], np.inf, estimate[2]
             at_lines = False
