@@ -695,6 +695,10 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         add(RIGHT, "command gain", (f"{factor:g}", {"readings": changed(command=_times(factor))}))
         one_drive = changed(command=_row(1, factor))
         add(RIGHT, "command gain of joint 2", (f"{factor:g}", {"readings": one_drive}))
+        for row, hiding in product((0, 1), (0.0, 0.3)):
+            scale = changed(position=_row(row, factor))
+            about: dict[str, Any] = {"voluntary": hiding, "readings": scale}
+            add(MUST, f"scale of encoder {row + 1}, {factor:g}", (f"{hiding:g} N·m", about))
     for row in (0, 1):
         turned = changed(position=_row(row, -1.0), torque=_row(row, -1.0))
         add(MUST, "sign of angle and torque of joint", (f"{row + 1}", {"readings": turned}))

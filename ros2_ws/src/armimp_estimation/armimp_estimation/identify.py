@@ -280,7 +280,10 @@ def identify(
         balance = responses.balance(order, hold, reading, fit)
     unbalanced, gains = judge_balance(names, balance, fit, options.calibration)
     problems += [*unbalanced, *judge_answers(names, records, balance, fit)]
-    results = {name: one.with_gains_in_doubt(gains) for name, one in results.items()}
+    scales = [] if balance is None else balance.scales_in_doubt(fit)
+    results = {
+        name: one.with_gains_in_doubt(gains).with_doubts(scales) for name, one in results.items()
+    }
     return Identification(
         joint_names=names,
         trials=tuple(

@@ -100,6 +100,7 @@ class ProblemCode(str, Enum):
     COMMANDS_UNRELATED = "commands_unrelated"
     GAIN_DOUBTED = "gain_doubted"
     GAIN_UNCONFIRMED = "gain_unconfirmed"
+    SCALES_DIFFER = "scales_differ"
     ROBOT_INERTIA_IMPOSSIBLE = "robot_inertia_impossible"
     CLIPPED = "clipped"
     STUCK = "stuck"

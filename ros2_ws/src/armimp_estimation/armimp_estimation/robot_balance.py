@@ -87,6 +87,10 @@ _UNCONFIRMED = 0.1
 """Assumption: relative error of a gain that nobody has declared and no command confirms."""
 _UNCONFIRMED_CROSS_TALK = 0.03
 """Assumption: error of cross-talk in the same case."""
+_SLIGHT = 0.1
+"""Share of an element that friction of locked joints takes, below which it hardly bends that."""
+_NOTICED = 2.0
+"""Standard errors from which on the scales of two encoders seem to differ."""
 _SPRING = 2.0
 """Standard errors from which on a joint of the robot seems to have a spring."""
 _RUBBING = 2.0
@@ -163,7 +167,35 @@ class RobotBalance:
         """Whether no robot has this inertia: it is asymmetric, or has a negative eigenvalue."""
         M = self.M
         value, error = least_eigenvalue(M, self.M_se)
-        return bool(value < -_ERRORS * error or uneven(M, self.M_se, ASYMMETRY).any())
+        ratio, its_error = self.scales
+        unlike = np.abs(ratio) > GAIN_TOLERANCE + _ERRORS * its_error
+        asymmetric = unlike | uneven(M, self.M_se, ASYMMETRY)
+        return bool(value < -_ERRORS * error or asymmetric.any())
+
+    @property
+    def scales(self) -> tuple[FloatArray, FloatArray]:
+        """Relative difference of M_ij and M_ji, and its standard error, (n, n).
+
+        As the inertia is symmetric, it is that of the scales of encoders j and i. It is 0 with an
+        infinite error where friction of locked joints takes a tenth of an element or more.
+        """
+        taken = np.maximum(self.friction, self.unseen)
+        slight = (np.maximum(taken, taken.T) < _SLIGHT) & ~np.eye(len(taken), dtype=np.bool_)
+        size = np.maximum(np.minimum(np.abs(self.M), np.abs(self.M.T)), _TINY)
+        error = np.hypot(self.M_se, self.M_se.T)
+        return (
+            np.where(slight, (self.M - self.M.T) / size, 0.0),
+            np.where(slight, error / size, np.inf),
+        )
+
+    def scales_in_doubt(self, arm: MBKFit) -> list[FloatArray]:
+        """Changes of M, B and K, (3, n, n), by each of two scales that seem to differ."""
+        ratio, error = self.scales
+        matrices, changes = np.stack((arm.mbk.M, arm.mbk.B, arm.mbk.K)), []
+        for i, j in np.argwhere(np.abs(ratio) > _NOTICED * error):
+            changes.append(np.zeros_like(matrices))
+            changes[-1][:, :, j] = ratio[i, j] * matrices[:, :, j]
+        return changes
 
     @property
     def errors(self) -> FloatArray:
@@ -610,6 +642,11 @@ def judge_balance(
         )
     if wrong:
         return problems, np.zeros(own.shape)
+    ratio, ratio_error = balance.scales
+    for i, j in np.argwhere(np.triu(np.abs(ratio) > _NOTICED * ratio_error)):
+        percent, error = 100.0 * ratio[i, j], 100.0 * ratio_error[i, j]
+        pair = {"name": names[i], "other": names[j], "percent": percent, "error": error}
+        problems.append(problem(ProblemCode.SCALES_DIFFER, severity=Severity.NOTE, **pair))
     doubts = _gains_in_doubt(shares, errors, _springs(balance, arm), calibration)
     doubts = np.maximum(doubts, np.abs(possible))
     own_shares, own_errors, own_doubts = map(np.diag, (shares, errors, doubts))
