@@ -387,7 +387,7 @@ class ProtectedDriver(DriverBase[Protection, ModelT], ABC, Generic[ModelT]):
             monitors=[self.controller],
         )
         self._meter = TimingMeter()
-        self._sent_ns = self._stamp_ns = 0
+        self._stamp_ns = 0
         self.restart_clock()
 
     def restart_clock(self) -> None:
@@ -395,8 +395,11 @@ class ProtectedDriver(DriverBase[Protection, ModelT], ABC, Generic[ModelT]):
         self._begin_ns: int | None = None
 
     def check_sample(self, angles: Sequence[float], periods: int) -> None:
-        """Check the angles (n,), rad, of a sample that ends `periods` periods; 0 in lockstep."""
-        self.limiter.sample(angles)
+        """Check the angles (n,), rad, of a sample that ends `periods` periods; 0 in lockstep.
+
+        Latencies of commands count from this call.
+        """
+        self.limiter.sample(angles, time.monotonic_ns())
         for _ in range(periods):
             if self.limiter.period():
                 self._meter.missed()
@@ -408,7 +411,7 @@ class ProtectedDriver(DriverBase[Protection, ModelT], ABC, Generic[ModelT]):
         self, stamp_ns: int, angles: Sequence[float], torques: Sequence[float]
     ) -> None:
         """Publish a sample: stamp, ns; angles (n,), rad; torques on the arm (n,), N·m."""
-        now_ns = self._sent_ns = time.monotonic_ns()
+        now_ns = time.monotonic_ns()
         self.joint_states.publish(stamp_ns, angles)
         self.torque_sensors.publish(stamp_ns, torques)
         # The first sample may itself be late, so the earliest one so far tells when others are due.
@@ -423,9 +426,11 @@ class ProtectedDriver(DriverBase[Protection, ModelT], ABC, Generic[ModelT]):
         """Pass a command (n,), N·m, on to the drives, as far as the protection allows."""
         if not self.active:
             return
-        self._meter.answered(time.monotonic_ns() - self._sent_ns)
+        now_ns = time.monotonic_ns()
         with self.locked:
             self.limiter.command(command)
+            if (sent_ns := self.limiter.watch.answered_ns) is not None:
+                self._meter.answered(now_ns - sent_ns)
             self.drive(self.limiter.applied)
 
     def torque_was_taken(self) -> None:
