@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from armimp_common.arrays import FloatArray
+from armimp_common.errors import ConfigurationError
 from armimp_common.realtime import SchedulingParameters
 from armimp_common.schema import Schema, Vector, each, matrix, require_length
 from armimp_common.topics import PERIOD
@@ -154,7 +155,12 @@ class ControllerParameters(Schema):
             require_length(name, attrgetter(name)(self), n, n)
         require_length("perturbation.peak", self.perturbation.peak, n, n)
         each("perturbation.angle_limit", self.perturbation.angle_limit, n)
-        self.priors()
+        optimal = self.perturbation.kind == "optimal"
+        if not all(one.arm[0] > 0.0 or not optimal for one in self.priors()):
+            raise ConfigurationError(
+                "optimal perturbations need a positive inertia of the arm at every joint, "
+                f"known.arm_inertia is {list(self.known.arm_inertia)}"
+            )
         law = self.control_law()
         self.safety.rules(law.target_posture, PERIOD)
         return check_stability(law)

@@ -51,6 +51,12 @@ def test_a_value_that_makes_no_sense_is_refused_and_named(name: str, values: lis
             build(ControllerParameters, {**PRESET, name: value}).check()
 
 
+def test_an_optimal_perturbation_of_a_joint_without_an_arm_is_refused() -> None:
+    without = {**PRESET, "perturbation.kind": "optimal", "known.arm_inertia": [0.1, 0, 0, 0]}
+    with pytest.raises(ConfigurationError, match=r"known\.arm_inertia is \[0\.1, 0\.0, "):
+        build(ControllerParameters, without).check()
+
+
 def test_the_slowest_rate_limit_brings_the_torque_down_just_in_time() -> None:
     slow = SafetyParameters(torque_limit=80.0, rate_limit=1600.0, ramp_time=0.05)
     assert slow.rules(np.zeros(2), PERIOD).shape[1] == 2
