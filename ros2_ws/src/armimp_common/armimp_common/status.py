@@ -220,6 +220,13 @@ class TrialStatus(Record):
         return self
 
     @property
+    def level(self) -> Level:
+        """ERROR for an aborted trial, WARN for another one that is not valid."""
+        if self.phase is Phase.ABORTED:
+            return Level.ERROR
+        return Level.OK if self.valid else Level.WARN
+
+    @property
     def sentence(self) -> str:
         """The status in words, for the ``message`` of the DiagnosticStatus."""
         text = (
@@ -404,10 +411,8 @@ def make_status(
 def status_message(
     record: TrialStatus | StoppingDecision | TimingFigures | Progress,
 ) -> DiagnosticStatus:
-    """Return the message of a record; aborted trials are an ERROR, other invalid ones a WARN."""
-    level = Level.OK
-    if isinstance(record, TrialStatus) and not record.valid:
-        level = Level.ERROR if record.phase is Phase.ABORTED else Level.WARN
+    """Return the message of a record."""
+    level = record.level if isinstance(record, TrialStatus) else Level.OK
     return make_status(record.STATUS_NAME, level, record.sentence, record.to_values())
 
 
