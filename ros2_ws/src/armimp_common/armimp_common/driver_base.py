@@ -229,7 +229,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         self.report_news()
 
     def _name_publishers(self, *, last: bool = False) -> None:
-        """Add the names of all publishers of commands to an accusation, as they become known.
+        """Note the names of all publishers of commands after an accusation, as they become known.
 
         Torque is gone already; the middleware may learn only later which node a publisher is of.
         """
@@ -243,12 +243,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         ]
         self._commanders = max(self._commanders, len(known))
         new = known if self._commanders > 1 or not last else [*known, _LEFT]
-        with self.locked:
-            for name in new:
-                if name not in self._names and len(self._names) < _MOST_NAMES:
-                    self.limiter.fault += ", " if self._names else "; published by "
-                    self.limiter.fault += name
-                    self._names.append(name)
+        self._names = list(dict.fromkeys([*self._names, *new]))[:_MOST_NAMES]
 
     def _conclude_accusation(self) -> None:
         """Wait a moment for names that are yet to be discovered, now that nothing else is due."""
@@ -277,12 +272,18 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
             if self.active:
                 self.torque_was_taken()
 
+    @property
+    def fault(self) -> str:
+        """Why torque was taken away, and the publishers of commands if it was for one too many."""
+        named = self._accused and self._names
+        return self.limiter.fault + (f"; published by {', '.join(self._names)}" if named else "")
+
     def report(self) -> None:
         """Publish the state of the rig on ``/diagnostics``."""
         if not self.configured or not self.context.ok():
             return
         with self.locked:
-            stamp_ns, fault, figures = self.stamp_ns(), self.limiter.fault, self.timing()
+            stamp_ns, fault, figures = self.stamp_ns(), self.fault, self.timing()
             values = {**self.values(), "applied": self.limiter.applied}
         if self._sequence.numbered is not None:
             by = "numbers and publishers" if self._sequence.numbered else "publishers alone"
@@ -297,7 +298,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
 
     def report_news(self) -> None:
         """Report a fault that has not been reported yet, or that one was cleared."""
-        if self.configured and self.limiter.fault != self.reported_fault:
+        if self.configured and self.fault != self.reported_fault:
             self.report()
 
     def _on_controller(self, controller: HeartbeatMonitor) -> None:
