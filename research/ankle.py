@@ -60,8 +60,8 @@ def ankle(
             with np.load(path) as content:
                 angle, torque = (np.ravel(content[n]).astype(float) for n in ("angle", "torque"))
                 rate = float(content["rate"])
-        except (OSError, KeyError, ValueError) as cause:
-            raise DataError(f"{path}: {cause}") from None
+        except Exception as cause:  # noqa: BLE001 (whatever a file that is no record leads to)
+            raise DataError(f"{path}: no angle, torque and rate: {cause}") from None
         torque = -torque if reverse else torque
         size = angle.size // PARTS
         spans = [slice(k * size, (k + 1) * size) for k in range(PARTS)]
