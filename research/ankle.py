@@ -18,15 +18,14 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from numpy.typing import NDArray
 
 import armimp
 from armimp_bringup import cli
+from armimp_common.arrays import FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.arm_models import ModelFit
 from research.writing import print_table
 
-FloatArray = NDArray[np.float64]
 PARTS = 4
 SHOWN = ("M", "B", "K", "velocity_gain", "stretch_gain", "delay", "muscle")
 

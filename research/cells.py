@@ -7,16 +7,15 @@ from dataclasses import dataclass, field
 from typing import Any, Final, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.study import parse_seeds
+from armimp_common.arrays import FloatArray
 from armimp_common.errors import ConfigurationError
 from armimp_common.topics import RATE
 from armimp_estimation.spectra import segment_for_samples
 from research.decomposition_trials import in_blocks, in_threads
 
-FloatArray = NDArray[np.float64]
 Levels: TypeAlias = tuple[int, int, int]
 """Levels of friction, resolution and perturbation."""
 Run: TypeAlias = tuple[float, str, FloatArray, FloatArray]

@@ -13,19 +13,18 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armimp_bringup.config import ExperimentConfig, Overrides
 from armimp_bringup.offline import SimulatedExperiment, simulate
 from armimp_bringup.parameters import node_parameters
 from armimp_bringup.study import parse_seeds
+from armimp_common.arrays import FloatArray
 from armimp_common.errors import ArmimpError, ConfigurationError
 from research.controller_figures import controller_figure
 from research.decomposition_trials import in_threads
 from research.options import InvestigationOptions
 from research.writing import present, print_table
 
-FloatArray = NDArray[np.float64]
 WALK, GAMMA, LOCK = "walk", "gamma", "lock"
 PARAMETERS: Final[Mapping[str, str]] = {
     WALK: "unknown torques / default",

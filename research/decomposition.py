@@ -8,9 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import simulate
 from armimp_bringup.study import parse_seeds
@@ -33,8 +30,6 @@ from research.decomposition_trials import (
 )
 from research.options import InvestigationOptions
 from research.writing import present
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

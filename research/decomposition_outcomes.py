@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_bringup.offline import SimulatedExperiment
+from armimp_common.arrays import BoolArray, FloatArray
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import fit_mbk
 from research.decomposition_statistics import (
@@ -22,9 +23,6 @@ from research.decomposition_trials import (
     matrices,
     scales,
 )
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

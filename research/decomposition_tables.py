@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray
 from research.decomposition_outcomes import Cell
 from research.decomposition_statistics import LEVEL, root_mean_square
 from research.decomposition_trials import ESTIMATORS, MIMO
 from research.writing import print_table
-
-FloatArray = NDArray[np.float64]
 
 LETTERS: Final = ("M", "B", "K")
 

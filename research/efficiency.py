@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import simulate
 from armimp_bringup.study import parse_seeds
+from armimp_common.arrays import FloatArray
 from armimp_common.errors import ConfigurationError
 from armimp_control.perturbation import PerturbationKind
-from research.cells import LETTERS, FloatArray, Levels
+from research.cells import LETTERS, Levels
 from research.coverage_statistics import QUANTILE
 from research.decomposition_trials import (
     ESTIMATOR,

@@ -10,9 +10,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import SimulatedExperiment, simulate
 from armimp_bringup.study import parse_seeds
@@ -30,8 +27,6 @@ from research.growth_figures import growth_figure
 from research.growth_outcomes import Cell, Outcome
 from research.options import InvestigationOptions
 from research.writing import present, print_table
-
-FloatArray = NDArray[np.float64]
 
 JOINT_BY_JOINT: Final = ("welch_siso", "lpm_full")
 

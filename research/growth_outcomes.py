@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from armimp_bringup.offline import SimulatedExperiment
+from armimp_common.arrays import FloatArray
 from armimp_common.topics import RATE
-from research.cells import LETTERS, FloatArray
+from research.cells import LETTERS
 from research.decomposition_statistics import Mean, root_mean_square
 from research.decomposition_trials import (
     MIMO,

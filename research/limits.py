@@ -10,10 +10,11 @@ from scipy import signal
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import SimulatedExperiment, simulate
 from armimp_bringup.parameters import node_parameters
+from armimp_common.arrays import FloatArray
 from armimp_common.topics import RATE
 from armimp_estimation.spectra import BAND
 from armimp_sim.voluntary import VoluntaryParameters, band_filter
-from research.cells import FloatArray, Levels, Plan, Run
+from research.cells import Levels, Plan, Run
 from research.cramer_rao import (
     SensorNoise,
     cramer_rao_bound,

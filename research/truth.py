@@ -18,6 +18,7 @@ from scipy.signal import bilinear, butter, lfilter, sosfilt, sosfiltfilt
 from armimp_bringup.study import parse_seeds
 from armimp_bringup.terminal import display
 from armimp_common import topics
+from armimp_common.arrays import FloatArray
 from armimp_common.errors import ArmimpError, ConfigurationError
 from armimp_estimation.alignment.assemble import assemble_trials
 from armimp_estimation.alignment.streams import Streams
@@ -36,7 +37,6 @@ from research.independent_rig import (
 from research.options import InvestigationOptions
 from research.writing import print_table, to_json, write_tables
 
-FloatArray = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 Change = Callable[[FloatArray], FloatArray]
 MILLI = 1e-3
