@@ -20,6 +20,7 @@ from armimp_bringup.parameters import node_parameters
 from armimp_bringup.study import parse_seeds
 from armimp_common.arrays import FloatArray
 from armimp_common.errors import ArmimpError, ConfigurationError
+from research.cells import LETTERS
 from research.controller_figures import controller_figure
 from research.decomposition_trials import in_threads
 from research.options import InvestigationOptions
@@ -33,7 +34,6 @@ PARAMETERS: Final[Mapping[str, str]] = {
 }
 """Parameters that are varied, and their labels."""
 REFERENCE: Final = "tde"
-_ERRORS = ("M", "B", "K")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,7 +120,7 @@ def measure(experiment: SimulatedExperiment) -> dict[str, float]:
         assert result.vaf is not None
         row[f"{name}_vaf"] = float(np.min(result.vaf))
         row[f"{name}_coherence"] = float(np.min(result.coherence_derived))
-        for letter in _ERRORS:
+        for letter in LETTERS:
             error = getattr(result.fit.mbk, letter) / getattr(truth, letter) - 1.0
             row[f"{name}_{letter}"] = 100.0 * float(np.max(np.abs(error)))
     return row

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import simulate
 from research.cells import Levels, Plan, Run
 from research.coverage_figure import coverage_figure
 from research.coverage_statistics import NOMINAL, TARGET, Cell
 from research.coverage_tables import in_words, print_cells
-from research.decomposition_trials import matrices, scales, with_voluntary
+from research.decomposition_trials import relative_errors, with_voluntary
 from research.options import InvestigationOptions
 from research.writing import present
 
@@ -34,11 +32,9 @@ def run_coverage(plan: CoveragePlan, workers: int | None = None) -> list[Cell]:
         found: list[Run] = []
         for voluntary in plan.voluntary:
             for experiment in simulate(with_voluntary(base, voluntary, seeds)):
-                true = matrices(experiment.truth)
                 for name, one in experiment.identify(plan.estimators).estimators.items():
-                    stated = np.stack((one.fit.M_se, one.fit.B_se, one.fit.K_se))
-                    errors = matrices(one.fit.mbk) - true
-                    found.append((voluntary, name, errors / scales(true), stated / scales(true)))
+                    errors, stated = relative_errors(one.fit, experiment.truth)
+                    found.append((voluntary, name, errors, stated))
         return found
 
     return [

@@ -244,6 +244,12 @@ def matrices(mbk: MBK) -> FloatArray:
     return np.stack((mbk.M, mbk.B, mbk.K))
 
 
+def relative_errors(fit: MBKFit, truth: MBK) -> tuple[FloatArray, FloatArray]:
+    """Return errors of M, B and K and those that the fit states, (3, n, n), both over `scales`."""
+    true, stated = matrices(truth), np.stack((fit.M_se, fit.B_se, fit.K_se))
+    return (matrices(fit.mbk) - true) / scales(true), stated / scales(true)
+
+
 def run_together(
     experiments: Sequence[NodeParameters],
     *,

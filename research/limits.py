@@ -12,7 +12,6 @@ from armimp_bringup.offline import SimulatedExperiment, simulate
 from armimp_bringup.parameters import node_parameters
 from armimp_common.arrays import FloatArray
 from armimp_common.topics import RATE
-from armimp_estimation.spectra import BAND
 from armimp_sim.voluntary import VoluntaryParameters, band_filter
 from research.cells import Levels, Plan, Run
 from research.cramer_rao import (
@@ -21,7 +20,13 @@ from research.cramer_rao import (
     error_covariance,
     motion_in_band,
 )
-from research.decomposition_trials import estimate, matrices, scales, with_voluntary
+from research.decomposition_trials import (
+    estimate,
+    matrices,
+    relative_errors,
+    scales,
+    with_voluntary,
+)
 from research.limits_figure import limits_figure
 from research.limits_statistics import Cell
 from research.limits_tables import in_words, print_cells
@@ -62,9 +67,7 @@ def power_spectrum(config: VoluntaryParameters, f: FloatArray) -> FloatArray:
     return power
 
 
-def bound_of(
-    experiment: SimulatedExperiment, quiet: SimulatedExperiment, band: tuple[float, float]
-) -> FloatArray:
+def bound_of(experiment: SimulatedExperiment, quiet: SimulatedExperiment) -> FloatArray:
     """Cramér-Rao bound of one experiment.
 
     Parameters
@@ -72,12 +75,11 @@ def bound_of(
     experiment : its sensors and voluntary torque are the noise
     quiet : the same with a relaxed arm; its motion is used, see
         :mod:`research.cramer_rao`
-    band : lowest and highest frequency, Hz
 
     Returns
     -------
     (3, n, n) NDArray
-        Standard deviations of M, B and K, in kg·m², N·m·s/rad and N·m/rad.
+        Standard deviations of M, B and K, relative to ``sqrt(|X_ii X_jj|)``.
 
     Raises
     ------
@@ -88,11 +90,12 @@ def bound_of(
     noise = SensorNoise.of_rounding(
         angle=simulator.sensors.position.resolution, torque=simulator.sensors.torque.resolution
     )
-    f, motion = motion_in_band(quiet.records, band)
+    f, motion = motion_in_band(quiet.records)
     disturbance = power_spectrum(simulator.voluntary, f)
     samples = quiet.records[0].samples
     covariance = error_covariance(experiment.truth, f, samples, noise, disturbance)
-    return cramer_rao_bound(f, motion, covariance)
+    scale = scales(matrices(experiment.truth))
+    return np.asarray(cramer_rao_bound(f, motion, covariance) / scale)
 
 
 def run_limits(plan: LimitsPlan, workers: int | None = None) -> list[Cell]:
@@ -105,12 +108,10 @@ def run_limits(plan: LimitsPlan, workers: int | None = None) -> list[Cell]:
         for torque in plan.voluntary:
             experiments = simulate(with_voluntary(base, torque, seeds)) if torque else relaxed
             for experiment, quiet in zip(experiments, relaxed, strict=True):
-                true = matrices(experiment.truth)
-                bound = bound_of(experiment, quiet, BAND) / scales(true)
+                bound = bound_of(experiment, quiet)
                 for name, run in estimate(experiment, plan.estimators, plan.segment).items():
-                    found.append(
-                        (torque, name, (matrices(run.fit.mbk) - true) / scales(true), bound)
-                    )
+                    errors, _ = relative_errors(run.fit, experiment.truth)
+                    found.append((torque, name, errors, bound))
         return found
 
     return [
