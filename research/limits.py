@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import signal
@@ -13,7 +13,7 @@ from armimp_bringup.parameters import node_parameters
 from armimp_common.arrays import FloatArray
 from armimp_common.topics import RATE
 from armimp_sim.voluntary import VoluntaryParameters, band_filter
-from research.cells import Levels, Plan, Run
+from research.cells import ErrorPlan, Levels, Run
 from research.cramer_rao import (
     SensorNoise,
     cramer_rao_bound,
@@ -35,7 +35,7 @@ from research.writing import present
 
 
 @dataclass(frozen=True, kw_only=True)
-class LimitsPlan(Plan):
+class LimitsPlan(ErrorPlan):
     """The simulations to run."""
 
     levels: tuple[Levels, ...] = (
@@ -99,7 +99,7 @@ def bound_of(experiment: SimulatedExperiment, quiet: SimulatedExperiment) -> Flo
 
 
 def run_limits(plan: LimitsPlan, workers: int | None = None) -> list[Cell]:
-    """Simulate and estimate all of a plan, see :meth:`research.cells.Plan.runs`."""
+    """Simulate and estimate all of a plan, see :meth:`research.cells.ErrorPlan.runs`."""
 
     def work(base: ExperimentConfig, seeds: tuple[int, ...]) -> list[Run]:
         """Relative errors and relative bounds of M, B and K of each run."""
@@ -121,27 +121,8 @@ def run_limits(plan: LimitsPlan, workers: int | None = None) -> list[Cell]:
 
 
 def investigate(options: InvestigationOptions, plan: LimitsPlan | None = None) -> int:
-    """Compare errors with the bound, write ``limits.*`` and print the ratios.
-
-    Parameters
-    ----------
-    options : InvestigationOptions
-    plan : LimitsPlan, optional
-        By default 64 seeds of 50 s trials in six conditions, with and without voluntary torque.
-
-    Returns
-    -------
-    int
-        Exit status 0, whatever the ratios are: this is a measurement.
-
-    Raises
-    ------
-    ArmimpError
-        As :func:`run_limits`, or if a file can't be written.
-    """
-    chosen = plan if plan is not None else LimitsPlan()
-    if options.seeds is not None:
-        chosen = replace(chosen, seeds=options.seeds)
+    """Write and print errors over the bound; returns exit status 0, whatever they are."""
+    chosen = (plan or LimitsPlan()).with_seeds(options)
     cells = run_limits(chosen, options.workers)
     sentences = in_words(cells)
     result = {
