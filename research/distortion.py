@@ -58,9 +58,6 @@ def investigate(options: InvestigationOptions) -> int:
             codes = {problem.code for problem in result.problems} & CODES
             flagged += bool(codes) if code is None else code in codes
             valid += result.valid
-            found.update(
-                f"{one.severity.value} {one.sentence}" for one in result.problems if options.json
-            )
             found.update(one.value for one in codes)
         what = "anything" if code is None else code.value
         print(f"{name}: {flagged} of {len(seeds)} show {what}, {valid} valid; {dict(found)}")

@@ -15,6 +15,7 @@ from armimp_estimation.estimators.lpm import LpmFull
 from armimp_estimation.fit import fit_mbk
 from armimp_estimation.trial import TrialData
 from research import controller, coverage, decomposition, growth, limits
+from research.__main__ import main
 from research.coverage_statistics import QUANTILE, Share
 from research.cramer_rao import SensorNoise, cramer_rao_bound, error_covariance, motion_in_band
 from research.decomposition_statistics import Mean
@@ -77,6 +78,14 @@ def test_a_study_leaves_tables_and_a_figure_and_prints_json(
     for figure in tmp_path.glob("*.p[nd][gf]"):
         assert figure.stat().st_size > 5_000
     assert {path.suffix for path in tmp_path.iterdir()} == {".json", ".csv", ".png", ".pdf"}
+
+
+@pytest.mark.parametrize("use", [("limits", "--only", "x"), ("ideal", "--json")])
+def test_an_option_that_a_study_does_not_have_is_refused(
+    use: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(use) == 2
+    assert capsys.readouterr().err.startswith(f"armimp: {use[1]}: {use[0]} ")
 
 
 # --- Coverage: whether standard errors are honest -----------------------------------------------
