@@ -5,7 +5,6 @@ from __future__ import annotations
 from operator import attrgetter
 from typing import Literal
 
-import numpy as np
 from pydantic import Field
 
 from armimp_common.arrays import FloatArray
@@ -113,17 +112,15 @@ class ControllerParameters(Schema):
         """Return the law that was chosen."""
         return LAWS[self.law.kind](target=self.target, law=self.law, known=self.known)
 
-    def priors(self) -> tuple[JointPrior, ...]:
-        """Return what is expected of each joint while it is perturbed."""
+    def prior(self, joint: int) -> JointPrior:
+        """Return what is expected of a joint (0-based) while it is perturbed."""
         target, known, n = self.target, self.known, len(self.joints)
-        inertia = np.diag(matrix("known.arm_inertia", known.arm_inertia, n))
-        omega = each("known.arm_frequency", known.arm_frequency, n)
-        zeta = each("known.arm_damping_ratio", known.arm_damping_ratio, n)
-        arm = np.stack([inertia, 2.0 * zeta * omega * inertia, omega**2 * inertia], axis=1)
-        targets = zip(target.inertia, target.damping, target.stiffness, strict=True)
-        return tuple(
-            JointPrior(arm=tuple(one), target=of_target)
-            for one, of_target in zip(arm.tolist(), targets, strict=True)
+        inertia = float(matrix("known.arm_inertia", known.arm_inertia, n)[joint, joint])
+        omega = float(each("known.arm_frequency", known.arm_frequency, n)[joint])
+        zeta = float(each("known.arm_damping_ratio", known.arm_damping_ratio, n)[joint])
+        return JointPrior(
+            arm=(inertia, 2.0 * zeta * omega * inertia, omega * omega * inertia),
+            target=(target.inertia[joint], target.damping[joint], target.stiffness[joint]),
         )
 
     def signal(self, joint: int, *, trial: int, ticks: int) -> FloatArray:
@@ -134,7 +131,7 @@ class ControllerParameters(Schema):
             trial=trial,
             ticks=ticks,
             seed=self.seed,
-            prior=self.priors()[joint],
+            prior=self.prior(joint),
         )
 
     @property
@@ -155,11 +152,11 @@ class ControllerParameters(Schema):
             require_length(name, attrgetter(name)(self), n, n)
         require_length("perturbation.peak", self.perturbation.peak, n, n)
         each("perturbation.angle_limit", self.perturbation.angle_limit, n)
-        optimal = self.perturbation.kind == "optimal"
-        if not all(one.arm[0] > 0.0 or not optimal for one in self.priors()):
+        inertia = [self.prior(joint).arm[0] for joint in range(n)]
+        if self.perturbation.kind == "optimal" and not min(inertia) > 0.0:
             raise ConfigurationError(
                 "optimal perturbations need a positive inertia of the arm at every joint, "
-                f"known.arm_inertia is {list(self.known.arm_inertia)}"
+                f"known.arm_inertia has {inertia}"
             )
         law = self.control_law()
         self.safety.rules(law.target_posture, PERIOD)

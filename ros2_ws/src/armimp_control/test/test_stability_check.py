@@ -99,12 +99,9 @@ def test_a_loop_grows_or_comes_to_rest_as_the_check_says(
 def test_the_law_of_the_study_bears_the_delays_that_the_documents_say(
     borne: dict[str, float], refused: dict[str, float]
 ) -> None:
-    def check(known: dict[str, float]) -> None:
-        check_stability(knowing(TDE, **known))
-
-    check(borne)
+    check_stability(knowing(TDE, **borne))
     with pytest.raises(ConfigurationError, match="unstable when sampled"):
-        check(refused)
+        check_stability(knowing(TDE, **refused))
 
 
 def test_the_default_is_accepted_without_a_warning_and_tde_with_one_of_late_commands() -> None:
