@@ -57,11 +57,6 @@ class Presence(Enum):
         """Whether the node was there and, as far as can be known, no longer is."""
         return self.gone or self is Presence.SILENT
 
-    @property
-    def mute(self) -> bool:
-        """Whether the node was there and gives no sign of life now, for whatever reason."""
-        return self.gone or self.silent
-
     def after(self, alive: int, silent: int, process_lives: bool | None = None) -> Presence:
         """Return the presence that follows from the latest observations.
 

@@ -210,17 +210,12 @@ class TorqueLatch:
 
 
 class Protection(TorqueLatch):
-    """Decides which torque the drives get.
+    """Decides which torque the drives get; its `watch` matches commands to samples.
 
     Parameters
     ----------
     joints : number of joints n
     limits : ProtectionLimits
-
-    Attributes
-    ----------
-    watch : CommandWatch
-        Tells which sample the last command answered.
     """
 
     def __init__(self, joints: int, limits: ProtectionLimits) -> None:

@@ -302,7 +302,7 @@ class ImbicControllerNode(ManagedNode):
         # In lockstep time stands still with a stalled simulator; a rig goes on. Before the first
         # sample there is no torque to take away from a rig that is only slow to start.
         begun = self._sequencer is not None and self._sequencer.tick > 0
-        if monitor.presence.lost or (monitor.presence.mute and not self._lockstep and begun):
+        if monitor.presence.lost or (monitor.presence.silent and not self._lockstep and begun):
             self._take_away(Cause.NODE_LOST, monitor.sentence)
 
     def _on_supervisor(self, monitor: HeartbeatMonitor) -> None:
