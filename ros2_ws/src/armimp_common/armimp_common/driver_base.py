@@ -274,7 +274,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
 
     @property
     def fault(self) -> str:
-        """Why torque was taken away, and the publishers of commands if it was for one too many."""
+        """Why torque was taken away, with the publishers of commands if they are accused of it."""
         named = self._accused and self._names
         return self.limiter.fault + (f"; published by {', '.join(self._names)}" if named else "")
 

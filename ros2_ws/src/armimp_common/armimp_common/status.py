@@ -375,12 +375,11 @@ class Progress(Record):
 
 
 class Level(IntEnum):
-    """Severity, with the numbers of ``diagnostic_msgs/msg/DiagnosticStatus``."""
+    """Severity, with numbers of ``diagnostic_msgs/msg/DiagnosticStatus``."""
 
     OK = 0
     WARN = 1
     ERROR = 2
-    STALE = 3
 
 
 def make_status(
