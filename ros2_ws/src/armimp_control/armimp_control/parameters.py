@@ -30,7 +30,7 @@ from armimp_control.stability import check_stability
 class ControllerParameters(Schema):
     """All parameters of the node ``imbic_controller``."""
 
-    joints: tuple[str, ...]
+    joints: tuple[str, ...] = Field(min_length=1)
     """Names of the joints, in the order of commands."""
     seed: int = Field(default=1, ge=0)
     """Seed of the perturbation."""
@@ -153,7 +153,7 @@ class ControllerParameters(Schema):
         require_length("perturbation.peak", self.perturbation.peak, n, n)
         each("perturbation.angle_limit", self.perturbation.angle_limit, n)
         inertia = [self.prior(joint).arm[0] for joint in range(n)]
-        if self.perturbation.kind == "optimal" and not min(inertia) > 0.0:
+        if self.perturbation.kind == "optimal" and not all(one > 0.0 for one in inertia):
             raise ConfigurationError(
                 "optimal perturbations need a positive inertia of the arm at every joint, "
                 f"known.arm_inertia has {inertia}"

@@ -22,6 +22,7 @@ NAN, INF = float("nan"), float("inf")
 @pytest.mark.parametrize(
     ("name", "values"),
     [
+        ("joints", [()]),
         ("safety.torque_limit", [0.0, -80.0, NAN, INF]),
         ("safety.rate_limit", [0.0, NAN, 1599.0]),
         ("safety.power_limit", [0.0, INF]),
