@@ -17,6 +17,8 @@ from benchmarks.peak_memory import PeakMemory
 
 COMMAND = "armimp_bringup"
 """Module behind the command ``armimp``."""
+MB = 1e6
+"""Bytes."""
 
 
 @dataclass(frozen=True, kw_only=True)

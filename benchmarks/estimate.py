@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from armimp_common.topics import TRIAL as TRIAL_TOPIC
 from armimp_estimation.bags import BagWriter, read_bag
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.result import conclude
+from benchmarks.shortest import shortest
 from support.synthetic_bags import recorded_arm
 
 TARGET = 0.2
@@ -35,15 +35,16 @@ def time_estimate(tell: Callable[[str], None]) -> list[Measured]:
         tell(f"writing bags of {SAMPLES / 1000:g} s")
         bags = _write_bags(Path(directory))
         tell("reading bags and estimating")
-        reading = _shortest(lambda: read_bag(bags[0]))
-        whole = _shortest(lambda: estimate_bags(bags, names)) / len(bags)
+        reading = shortest(lambda: read_bag(bags[0]), _REPEATS)
+        whole = shortest(lambda: estimate_bags(bags, names), _REPEATS) / len(bags)
         contents = [read_bag(bag) for bag in bags]
     trials = [content.trials[0] for content in contents]
 
     def estimate(estimators: Sequence[str]) -> float:
         joints = contents[0].joint_names
-        return _shortest(
-            lambda: conclude(trials, metadata={}, joint_names=joints, estimators=estimators)
+        return shortest(
+            lambda: conclude(trials, metadata={}, joint_names=joints, estimators=estimators),
+            _REPEATS,
         ) / len(joints)
 
     length = f"trial of {SAMPLES / 1000:g} s"
@@ -83,12 +84,3 @@ def _write_bags(directory: Path) -> list[Path]:
         if writer is not None:
             writer.close()
     return bags
-
-
-def _shortest(work: Callable[[], object]) -> float:
-    times = []
-    for _ in range(_REPEATS):
-        began = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - began)
-    return min(times)

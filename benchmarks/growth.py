@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-import time
 from collections.abc import Callable
 from pathlib import Path
 from statistics import median
@@ -16,12 +15,12 @@ from armimp_common.topics import RATE
 from armimp_control.trial_sequencer import TrialSequencer
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_sim.simulator import SimulatedRig
-from benchmarks.command_run import COMMAND, run_command
+from benchmarks.command_run import COMMAND, MB, run_command
+from benchmarks.shortest import shortest
 
 CASES: tuple[tuple[int, float], ...] = ((2, 10.0), (3, 10.0), (7, 10.0), (2, 25.0), (2, 50.0))
 """Joints, and length of each trial in s."""
 _REPEATS = 3
-_MB = 1e6
 
 
 def measure_growth(tell: Callable[[str], None]) -> list[Measured]:
@@ -53,12 +52,13 @@ def _case(joints: int, seconds: float, tell: Callable[[str], None]) -> list[Meas
         bags = sorted((directory / "bags").iterdir())
         size = sum(path.stat().st_size for bag in bags for path in bag.iterdir())
         tell(f"{what}: estimate")
-        estimate = _shortest_estimate(bags)
+        names = EstimatorParameters().estimators
+        estimate = shortest(lambda: estimate_bags(bags, names), _REPEATS)
     figures = [
         ("rate", "ticks per second", RATE * median(one.rtf for one in run.summary.trials), "1/s"),
         ("outside", "run outside of its trials", run.outside, "s"),
-        ("memory", "largest resident size", run.peaks[COMMAND] / _MB, "MB"),
-        ("bag", "bag of a trial", size / len(bags) / _MB, "MB"),
+        ("memory", "largest resident size", run.peaks[COMMAND] / MB, "MB"),
+        ("bag", "bag of a trial", size / len(bags) / MB, "MB"),
         ("estimate", "from bag to result, each trial", estimate / len(bags), "s"),
     ]
     return [
@@ -77,13 +77,3 @@ def _compile(joints: int) -> None:
     parameters = node_parameters(load_config(None, {"joints": joints}), None)
     TrialSequencer(parameters.controller, lambda _: None)
     SimulatedRig(parameters.simulator)
-
-
-def _shortest_estimate(bags: list[Path]) -> float:
-    names = EstimatorParameters().estimators
-    times = []
-    for _ in range(_REPEATS):
-        began = time.perf_counter()
-        estimate_bags(bags, names)
-        times.append(time.perf_counter() - began)
-    return min(times)

@@ -8,11 +8,10 @@ from pathlib import Path
 
 from armimp_bringup.bench import Measured
 from armimp_bringup.nodes import MODULES
-from benchmarks.command_run import COMMAND, run_command
+from benchmarks.command_run import COMMAND, MB, run_command
 
 DURATION = 50.0
 """Length of each trial, s."""
-_MB = 1e6
 _LABELS = {
     COMMAND: "command",
     **{arguments[0]: name for name, arguments in MODULES.items()},
@@ -44,7 +43,7 @@ def measure_memory(tell: Callable[[str], None]) -> list[Measured]:
             Measured(
                 key=f"{processes}_{label}",
                 label=f"{processes}: {label}, largest resident size",
-                value=peaks[module] / _MB,
+                value=peaks[module] / MB,
                 unit="MB",
             )
             for module, label in _LABELS.items()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -20,6 +18,7 @@ from armimp_bringup.study.engine import (
 from armimp_common.versions import software
 from armimp_control.sequence import SequenceParameters
 from armimp_sim.dynamics import WIDTH
+from benchmarks.shortest import shortest
 
 TRIAL = 50.0
 """Length of the trials of the study, s."""
@@ -32,8 +31,6 @@ _SCALAR, _BATCH = 1.0, 2.0  # s of each trial that are simulated
 
 def time_study(tell: Callable[[str], None]) -> list[Measured]:
     """Measure the study engine after compilation; takes about ten seconds.
-
-    The shortest of several measurements counts: it was disturbed least by other programs.
 
     Parameters
     ----------
@@ -67,7 +64,7 @@ def time_study(tell: Callable[[str], None]) -> list[Measured]:
         Measured(
             key="batch_trial", label=f"50 s trial, {WIDTH} lanes, per core", value=batch, unit="s"
         ),
-        Measured(key="speed_up", label="one lane over many", value=scalar / batch, unit=""),
+        Measured(key="speed_up", label="one lane over many", value=scalar / batch),
         Measured(
             key="loaded_trial",
             label=f"50 s trial, {WIDTH} lanes, all cores busy, per core",
@@ -99,24 +96,10 @@ def _per_trial(rigs: Sequence[NodeParameters], duration: float, *, threads: int 
     """Time of one core for a trial of full length, s."""
     short = [_shortened(rig, duration) for rig in rigs]
     simulated = (_SETTLE + duration + _REST) * len(rigs[0].controller.joints) * len(rigs)
-    return _shortest(lambda: run_offline(short), threads) / simulated * TRIAL
+    return shortest(lambda: run_offline(short), _REPEATS, threads) / simulated * TRIAL
 
 
 def _per_estimate(base: ExperimentConfig, condition: Condition) -> float:
     """Time for all estimates of a condition, s."""
     here, (experiment,) = software(), simulate([condition_config(base, condition)])
-    return _shortest(lambda: estimate_condition(here, condition, experiment), 1)
-
-
-def _shortest(work: Callable[[], object], threads: int) -> float:
-    """Shortest of several times in which each of the threads does the work once, s."""
-    times = []
-    for _ in range(_REPEATS):
-        workers = [threading.Thread(target=work) for _ in range(threads)]
-        began = time.perf_counter()
-        for worker in workers:
-            worker.start()
-        for worker in workers:
-            worker.join()
-        times.append(time.perf_counter() - began)
-    return min(times)
+    return shortest(lambda: estimate_condition(here, condition, experiment), _REPEATS)

@@ -32,6 +32,11 @@ STUDIES = {
 }
 """Question of each study; a new study is a module of this name with `investigate`."""
 
+SELECTIVE = {"truth", "rigs", "ideal", "distortion", "efficiency"}
+"""Studies with cases that can be chosen with ``--only``."""
+TEXTUAL = {"ideal", "distortion"}
+"""Studies that print text alone."""
+
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 _NAMES = "; ".join(f"{name}: {what}" for name, what in STUDIES.items()) + "."
 
@@ -52,6 +57,10 @@ def study(
     """Answer one question by Monte Carlo simulation; the pages of this folder have the answers."""
     if name not in STUDIES:
         raise ConfigurationError(f"unknown study {name!r}, known are {', '.join(STUDIES)}")
+    if only and name not in SELECTIVE:
+        raise ConfigurationError(f"--only: {name} has no cases to choose from")
+    if json and name in TEXTUAL:
+        raise ConfigurationError(f"--json: {name} prints text alone")
     with Display() as display:
         display.phase("starting")
         on_compiling(cli.tell_of_compiling)

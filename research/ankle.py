@@ -18,15 +18,14 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from numpy.typing import NDArray
 
 import armimp
 from armimp_bringup import cli
+from armimp_common.arrays import FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.arm_models import ModelFit
 from research.writing import print_table
 
-FloatArray = NDArray[np.float64]
 PARTS = 4
 SHOWN = ("M", "B", "K", "velocity_gain", "stretch_gain", "delay", "muscle")
 
@@ -60,8 +59,8 @@ def ankle(
             with np.load(path) as content:
                 angle, torque = (np.ravel(content[n]).astype(float) for n in ("angle", "torque"))
                 rate = float(content["rate"])
-        except (OSError, KeyError, ValueError) as cause:
-            raise DataError(f"{path}: {cause}") from None
+        except Exception as cause:  # noqa: BLE001 (whatever a file that is no record leads to)
+            raise DataError(f"{path}: no angle, torque and rate: {cause}") from None
         torque = -torque if reverse else torque
         size = angle.size // PARTS
         spans = [slice(k * size, (k + 1) * size) for k in range(PARTS)]

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
-from typing import Any, Final, TypeAlias
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Final, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from typing_extensions import Self
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.study import parse_seeds
+from armimp_common.arrays import FloatArray
 from armimp_common.errors import ConfigurationError
 from armimp_common.topics import RATE
 from armimp_estimation.spectra import segment_for_samples
 from research.decomposition_trials import in_blocks, in_threads
+from research.options import InvestigationOptions
 
-FloatArray = NDArray[np.float64]
 Levels: TypeAlias = tuple[int, int, int]
 """Levels of friction, resolution and perturbation."""
 Run: TypeAlias = tuple[float, str, FloatArray, FloatArray]
@@ -30,16 +31,36 @@ LETTERS: Final = ("M", "B", "K")
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Estimators at some levels, with and without voluntary torque."""
+    """The simulations of a study."""
+
+    VARIED: ClassVar[frozenset[str]] = frozenset({"seed", "estimators"})
+    """Values of the base that do not stand in the JSON file."""
 
     base: ExperimentConfig = field(
         default_factory=lambda: ExperimentConfig(arm_sim={"substeps": 20})
     )
-    """Everything but seed, levels and voluntary torque. The plant takes steps of 0.05 ms: those of
-    0.01 ms, the default, find the same in twice the time."""
-    levels: tuple[Levels, ...]
+    """Everything but what the plan varies. The plant takes steps of 0.05 ms: with those of 0.01 ms,
+    the default, simulations of two joints take two and a half times as long and find the same."""
     seeds: str
     """As for :func:`armimp_bringup.study.parse_seeds`."""
+
+    def with_seeds(self, options: InvestigationOptions) -> Self:
+        """Return the plan with the seeds of the command line, if some were given."""
+        return self if options.seeds is None else replace(self, seeds=options.seeds)
+
+    def described(self) -> dict[str, Any]:
+        """As it stands in the JSON file."""
+        experiment = self.base.model_dump(mode="json", exclude=set(self.VARIED))
+        return {"schema": 1, "experiment": experiment, "seeds": self.seeds}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ErrorPlan(Plan):
+    """Estimators at some levels, with and without voluntary torque."""
+
+    VARIED = Plan.VARIED | {"friction", "resolution", "perturbation"}
+
+    levels: tuple[Levels, ...]
     voluntary: tuple[float, ...] = (0.3, 0.0)
     """Rms of the voluntary torque, N·m."""
     estimators: tuple[str, ...]
@@ -53,12 +74,6 @@ class Plan:
         """Return the base at these levels."""
         names = ("friction", "resolution", "perturbation")
         return self.base.model_copy(update=dict(zip(names, levels, strict=True)))
-
-    def described(self) -> dict[str, Any]:
-        """As it stands in the JSON file."""
-        of_runs = {"seed", "estimators", "friction", "resolution", "perturbation"}
-        experiment = self.base.model_dump(mode="json", exclude=of_runs)
-        return {"schema": 1, "experiment": experiment, "seeds": self.seeds}
 
     def runs(
         self,

@@ -9,23 +9,23 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armimp_bringup.config import ExperimentConfig, Overrides
 from armimp_bringup.offline import SimulatedExperiment, simulate
 from armimp_bringup.parameters import node_parameters
 from armimp_bringup.study import parse_seeds
+from armimp_common.arrays import FloatArray
 from armimp_common.errors import ArmimpError, ConfigurationError
+from research.cells import LETTERS, Levels, Plan
 from research.controller_figures import controller_figure
 from research.decomposition_trials import in_threads
 from research.options import InvestigationOptions
 from research.writing import present, print_table
 
-FloatArray = NDArray[np.float64]
 WALK, GAMMA, LOCK = "walk", "gamma", "lock"
 PARAMETERS: Final[Mapping[str, str]] = {
     WALK: "unknown torques / default",
@@ -34,23 +34,21 @@ PARAMETERS: Final[Mapping[str, str]] = {
 }
 """Parameters that are varied, and their labels."""
 REFERENCE: Final = "tde"
-_ERRORS = ("M", "B", "K")
 
 
 @dataclass(frozen=True, kw_only=True)
-class ControllerPlan:
+class ControllerPlan(Plan):
     """The simulations to run."""
+
+    VARIED = frozenset()
 
     base: ExperimentConfig = field(
         default_factory=lambda: ExperimentConfig(
             internal_model="observer", arm_sim={"substeps": 20}
         )
     )
-    """Everything but seed, levels and what is varied. The plant takes steps of 0.05 ms, since the
-    default of 0.01 ms would need five times as long."""
     seeds: str = "0:2"
-    """As for :func:`armimp_bringup.study.parse_seeds`."""
-    levels: tuple[tuple[int, int, int], ...] = (
+    levels: tuple[Levels, ...] = (
         (0, 0, 1),
         (1, 3, 1),
         (3, 1, 1),
@@ -121,7 +119,7 @@ def measure(experiment: SimulatedExperiment) -> dict[str, float]:
         assert result.vaf is not None
         row[f"{name}_vaf"] = float(np.min(result.vaf))
         row[f"{name}_coherence"] = float(np.min(result.coherence_derived))
-        for letter in _ERRORS:
+        for letter in LETTERS:
             error = getattr(result.fit.mbk, letter) / getattr(truth, letter) - 1.0
             row[f"{name}_{letter}"] = 100.0 * float(np.max(np.abs(error)))
     return row
@@ -144,7 +142,7 @@ def run_controller(plan: ControllerPlan, workers: int | None = None) -> list[dic
     cells = list(itertools.product(settings(plan), plan.levels))
     seeds = parse_seeds(plan.seeds)
 
-    def work(block: tuple[tuple[tuple[str, float], tuple[int, int, int]], ...]) -> list[Any]:
+    def work(block: tuple[tuple[tuple[str, float], Levels], ...]) -> list[Any]:
         return [(cell, _cell(plan.base, *cell, seeds)) for cell in block]
 
     done = in_threads(work, [(cell,) for cell in cells], workers)
@@ -155,7 +153,7 @@ def run_controller(plan: ControllerPlan, workers: int | None = None) -> list[dic
 def _cell(
     base: ExperimentConfig,
     setting: tuple[str, float],
-    levels: tuple[int, int, int],
+    levels: Levels,
     seeds: Sequence[int],
 ) -> dict[str, Any]:
     friction, resolution, perturbation = levels
@@ -175,32 +173,13 @@ def _steps(signals: Sequence[FloatArray]) -> float:
 
 
 def investigate(options: InvestigationOptions, plan: ControllerPlan | None = None) -> int:
-    """Vary the parameters, write ``controller.*`` and print what was found.
-
-    Parameters
-    ----------
-    options : InvestigationOptions
-    plan : ControllerPlan, optional
-
-    Returns
-    -------
-    int
-        Exit status 0.
-
-    Raises
-    ------
-    ArmimpError
-        If nothing can be simulated, or a file can't be written.
-    """
-    chosen = plan if plan is not None else ControllerPlan()
-    if options.seeds is not None:
-        chosen = replace(chosen, seeds=options.seeds)
+    """Write and print what each setting leads to; returns exit status 0."""
+    chosen = (plan or ControllerPlan()).with_seeds(options)
     rows = run_controller(chosen, options.workers)
     shown = [row for row in rows if not row["refused"]]
     result = {
+        **chosen.described(),
         "schema": 2,
-        "experiment": chosen.base.model_dump(mode="json"),
-        "seeds": chosen.seeds,
         "rows": rows,
     }
     if not present(

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
-import numpy as np
+from dataclasses import dataclass
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import simulate
-from research.cells import Levels, Plan, Run
+from research.cells import ErrorPlan, Levels, Run
 from research.coverage_figure import coverage_figure
 from research.coverage_statistics import NOMINAL, TARGET, Cell
 from research.coverage_tables import in_words, print_cells
-from research.decomposition_trials import matrices, scales, with_voluntary
+from research.decomposition_trials import relative_errors, with_voluntary
 from research.options import InvestigationOptions
 from research.writing import present
 
 
 @dataclass(frozen=True, kw_only=True)
-class CoveragePlan(Plan):
+class CoveragePlan(ErrorPlan):
     """The simulations to run."""
 
     levels: tuple[Levels, ...] = ((1, 1, 2), (3, 3, 3), (0, 3, 1), (3, 3, 1))
@@ -27,18 +25,16 @@ class CoveragePlan(Plan):
 
 
 def run_coverage(plan: CoveragePlan, workers: int | None = None) -> list[Cell]:
-    """Simulate and estimate all of a plan, see :meth:`research.cells.Plan.runs`."""
+    """Simulate and estimate all of a plan, see :meth:`research.cells.ErrorPlan.runs`."""
 
     def work(base: ExperimentConfig, seeds: tuple[int, ...]) -> list[Run]:
         """Relative errors and relative standard errors of M, B and K of each run."""
         found: list[Run] = []
         for voluntary in plan.voluntary:
             for experiment in simulate(with_voluntary(base, voluntary, seeds)):
-                true = matrices(experiment.truth)
                 for name, one in experiment.identify(plan.estimators).estimators.items():
-                    stated = np.stack((one.fit.M_se, one.fit.B_se, one.fit.K_se))
-                    errors = matrices(one.fit.mbk) - true
-                    found.append((voluntary, name, errors / scales(true), stated / scales(true)))
+                    errors, stated = relative_errors(one.fit, experiment.truth)
+                    found.append((voluntary, name, errors, stated))
         return found
 
     return [
@@ -48,27 +44,8 @@ def run_coverage(plan: CoveragePlan, workers: int | None = None) -> list[Cell]:
 
 
 def investigate(options: InvestigationOptions, plan: CoveragePlan | None = None) -> int:
-    """Count how often the intervals hold the truth, write ``coverage.*`` and print the shares.
-
-    Parameters
-    ----------
-    options : InvestigationOptions
-    plan : CoveragePlan, optional
-        By default 200 seeds of 50 s trials in four conditions, with and without voluntary torque.
-
-    Returns
-    -------
-    int
-        Exit status 0, whatever the shares are: this is a measurement.
-
-    Raises
-    ------
-    ArmimpError
-        As :func:`run_coverage`, or if a file can't be written.
-    """
-    chosen = plan if plan is not None else CoveragePlan()
-    if options.seeds is not None:
-        chosen = replace(chosen, seeds=options.seeds)
+    """Write and print how often the intervals hold the truth; returns exit status 0."""
+    chosen = (plan or CoveragePlan()).with_seeds(options)
     cells = run_coverage(chosen, options.workers)
     sentences = in_words(cells)
     result = {

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
-from research.cells import LETTERS, ErrorCell, FloatArray
-
-BoolArray = NDArray[np.bool_]
+from armimp_common.arrays import BoolArray, FloatArray
+from research.cells import LETTERS, ErrorCell
 
 NOMINAL: Final = 0.95
 TARGET: Final = (0.92, 0.98)

@@ -6,16 +6,14 @@ in which all joints are perturbed at once, with the same peaks as one by one.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-
-import numpy as np
-from numpy.typing import NDArray
+from dataclasses import dataclass
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import simulate
 from armimp_bringup.study import parse_seeds
 from armimp_common.topics import RATE
 from armimp_estimation.spectra import segment_for_samples
+from research.cells import Plan
 from research.decomposition_figures import decomposition_figures
 from research.decomposition_outcomes import Cell, Outcome
 from research.decomposition_statistics import (
@@ -34,20 +32,12 @@ from research.decomposition_trials import (
 from research.options import InvestigationOptions
 from research.writing import present
 
-FloatArray = NDArray[np.float64]
-
 
 @dataclass(frozen=True, kw_only=True)
-class DecompositionPlan:
+class DecompositionPlan(Plan):
     """The simulations to run."""
 
-    base: ExperimentConfig = field(
-        default_factory=lambda: ExperimentConfig(arm_sim={"substeps": 20})
-    )
-    """Everything but seed and voluntary torque. The plant takes steps of 0.05 ms, since the default
-    of 0.01 ms would need five times as long."""
     seeds: str = "0:32"
-    """As for :func:`armimp_bringup.study.parse_seeds`."""
     voluntary: tuple[float, ...] = (0.0, 0.1, 0.3, 1.0)
     """Rms of the voluntary torque, N·m; the first is the reference of the others."""
     correlations: tuple[float, ...] = (0.0, 0.5, 0.8, 0.9, 0.95)
@@ -114,32 +104,11 @@ def run_decomposition(plan: DecompositionPlan, workers: int | None = None) -> li
 
 
 def investigate(options: InvestigationOptions, plan: DecompositionPlan | None = None) -> int:
-    """Compare the estimators, write ``decomposition.*`` and print what was found.
-
-    Parameters
-    ----------
-    options : InvestigationOptions
-    plan : DecompositionPlan, optional
-        By default 32 seeds of 50 s trials at the default levels.
-
-    Returns
-    -------
-    int
-        Exit status 0.
-
-    Raises
-    ------
-    ArmimpError
-        As :func:`run_decomposition`, or if a file can't be written.
-    """
-    chosen = plan if plan is not None else DecompositionPlan()
-    if options.seeds is not None:
-        chosen = replace(chosen, seeds=options.seeds)
+    """Write and print errors of each estimator; returns exit status 0."""
+    chosen = (plan or DecompositionPlan()).with_seeds(options)
     cells = run_decomposition(chosen, options.workers)
     result = {
-        "schema": 1,
-        "experiment": chosen.base.model_dump(mode="json", exclude={"seed", "estimators"}),
-        "seeds": chosen.seeds,
+        **chosen.described(),
         "octaves_hz": list(OCTAVES),
         "units": "errors of M, B, K in % of sqrt(|X_ii X_jj|), of Z in % of |Z_ij|",
         "cells": [cell.described() for cell in cells],

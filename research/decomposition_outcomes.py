@@ -10,21 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_bringup.offline import SimulatedExperiment
+from armimp_common.arrays import BoolArray, FloatArray
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import fit_mbk
+from armimp_estimation.mbk import MBK
 from research.decomposition_statistics import (
     Mean,
     octave_errors,
     root_mean_square,
 )
-from research.decomposition_trials import (
-    Run,
-    matrices,
-    scales,
-)
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from research.decomposition_trials import Run, relative_errors
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,8 +38,8 @@ class Outcome:
     octaves: NDArray[np.complex128]
     """(n, n, octaves) of Z, relative to each true value."""
     estimate: ImpedanceEstimate
-    truth: FloatArray
-    """Estimate of Z, and true M, B and K, (3, n, n)."""
+    truth: MBK
+    """Estimate of Z, and true M, B and K."""
     coherence: float
     inflation: float
     condition: float
@@ -56,11 +51,10 @@ class Outcome:
         cls, experiment: SimulatedExperiment, run: Run, voluntary: float, correlation: float | None
     ) -> Outcome:
         """Return what is kept of a run."""
-        true = matrices(experiment.truth)
-        errors_ = np.stack((run.fit.M_se, run.fit.B_se, run.fit.K_se))
+        errors, stated = relative_errors(run.fit, experiment.truth)
         coherence, inflation, condition = np.nan, np.nan, np.nan
         if run.coupling is not None:
-            n = len(true[0])
+            n = experiment.truth.joints
             pairs = run.coupling.coherence[~np.eye(n, dtype=bool)]
             coherence = float(np.mean(np.max(pairs, axis=0)))
             inflation = float(np.mean(np.max(run.coupling.inflation, axis=0)))
@@ -70,11 +64,11 @@ class Outcome:
             correlation=correlation,
             estimator=run.estimator,
             seed=run.seed,
-            errors=(matrices(run.fit.mbk) - true) / scales(true),
-            standard_errors=errors_ / scales(true),
+            errors=errors,
+            standard_errors=stated,
             octaves=octave_errors(run.estimate, experiment.truth),
             estimate=run.estimate,
-            truth=true,
+            truth=experiment.truth,
             coherence=coherence,
             inflation=inflation,
             condition=condition,
@@ -94,9 +88,7 @@ class Outcome:
             disturbance=None,
             inverse=None,
         )
-        fit = fit_mbk(alike)
-        errors: FloatArray = (matrices(fit.mbk) - self.truth) / scales(self.truth)
-        return errors
+        return relative_errors(fit_mbk(alike), self.truth)[0]
 
 
 def _common(estimate: ImpedanceEstimate, other: ImpedanceEstimate) -> ImpedanceEstimate:

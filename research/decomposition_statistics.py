@@ -9,12 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.mbk import MBK
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 OCTAVES: Final = (0.12, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 15.01)
 """Limits of the bands that errors of Z are averaged over, Hz."""

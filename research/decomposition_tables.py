@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray
+from research.cells import LETTERS
 from research.decomposition_outcomes import Cell
 from research.decomposition_statistics import LEVEL, root_mean_square
 from research.decomposition_trials import ESTIMATORS, MIMO
 from research.writing import print_table
-
-FloatArray = NDArray[np.float64]
-
-LETTERS: Final = ("M", "B", "K")
 
 
 def cell_rows(cells: Sequence[Cell]) -> list[dict[str, Any]]:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Final, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import JsonValue
 
 from armimp_bringup.bench import available_cores
@@ -19,6 +18,7 @@ from armimp_bringup.offline import SimulatedExperiment, run_offline, simulate
 from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_bringup.study.engine import Backend
 from armimp_bringup.terminal import display
+from armimp_common.arrays import FloatArray
 from armimp_common.errors import ConfigurationError
 from armimp_common.status import Phase
 from armimp_control.sequence import Segment, timetable
@@ -33,7 +33,6 @@ from armimp_estimation.trial import TrialData
 from armimp_sim.dynamics import WIDTH
 from research.mimo import InputCoupling, estimate_mimo
 
-FloatArray = NDArray[np.float64]
 Work = TypeVar("Work")
 Result = TypeVar("Result")
 
@@ -243,6 +242,12 @@ def scales(truth: FloatArray) -> FloatArray:
 def matrices(mbk: MBK) -> FloatArray:
     """M, B and K in one array, shape (3, n, n)."""
     return np.stack((mbk.M, mbk.B, mbk.K))
+
+
+def relative_errors(fit: MBKFit, truth: MBK) -> tuple[FloatArray, FloatArray]:
+    """Return errors of M, B and K and those that the fit states, (3, n, n), both over `scales`."""
+    true, stated = matrices(truth), np.stack((fit.M_se, fit.B_se, fit.K_se))
+    return (matrices(fit.mbk) - true) / scales(true), stated / scales(true)
 
 
 def run_together(

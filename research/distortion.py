@@ -17,6 +17,7 @@ from pydantic import JsonValue
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.study import parse_seeds
+from armimp_common.errors import ConfigurationError
 from armimp_control.perturbation import PerturbationKind
 from armimp_estimation.problems import ProblemCode
 from research.decomposition_trials import identified
@@ -44,10 +45,11 @@ KINDS: tuple[PerturbationKind, ...] = ("multisine", "optimal")
 def investigate(options: InvestigationOptions) -> int:
     """Print how many runs of each arm are flagged, and as what; returns exit status 0."""
     seeds = parse_seeds(options.seeds or "0:40")
-    for kind, (arm, (rig, changes, code)) in itertools.product(KINDS, ARMS.items()):
-        name = f"{kind} {arm}"
-        if options.only not in name:
-            continue
+    cases = [one for one in itertools.product(KINDS, ARMS) if options.only in " ".join(one)]
+    if not cases:
+        raise ConfigurationError(f"--only {options.only}: there is no such case")
+    for kind, arm in cases:
+        rig, changes, code = ARMS[arm]
         flagged, valid = 0, 0
         found: collections.Counter[str] = collections.Counter()
         configs = [
@@ -58,10 +60,7 @@ def investigate(options: InvestigationOptions) -> int:
             codes = {problem.code for problem in result.problems} & CODES
             flagged += bool(codes) if code is None else code in codes
             valid += result.valid
-            found.update(
-                f"{one.severity.value} {one.sentence}" for one in result.problems if options.json
-            )
             found.update(one.value for one in codes)
         what = "anything" if code is None else code.value
-        print(f"{name}: {flagged} of {len(seeds)} show {what}, {valid} valid; {dict(found)}")
+        print(f"{kind} {arm}: {flagged} of {len(seeds)} show {what}, {valid} valid; {dict(found)}")
     return 0

@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import simulate
 from armimp_bringup.study import parse_seeds
+from armimp_common.arrays import FloatArray
 from armimp_common.errors import ConfigurationError
 from armimp_control.perturbation import PerturbationKind
-from research.cells import LETTERS, FloatArray, Levels
+from research.cells import LETTERS, Levels
 from research.coverage_statistics import QUANTILE
 from research.decomposition_trials import (
     ESTIMATOR,
     in_blocks,
     in_threads,
-    matrices,
-    scales,
+    relative_errors,
     with_voluntary,
 )
 from research.limits import bound_of
@@ -35,7 +35,6 @@ from research.writing import print_table, to_json, write_tables
 
 TIMES: Final = (150.0, 90.0)
 """Lengths of the trials that give the columns of shoulder and elbow, s."""
-_BAND: Final = (0.122, 15.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,15 +111,12 @@ def column_of(
         if block == blocks[0]:
             quiet = simulate(with_voluntary(config, 0.0, block))
             both = zip(experiments, quiet, strict=True)
-            bounds = [bound_of(one, same, _BAND) for one, same in both]
+            bounds = [bound_of(one, same) for one, same in both]
         found = []
         for experiment, bound in zip(experiments, bounds, strict=True):
             result = experiment.identify([ESTIMATOR])
-            fit = result.estimators[ESTIMATOR].fit
-            true = matrices(experiment.truth)
-            errors = (matrices(fit.mbk) - true) / scales(true)
-            stated = np.stack([fit.M_se, fit.B_se, fit.K_se]) / scales(true)
-            least = None if bound is None else (bound / scales(true))[:, :, k]
+            errors, stated = relative_errors(result.estimators[ESTIMATOR].fit, experiment.truth)
+            least = None if bound is None else bound[:, :, k]
             angle = float(np.std(experiment.records[k].position[k]))
             found.append((errors[:, :, k], stated[:, :, k], least, angle, result.valid))
         return found

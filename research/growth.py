@@ -10,13 +10,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import SimulatedExperiment, simulate
 from armimp_bringup.study import parse_seeds
 from armimp_estimation.spectra import segment_for_samples
+from research.cells import Plan
 from research.decomposition_trials import (
     ESTIMATORS,
     MIMO,
@@ -31,24 +29,23 @@ from research.growth_outcomes import Cell, Outcome
 from research.options import InvestigationOptions
 from research.writing import present, print_table
 
-FloatArray = NDArray[np.float64]
-
 JOINT_BY_JOINT: Final = ("welch_siso", "lpm_full")
 
 
 @dataclass(frozen=True, kw_only=True)
-class GrowthPlan:
+class GrowthPlan(Plan):
     """The simulations to run."""
+
+    VARIED = Plan.VARIED | {"joints"}
 
     base: ExperimentConfig = field(
         default_factory=lambda: ExperimentConfig(arm_sim={"substeps": 10})
     )
-    """Everything but the seed and the number of joints. The plant takes steps of 0.1 ms, since the
-    default of 0.01 ms would need ten times as long."""
+    """The plant takes steps of 0.1 ms: with those of 0.01 ms, the default, simulations of seven
+    joints take five times as long."""
     joints: tuple[int, ...] = (2, 3, 4, 5, 6, 7)
     """Numbers of joints."""
     seeds: str = "0:8"
-    """As for :func:`armimp_bringup.study.parse_seeds`."""
     voluntary: tuple[float, ...] = (0.0, 0.03)
     """Rms of the voluntary torque of every joint, N·m."""
     target: float = 0.01
@@ -106,33 +103,12 @@ def run_growth(plan: GrowthPlan, workers: int | None = None) -> list[Cell]:
 
 
 def investigate(options: InvestigationOptions, plan: GrowthPlan | None = None) -> int:
-    """Compare the methods, write ``growth.*`` and print what was found.
-
-    Parameters
-    ----------
-    options : InvestigationOptions
-    plan : GrowthPlan, optional
-        By default two to seven joints, 8 seeds, 50 s trials at the default levels.
-
-    Returns
-    -------
-    int
-        Exit status 0.
-
-    Raises
-    ------
-    ArmimpError
-        As :func:`run_growth`, or if a file can't be written.
-    """
-    chosen = plan if plan is not None else GrowthPlan()
-    if options.seeds is not None:
-        chosen = replace(chosen, seeds=options.seeds)
+    """Write and print what was found with each number of joints; returns exit status 0."""
+    chosen = (plan or GrowthPlan()).with_seeds(options)
     cells = run_growth(chosen, options.workers)
     rows = [cell.described() for cell in cells]
     result = {
-        "schema": 1,
-        "experiment": chosen.base.model_dump(mode="json", exclude={"seed", "joints", "estimators"}),
-        "seeds": chosen.seeds,
+        **chosen.described(),
         "target_percent": 100.0 * chosen.target,
         "units": "bias, spread and worst in % of sqrt(|X_ii X_jj|), worst_relative in % of |X_ij|",
         "cells": rows,

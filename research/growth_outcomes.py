@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 
 from armimp_bringup.offline import SimulatedExperiment
+from armimp_common.arrays import FloatArray
 from armimp_common.topics import RATE
-from research.cells import LETTERS, FloatArray
+from research.cells import LETTERS
 from research.decomposition_statistics import Mean, root_mean_square
 from research.decomposition_trials import (
     MIMO,
     Run,
     matrices,
-    scales,
+    relative_errors,
 )
 
 
@@ -41,14 +42,13 @@ class Outcome:
     def of(cls, experiment: SimulatedExperiment, run: Run) -> Outcome:
         """Return the outcome of one run."""
         true = matrices(experiment.truth)
-        errors = matrices(run.fit.mbk) - true
         return cls(
             joints=experiment.truth.joints,
             voluntary=float(str(experiment.config.arm_sim["voluntary.rms"])),
             estimator=run.estimator,
             samples=experiment.records[0].samples,
-            errors=errors / scales(true),
-            relative=errors / np.abs(true),
+            errors=relative_errors(run.fit, experiment.truth)[0],
+            relative=(matrices(run.fit.mbk) - true) / np.abs(true),
             vaf=run.vaf,
             seconds=run.seconds,
         )

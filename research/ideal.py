@@ -14,10 +14,9 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.study import select_conditions
 from armimp_bringup.study.engine import condition_config
 from armimp_estimation.robot_balance import imbalance
+from research.cells import LETTERS
 from research.decomposition_trials import ESTIMATOR, identified
 from research.options import InvestigationOptions
-
-NAMES = "MBK"
 
 
 def investigate(options: InvestigationOptions) -> int:
@@ -34,7 +33,7 @@ def investigate(options: InvestigationOptions) -> int:
         truth = experiment.truth
         errors = [
             (getattr(result.fit.mbk, n) - getattr(truth, n)) / getattr(result.fit, f"{n}_se")
-            for n in NAMES
+            for n in LETTERS
         ]
         key = (condition.friction, condition.resolution, condition.perturbation)
         covered[key].append(np.array(errors))
@@ -49,7 +48,7 @@ def investigate(options: InvestigationOptions) -> int:
             delay = result.fit.delay
             line += f" delay {1e6 * delay.told:.1f} ± {1e6 * delay.told_error:.1f} µs"
             line += f" -> {1e6 * delay.delay:.1f} ± {1e6 * delay.error:.1f}"
-        se = [np.max(getattr(result.fit, f"{n}_se") / np.abs(getattr(truth, n))) for n in NAMES]
+        se = [np.max(getattr(result.fit, f"{n}_se") / np.abs(getattr(truth, n))) for n in LETTERS]
         line += " se% " + " ".join(f"{100 * one:.2f}" for one in se)
         line += " worst " + " ".join(f"{np.max(np.abs(one)):.2f}" for one in errors)
         print(line)
@@ -60,7 +59,7 @@ def investigate(options: InvestigationOptions) -> int:
     print("largest lack of fit:", sorted(lacks)[-3:])
     print("largest imbalance of gain:", sorted(gains)[-3:])
     everything = np.array([one for errors in covered.values() for one in errors])
-    for row, name in enumerate(NAMES):
+    for row, name in enumerate(LETTERS):
         inside = np.abs(everything[:, row]) < 1.96
         print(f"coverage of {name}: {100 * inside.mean():.1f} %, by element", end=" ")
         print((100 * inside.mean(axis=0)).round(1).tolist())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import signal
@@ -10,17 +10,23 @@ from scipy import signal
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import SimulatedExperiment, simulate
 from armimp_bringup.parameters import node_parameters
+from armimp_common.arrays import FloatArray
 from armimp_common.topics import RATE
-from armimp_estimation.spectra import BAND
 from armimp_sim.voluntary import VoluntaryParameters, band_filter
-from research.cells import FloatArray, Levels, Plan, Run
+from research.cells import ErrorPlan, Levels, Run
 from research.cramer_rao import (
     SensorNoise,
     cramer_rao_bound,
     error_covariance,
     motion_in_band,
 )
-from research.decomposition_trials import estimate, matrices, scales, with_voluntary
+from research.decomposition_trials import (
+    estimate,
+    matrices,
+    relative_errors,
+    scales,
+    with_voluntary,
+)
 from research.limits_figure import limits_figure
 from research.limits_statistics import Cell
 from research.limits_tables import in_words, print_cells
@@ -29,7 +35,7 @@ from research.writing import present
 
 
 @dataclass(frozen=True, kw_only=True)
-class LimitsPlan(Plan):
+class LimitsPlan(ErrorPlan):
     """The simulations to run."""
 
     levels: tuple[Levels, ...] = (
@@ -61,9 +67,7 @@ def power_spectrum(config: VoluntaryParameters, f: FloatArray) -> FloatArray:
     return power
 
 
-def bound_of(
-    experiment: SimulatedExperiment, quiet: SimulatedExperiment, band: tuple[float, float]
-) -> FloatArray:
+def bound_of(experiment: SimulatedExperiment, quiet: SimulatedExperiment) -> FloatArray:
     """Cramér-Rao bound of one experiment.
 
     Parameters
@@ -71,12 +75,11 @@ def bound_of(
     experiment : its sensors and voluntary torque are the noise
     quiet : the same with a relaxed arm; its motion is used, see
         :mod:`research.cramer_rao`
-    band : lowest and highest frequency, Hz
 
     Returns
     -------
     (3, n, n) NDArray
-        Standard deviations of M, B and K, in kg·m², N·m·s/rad and N·m/rad.
+        Standard deviations of M, B and K, relative to ``sqrt(|X_ii X_jj|)``.
 
     Raises
     ------
@@ -87,15 +90,16 @@ def bound_of(
     noise = SensorNoise.of_rounding(
         angle=simulator.sensors.position.resolution, torque=simulator.sensors.torque.resolution
     )
-    f, motion = motion_in_band(quiet.records, band)
+    f, motion = motion_in_band(quiet.records)
     disturbance = power_spectrum(simulator.voluntary, f)
     samples = quiet.records[0].samples
     covariance = error_covariance(experiment.truth, f, samples, noise, disturbance)
-    return cramer_rao_bound(f, motion, covariance)
+    scale = scales(matrices(experiment.truth))
+    return np.asarray(cramer_rao_bound(f, motion, covariance) / scale)
 
 
 def run_limits(plan: LimitsPlan, workers: int | None = None) -> list[Cell]:
-    """Simulate and estimate all of a plan, see :meth:`research.cells.Plan.runs`."""
+    """Simulate and estimate all of a plan, see :meth:`research.cells.ErrorPlan.runs`."""
 
     def work(base: ExperimentConfig, seeds: tuple[int, ...]) -> list[Run]:
         """Relative errors and relative bounds of M, B and K of each run."""
@@ -104,12 +108,10 @@ def run_limits(plan: LimitsPlan, workers: int | None = None) -> list[Cell]:
         for torque in plan.voluntary:
             experiments = simulate(with_voluntary(base, torque, seeds)) if torque else relaxed
             for experiment, quiet in zip(experiments, relaxed, strict=True):
-                true = matrices(experiment.truth)
-                bound = bound_of(experiment, quiet, BAND) / scales(true)
+                bound = bound_of(experiment, quiet)
                 for name, run in estimate(experiment, plan.estimators, plan.segment).items():
-                    found.append(
-                        (torque, name, (matrices(run.fit.mbk) - true) / scales(true), bound)
-                    )
+                    errors, _ = relative_errors(run.fit, experiment.truth)
+                    found.append((torque, name, errors, bound))
         return found
 
     return [
@@ -119,27 +121,8 @@ def run_limits(plan: LimitsPlan, workers: int | None = None) -> list[Cell]:
 
 
 def investigate(options: InvestigationOptions, plan: LimitsPlan | None = None) -> int:
-    """Compare errors with the bound, write ``limits.*`` and print the ratios.
-
-    Parameters
-    ----------
-    options : InvestigationOptions
-    plan : LimitsPlan, optional
-        By default 64 seeds of 50 s trials in six conditions, with and without voluntary torque.
-
-    Returns
-    -------
-    int
-        Exit status 0, whatever the ratios are: this is a measurement.
-
-    Raises
-    ------
-    ArmimpError
-        As :func:`run_limits`, or if a file can't be written.
-    """
-    chosen = plan if plan is not None else LimitsPlan()
-    if options.seeds is not None:
-        chosen = replace(chosen, seeds=options.seeds)
+    """Write and print errors over the bound; returns exit status 0, whatever they are."""
+    chosen = (plan or LimitsPlan()).with_seeds(options)
     cells = run_limits(chosen, options.workers)
     sentences = in_words(cells)
     result = {

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from research.cells import ErrorCell, FloatArray
+from armimp_common.arrays import FloatArray
+from research.cells import ErrorCell
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -65,7 +65,8 @@ def _outcome(name: str, seed: int) -> Outcome:
 
 def investigate(options: InvestigationOptions) -> int:
     """As :func:`research.truth.investigate`, with one class for each seed."""
-    seeds = parse_seeds(options.seeds or "0:300")
+    given = options.seeds or "0:300"
+    seeds = parse_seeds(given)
     names = names_like(options.only)
     chosen = [names[int(np.random.default_rng([7, seed]).integers(len(names)))] for seed in seeds]
     by_name: dict[str, list[Outcome]] = {}
@@ -73,5 +74,5 @@ def investigate(options: InvestigationOptions) -> int:
         for name, found in zip(chosen, pool.map(_outcome, chosen, seeds), strict=True):
             by_name.setdefault(name, []).append(found)
     rows = [judge(name, outcomes) for name, outcomes in by_name.items()]
-    tabulate(options, "rigs", f"{len(seeds)} rigs and arms drawn at random", rows)
+    tabulate(options, "rigs", f"{len(seeds)} rigs and arms drawn at random", given, rows)
     return 0

@@ -108,7 +108,7 @@ def _with_tables(page: str, heading: str, tables: Sequence[str]) -> str:
     before, found, after = page.partition(f"\n{heading}\n")
     section, *rest = re.split(r"(?m)^(?=#)", after, maxsplit=1)
     new = iter(tables)
-    section, number = re.subn(r"(?:^\|.*\n)+", lambda _: next(new), section, flags=re.MULTILINE)
+    section, number = re.subn(r"(?:^\|.*\n)+", lambda _: next(new, ""), section, flags=re.MULTILINE)
     if number != len(tables):
         raise SystemExit(f"{PAGE}: {number} tables under {heading!r}, not {len(tables)}")
     return "".join([before, found, section, *rest])

@@ -25,11 +25,7 @@ from armimp_common.cdr import CommandDecoder, JointStateDecoder
 from armimp_common.errors import GraphError
 from armimp_common.executor import run_node, steady_timer
 from armimp_common.heartbeat import HeartbeatMonitor
-from armimp_common.pubsub import (
-    publisher_count,
-    subscribe_decoded,
-    wait_for_partners,
-)
+from armimp_common.pubsub import publisher_count, subscribe_decoded, wait_for_partners
 from armimp_common.status import values_of
 from armimp_common.topics import SIM_NODE
 from support.graph import raised

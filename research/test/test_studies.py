@@ -2,9 +2,9 @@
 
 import csv
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,8 @@ from armimp_estimation.estimators.lpm import LpmFull
 from armimp_estimation.fit import fit_mbk
 from armimp_estimation.trial import TrialData
 from research import controller, coverage, decomposition, growth, limits
+from research.__main__ import main
+from research.controller import GAMMA
 from research.coverage_statistics import QUANTILE, Share
 from research.cramer_rao import SensorNoise, cramer_rao_bound, error_covariance, motion_in_band
 from research.decomposition_statistics import Mean
@@ -31,44 +33,35 @@ REALISTIC = ((3, 3, 3),)
 
 
 @pytest.mark.parametrize(
-    ("name", "investigate", "plan", "rows"),
+    ("study", "plan", "rows"),
     [
         (
-            "coverage",
-            coverage.investigate,
+            coverage,
             coverage.CoveragePlan(base=SHORT, levels=REALISTIC, voluntary=(0.3, 0.0)),
             4 * 12,
         ),
-        ("limits", limits.investigate, limits.LimitsPlan(base=SHORT, levels=REALISTIC), 4 * 12),
-        ("growth", growth.investigate, growth.GrowthPlan(base=SHORT, joints=(2,)), 3),
+        (limits, limits.LimitsPlan(base=SHORT, levels=REALISTIC), 4 * 12),
+        (growth, growth.GrowthPlan(base=SHORT, joints=(2,)), 3),
         (
-            "decomposition",
-            decomposition.investigate,
+            decomposition,
             decomposition.DecompositionPlan(
                 base=SHORT, voluntary=(0.0, 0.3), correlations=(0.0, 0.5)
             ),
             11 * 12,
         ),
         (
-            "controller",
-            controller.investigate,
-            controller.ControllerPlan(
-                base=SHORT, levels=REALISTIC, values={controller.GAMMA: (100.0,)}
-            ),
+            controller,
+            controller.ControllerPlan(base=SHORT, levels=REALISTIC, values={GAMMA: (100.0,)}),
             2,
         ),
     ],
 )
 def test_a_study_leaves_tables_and_a_figure_and_prints_json(
-    name: str,
-    investigate: Callable[..., int],
-    plan: Any,
-    rows: int,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    study: ModuleType, plan: Any, rows: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    name = study.__name__.rpartition(".")[2]
     options = InvestigationOptions(out=tmp_path, seeds="0:3", workers=2, json=True)
-    assert investigate(options, plan) == 0
+    assert study.investigate(options, plan) == 0
     result = json.loads((tmp_path / f"{name}.json").read_text(encoding="utf-8"))
     assert result["seeds"] == "0:3"
     assert json.loads(capsys.readouterr().out) == result
@@ -77,6 +70,14 @@ def test_a_study_leaves_tables_and_a_figure_and_prints_json(
     for figure in tmp_path.glob("*.p[nd][gf]"):
         assert figure.stat().st_size > 5_000
     assert {path.suffix for path in tmp_path.iterdir()} == {".json", ".csv", ".png", ".pdf"}
+
+
+@pytest.mark.parametrize("use", [("limits", "--only", "x"), ("ideal", "--json")])
+def test_an_option_that_a_study_does_not_have_is_refused(
+    use: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(use) == 2
+    assert capsys.readouterr().err.startswith(f"armimp: {use[1]}: {use[0]} ")
 
 
 # --- Coverage: whether standard errors are honest -----------------------------------------------

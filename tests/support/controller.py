@@ -92,11 +92,7 @@ class ScriptedController:
     def bring_up(self, rig: LifecycleNode) -> None:
         """Configure and activate a rig, once it and this node have discovered each other."""
         assert rig.trigger_configure() is SUCCESS
-        wait_for_partners(
-            self.node,
-            publishers=[self.commands],
-            subscriptions=self.subscriptions,
-        )
+        wait_for_partners(self.node, publishers=[self.commands], subscriptions=self.subscriptions)
         assert rig.trigger_activate() is SUCCESS, getattr(rig, "transition_error", "")
 
     @property

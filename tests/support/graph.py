@@ -29,11 +29,7 @@ from armimp_common.cdr import CommandDecoder, JointStateDecoder
 from armimp_common.errors import MalformedMessageError
 from armimp_common.executor import Spinner
 from armimp_common.heartbeat import HeartbeatMonitor
-from armimp_common.pubsub import (
-    JointStatePublisher,
-    subscribe_decoded,
-    wait_for_partners,
-)
+from armimp_common.pubsub import JointStatePublisher, subscribe_decoded, wait_for_partners
 from armimp_common.schema import Value, flatten
 from armimp_common.status import Phase, TrialStatus, values_of
 

@@ -93,7 +93,8 @@ class DomainClaim(AbstractContextManager["DomainClaim"]):
         hoarded = [one for one in candidates if one not in kept]
         if not hoarded:
             raise GraphError(f"no domain id is free within {LOWEST}..{HIGHEST}")
-        self._bind(hoarded[0])
+        # Any of them, even if its port is taken.
+        any(self._bind(one) for one in hoarded)
 
     def _bind(self, domain_id: int) -> bool:
         self.domain_id = domain_id

@@ -22,7 +22,7 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 
 from armimp_common.errors import GraphError
 from armimp_common.executor import NO_LOG_FILES, Spinner
-from armimp_common.heartbeat import HeartbeatMonitor, Presence
+from armimp_common.heartbeat import HeartbeatMonitor
 from armimp_common.lifecycle import LifecycleManager, ServiceClients
 from armimp_common.parameters import as_parameters
 from armimp_common.process import ParentWatchdog
@@ -325,11 +325,7 @@ class ExternalNodes(NodeGroup):
         A node that is only silent may be stalled where its process can't be looked up; if it is
         dead, the middleware declares it so soon.
         """
-        return {
-            one.name: f"node {one.sentence}"
-            for one in self._monitors
-            if one.presence in (Presence.GONE, Presence.LEFT)
-        }
+        return {one.name: f"node {one.sentence}" for one in self._monitors if one.presence.gone}
 
     def prepare(self, manager: LifecycleManager) -> None:
         """Make sure that the nodes are free, and give them their parameters.

@@ -159,6 +159,9 @@ def test_when_one_user_holds_every_domain_expect_no_other_kept_out(
     monkeypatch.setattr(domain, "_occupied", lambda: {me + 1: theirs, me + 2: rest})
     with DomainClaim() as claim:
         assert claim.domain_id in theirs
+    monkeypatch.setattr(DomainClaim, "_bind", lambda claim, one: _taken(claim, one) or one == 50)
+    with DomainClaim() as claim:
+        assert claim.domain_id == 50, "its port is free"
 
     # One's own experiments are kept apart however many there are.
     monkeypatch.setattr(domain, "_occupied", lambda: {me: everything})

@@ -14,13 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.study import (
-    MOST_SEEDS,
-    Condition,
-    engine,
-    parse_seeds,
-    select_conditions,
-)
+from armimp_bringup.study import MOST_SEEDS, Condition, engine, parse_seeds, select_conditions
 from armimp_bringup.study.engine import cluster, processes, run_batch, split_evenly
 from armimp_bringup.study.study import run_study
 from armimp_common.errors import ConfigurationError, DataError

@@ -22,7 +22,7 @@ import numpy as np
 
 from armimp_common.arrays import FloatArray, IntArray
 from armimp_common.errors import ConfigurationError, MalformedMessageError
-from armimp_common.status import Phase, TrialStatus
+from armimp_common.status import TrialStatus
 from armimp_common.topics import NS_PER_S, ValueField
 
 Buffer: TypeAlias = bytes | bytearray | memoryview
@@ -503,10 +503,9 @@ def encode_trial_status(status: TrialStatus) -> bytes:
 
     The bytes are those that a typed rclpy publisher sends.
     """
-    level = 2 if status.phase is Phase.ABORTED else 0 if status.valid else 1
     values = status.to_values()
     texts = [text for pair in values.items() for text in pair]
-    data = bytes((level, 0, 0, 0))
+    data = bytes((status.level, 0, 0, 0))
     data += b"".join(map(_string, (TrialStatus.STATUS_NAME, status.sentence, "")))
     data += struct.pack("<I", len(values)) + b"".join(map(_string, texts))
     # The last string is not padded, as nothing follows it.

@@ -229,7 +229,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         self.report_news()
 
     def _name_publishers(self, *, last: bool = False) -> None:
-        """Add the names of all publishers of commands to an accusation, as they become known.
+        """Note the names of all publishers of commands after an accusation, as they become known.
 
         Torque is gone already; the middleware may learn only later which node a publisher is of.
         """
@@ -243,12 +243,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         ]
         self._commanders = max(self._commanders, len(known))
         new = known if self._commanders > 1 or not last else [*known, _LEFT]
-        with self.locked:
-            for name in new:
-                if name not in self._names and len(self._names) < _MOST_NAMES:
-                    self.limiter.fault += ", " if self._names else "; published by "
-                    self.limiter.fault += name
-                    self._names.append(name)
+        self._names = list(dict.fromkeys([*self._names, *new]))[:_MOST_NAMES]
 
     def _conclude_accusation(self) -> None:
         """Wait a moment for names that are yet to be discovered, now that nothing else is due."""
@@ -277,12 +272,18 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
             if self.active:
                 self.torque_was_taken()
 
+    @property
+    def fault(self) -> str:
+        """Why torque was taken away, with the publishers of commands if they are accused of it."""
+        named = self._accused and self._names
+        return self.limiter.fault + (f"; published by {', '.join(self._names)}" if named else "")
+
     def report(self) -> None:
         """Publish the state of the rig on ``/diagnostics``."""
         if not self.configured or not self.context.ok():
             return
         with self.locked:
-            stamp_ns, fault, figures = self.stamp_ns(), self.limiter.fault, self.timing()
+            stamp_ns, fault, figures = self.stamp_ns(), self.fault, self.timing()
             values = {**self.values(), "applied": self.limiter.applied}
         if self._sequence.numbered is not None:
             by = "numbers and publishers" if self._sequence.numbered else "publishers alone"
@@ -297,7 +298,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
 
     def report_news(self) -> None:
         """Report a fault that has not been reported yet, or that one was cleared."""
-        if self.configured and self.limiter.fault != self.reported_fault:
+        if self.configured and self.fault != self.reported_fault:
             self.report()
 
     def _on_controller(self, controller: HeartbeatMonitor) -> None:
@@ -387,7 +388,7 @@ class ProtectedDriver(DriverBase[Protection, ModelT], ABC, Generic[ModelT]):
             monitors=[self.controller],
         )
         self._meter = TimingMeter()
-        self._sent_ns = self._stamp_ns = 0
+        self._stamp_ns = 0
         self.restart_clock()
 
     def restart_clock(self) -> None:
@@ -395,8 +396,11 @@ class ProtectedDriver(DriverBase[Protection, ModelT], ABC, Generic[ModelT]):
         self._begin_ns: int | None = None
 
     def check_sample(self, angles: Sequence[float], periods: int) -> None:
-        """Check the angles (n,), rad, of a sample that ends `periods` periods; 0 in lockstep."""
-        self.limiter.sample(angles)
+        """Check the angles (n,), rad, of a sample that ends `periods` periods; 0 in lockstep.
+
+        Latencies of commands count from this call.
+        """
+        self.limiter.sample(angles, time.monotonic_ns())
         for _ in range(periods):
             if self.limiter.period():
                 self._meter.missed()
@@ -408,7 +412,7 @@ class ProtectedDriver(DriverBase[Protection, ModelT], ABC, Generic[ModelT]):
         self, stamp_ns: int, angles: Sequence[float], torques: Sequence[float]
     ) -> None:
         """Publish a sample: stamp, ns; angles (n,), rad; torques on the arm (n,), N·m."""
-        now_ns = self._sent_ns = time.monotonic_ns()
+        now_ns = time.monotonic_ns()
         self.joint_states.publish(stamp_ns, angles)
         self.torque_sensors.publish(stamp_ns, torques)
         # The first sample may itself be late, so the earliest one so far tells when others are due.
@@ -423,9 +427,11 @@ class ProtectedDriver(DriverBase[Protection, ModelT], ABC, Generic[ModelT]):
         """Pass a command (n,), N·m, on to the drives, as far as the protection allows."""
         if not self.active:
             return
-        self._meter.answered(time.monotonic_ns() - self._sent_ns)
+        now_ns = time.monotonic_ns()
         with self.locked:
             self.limiter.command(command)
+            if (sent_ns := self.limiter.watch.answered_ns) is not None:
+                self._meter.answered(now_ns - sent_ns)
             self.drive(self.limiter.applied)
 
     def torque_was_taken(self) -> None:

@@ -43,14 +43,19 @@ class Presence(Enum):
     LEFT = "has left"
 
     @property
-    def lost(self) -> bool:
-        """Whether the node was there and, as far as can be known, no longer is."""
-        return self in (Presence.SILENT, Presence.GONE, Presence.LEFT)
+    def gone(self) -> bool:
+        """Whether the node has certainly ended."""
+        return self in (Presence.GONE, Presence.LEFT)
 
     @property
-    def mute(self) -> bool:
-        """Whether the node was there and gives no sign of life now, for whatever reason."""
-        return self.lost or self is Presence.STALLED
+    def silent(self) -> bool:
+        """Whether the node gives no sign of life now, and may still be there."""
+        return self in (Presence.STALLED, Presence.SILENT)
+
+    @property
+    def lost(self) -> bool:
+        """Whether the node was there and, as far as can be known, no longer is."""
+        return self.gone or self is Presence.SILENT
 
     def after(self, alive: int, silent: int, process_lives: bool | None = None) -> Presence:
         """Return the presence that follows from the latest observations.
@@ -68,7 +73,7 @@ class Presence(Enum):
             if alive:
                 return Presence.ALIVE
             return Presence.STALLED if process_lives else Presence.SILENT
-        if self in (Presence.UNKNOWN, Presence.GONE, Presence.LEFT):
+        if self.gone or self is Presence.UNKNOWN:
             return self
         # The middleware forgets a silent publisher when the lease of its process expires.
         return Presence.LEFT if self is Presence.ALIVE else Presence.GONE

@@ -76,6 +76,18 @@ class ServiceClients:
             for service, kind in kinds.items()
         }
 
+    def _await(
+        self, clients: Mapping[tuple[str, str], Client], deadline: float, failure: str
+    ) -> None:
+        """Wait until services are there; GraphError if a node lacks one at the deadline (s)."""
+        while missing := sorted(
+            {name for (name, _), one in clients.items() if not one.service_is_ready()}
+        ):
+            if time.monotonic() >= deadline:
+                raise GraphError(f"{failure}: {', '.join(missing)}")
+            self._check()
+            self._spin_until(Future(), _POLL)
+
     def _ask(
         self, name: str, service: str, request: Any, purpose: str, *, repeat: bool = True
     ) -> Any:
@@ -85,11 +97,7 @@ class ServiceClients:
         GraphError if there is no answer in time.
         """
         client, deadline = self._clients[name, service], time.monotonic() + self._timeout
-        while not client.service_is_ready():
-            if time.monotonic() >= deadline:
-                raise GraphError(f"node {name} is not there to {purpose}")
-            self._check()
-            self._spin_until(Future(), _POLL)
+        self._await({(name, service): client}, deadline, f"no node that could {purpose}")
         while True:
             # An answer gets lost if the node has not yet discovered this side.
             end = min(deadline, time.monotonic() + (_REPEAT if repeat else math.inf))
@@ -133,13 +141,7 @@ class LifecycleManager(ServiceClients):
             Naming the nodes that did not appear.
         """
         deadline = time.monotonic() + (self._timeout if timeout is None else timeout)
-        while missing := sorted(
-            {name for (name, _), one in self._clients.items() if not one.service_is_ready()}
-        ):
-            if time.monotonic() >= deadline:
-                raise GraphError(f"node did not appear: {', '.join(missing)}")
-            self._check()
-            self._spin_until(Future(), _POLL)
+        self._await(self._clients, deadline, "node did not appear")
 
     def state(self, name: str) -> str:
         """Return the state of a node, such as ``inactive``; GraphError if it does not answer."""

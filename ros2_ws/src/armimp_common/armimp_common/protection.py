@@ -210,7 +210,7 @@ class TorqueLatch:
 
 
 class Protection(TorqueLatch):
-    """Decides which torque the drives get.
+    """Decides which torque the drives get; its `watch` matches commands to samples.
 
     Parameters
     ----------
@@ -222,11 +222,11 @@ class Protection(TorqueLatch):
         super().__init__(joints)
         self._limits = limits
         self._history: deque[tuple[float, ...]] = deque(maxlen=_SPAN + 1)
-        self._watch = CommandWatch()
+        self.watch = CommandWatch()
 
     def command(self, torque: Sequence[float]) -> None:
         """Take a command (n,), N·m; one that cannot be obeyed is a fault."""
-        if reason := self._watch.command(torque):
+        if reason := self.watch.command(torque):
             self.latch(reason)
         # Written so that NaN fails.
         if len(torque) != len(self._zero) or not all(
@@ -235,9 +235,9 @@ class Protection(TorqueLatch):
             self.latch(f"command cannot be obeyed: {list(torque)}")
         self.obey(torque)
 
-    def sample(self, angles: Sequence[float]) -> None:
-        """Check the angles (n,), rad, of a sample that the next command is to answer."""
-        self._watch.sample()
+    def sample(self, angles: Sequence[float], sent_ns: int = 0) -> None:
+        """Check the angles (n,), rad, of a sample sent at `sent_ns` for a command to answer."""
+        self.watch.sample(sent_ns)
         self._history.append(tuple(angles))
         if not all(abs(angle) <= self._limits.position for angle in angles):
             self.latch(f"position beyond {self._limits.position:g} rad: {list(angles)}")
@@ -248,19 +248,19 @@ class Protection(TorqueLatch):
 
     def period(self) -> bool:
         """End a period, in real time only; return whether no command came in it."""
-        if reason := self._watch.period():
+        if reason := self.watch.period():
             self.fade(reason)
         self.go_on_fading()
-        return self._watch.silent > 1
+        return self.watch.silent > 1
 
     def rest(self) -> None:
         """Forget the last command, and the samples before it."""
         super().rest()
-        self._watch.restart()
+        self.watch.restart()
         self._history.clear()
 
     def reset(self) -> None:
         """Obey again after a fault, as :meth:`TorqueLatch.reset`."""
         super().reset()
-        self._watch.reset()
+        self.watch.reset()
         self._history.clear()

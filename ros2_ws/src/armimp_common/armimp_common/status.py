@@ -220,6 +220,13 @@ class TrialStatus(Record):
         return self
 
     @property
+    def level(self) -> Level:
+        """ERROR for an aborted trial, WARN for another one that is not valid."""
+        if self.phase is Phase.ABORTED:
+            return Level.ERROR
+        return Level.OK if self.valid else Level.WARN
+
+    @property
     def sentence(self) -> str:
         """The status in words, for the ``message`` of the DiagnosticStatus."""
         text = (
@@ -368,12 +375,11 @@ class Progress(Record):
 
 
 class Level(IntEnum):
-    """Severity, with the numbers of ``diagnostic_msgs/msg/DiagnosticStatus``."""
+    """Severity, with numbers of ``diagnostic_msgs/msg/DiagnosticStatus``."""
 
     OK = 0
     WARN = 1
     ERROR = 2
-    STALE = 3
 
 
 def make_status(
@@ -404,10 +410,8 @@ def make_status(
 def status_message(
     record: TrialStatus | StoppingDecision | TimingFigures | Progress,
 ) -> DiagnosticStatus:
-    """Return the message of a record; aborted trials are an ERROR, other invalid ones a WARN."""
-    level = Level.OK
-    if isinstance(record, TrialStatus) and not record.valid:
-        level = Level.ERROR if record.phase is Phase.ABORTED else Level.WARN
+    """Return the message of a record."""
+    level = record.level if isinstance(record, TrialStatus) else Level.OK
     return make_status(record.STATUS_NAME, level, record.sentence, record.to_values())
 
 

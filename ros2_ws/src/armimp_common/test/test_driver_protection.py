@@ -78,10 +78,7 @@ def test_a_command_more_than_samples_takes_the_torque_away_unless_it_is_zero(
     assert protection.applied == (0.0, 0.0)
     assert not protection.fault
     protection.command((10.0, 0.0))
-    assert (str(protection.fault), protection.applied) == (
-        "more commands than samples",
-        (0.0, 0.0),
-    )
+    assert (str(protection.fault), protection.applied) == ("more commands than samples", (0.0, 0.0))
 
 
 def test_first_commands_may_answer_any_of_the_last_samples(protection: Protection) -> None:

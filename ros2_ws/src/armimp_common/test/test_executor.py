@@ -15,10 +15,7 @@ from std_srvs.srv import Empty
 
 from armimp_common import process
 from armimp_common.errors import ArmimpError, ConfigurationError, GraphError
-from armimp_common.executor import (
-    Spinner,
-    run_node,
-)
+from armimp_common.executor import Spinner, run_node
 from armimp_common.process import stop_on_signals
 from support.graph import PATIENCE
 from support.processes import run_python

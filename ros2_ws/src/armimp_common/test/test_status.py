@@ -9,13 +9,7 @@ from hypothesis import strategies as st
 
 from armimp_common import status as statuses
 from armimp_common.errors import MalformedMessageError
-from armimp_common.status import (
-    Cause,
-    Phase,
-    StoppingDecision,
-    TimingFigures,
-    TrialStatus,
-)
+from armimp_common.status import Cause, Phase, StoppingDecision, TimingFigures, TrialStatus
 from support.streams import changed, trial_status
 
 STATUS = trial_status(

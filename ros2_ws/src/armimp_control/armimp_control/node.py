@@ -17,7 +17,7 @@ from armimp_common import qos, topics
 from armimp_common.cdr import JointStateDecoder
 from armimp_common.errors import ArmimpError, GraphError, MalformedMessageError
 from armimp_common.executor import run_node, steady_timer
-from armimp_common.heartbeat import HeartbeatMonitor, Presence
+from armimp_common.heartbeat import HeartbeatMonitor
 from armimp_common.lifecycle import ManagedNode, reported
 from armimp_common.parameters import ParameterSet
 from armimp_common.protection import first_bad
@@ -302,18 +302,17 @@ class ImbicControllerNode(ManagedNode):
         # In lockstep time stands still with a stalled simulator; a rig goes on. Before the first
         # sample there is no torque to take away from a rig that is only slow to start.
         begun = self._sequencer is not None and self._sequencer.tick > 0
-        if monitor.presence.lost or (monitor.presence.mute and not self._lockstep and begun):
+        if monitor.presence.lost or (monitor.presence.silent and not self._lockstep and begun):
             self._take_away(Cause.NODE_LOST, monitor.sentence)
 
     def _on_supervisor(self, monitor: HeartbeatMonitor) -> None:
         # Its silence alone is no danger: the other nodes still watch one another.
-        if monitor.presence in (Presence.GONE, Presence.LEFT):
+        if monitor.presence.gone:
             self._take_away(Cause.NODE_LOST, monitor.sentence)
 
     def _on_recorder(self, monitor: HeartbeatMonitor) -> None:
         # In lockstep the simulator waits for a recorder that is only stopped; a rig cannot wait.
-        waits = self._lockstep and monitor.presence in (Presence.STALLED, Presence.SILENT)
-        if monitor.presence.mute and not waits:
+        if monitor.presence.gone or (monitor.presence.silent and not self._lockstep):
             self._take_away(Cause.NODE_LOST, monitor.sentence)
 
     def _on_received(self, samples: int) -> None:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from operator import attrgetter
 from typing import Literal
 
-import numpy as np
 from pydantic import Field
 
 from armimp_common.arrays import FloatArray
+from armimp_common.errors import ConfigurationError
 from armimp_common.realtime import SchedulingParameters
 from armimp_common.schema import Schema, Vector, each, matrix, require_length
 from armimp_common.topics import PERIOD
@@ -30,7 +30,7 @@ from armimp_control.stability import check_stability
 class ControllerParameters(Schema):
     """All parameters of the node ``imbic_controller``."""
 
-    joints: tuple[str, ...]
+    joints: tuple[str, ...] = Field(min_length=1)
     """Names of the joints, in the order of commands."""
     seed: int = Field(default=1, ge=0)
     """Seed of the perturbation."""
@@ -112,17 +112,15 @@ class ControllerParameters(Schema):
         """Return the law that was chosen."""
         return LAWS[self.law.kind](target=self.target, law=self.law, known=self.known)
 
-    def priors(self) -> tuple[JointPrior, ...]:
-        """Return what is expected of each joint while it is perturbed."""
+    def prior(self, joint: int) -> JointPrior:
+        """Return what is expected of a joint (0-based) while it is perturbed."""
         target, known, n = self.target, self.known, len(self.joints)
-        inertia = np.diag(matrix("known.arm_inertia", known.arm_inertia, n))
-        omega = each("known.arm_frequency", known.arm_frequency, n)
-        zeta = each("known.arm_damping_ratio", known.arm_damping_ratio, n)
-        arm = np.stack([inertia, 2.0 * zeta * omega * inertia, omega**2 * inertia], axis=1)
-        targets = zip(target.inertia, target.damping, target.stiffness, strict=True)
-        return tuple(
-            JointPrior(arm=tuple(one), target=of_target)
-            for one, of_target in zip(arm.tolist(), targets, strict=True)
+        inertia = float(matrix("known.arm_inertia", known.arm_inertia, n)[joint, joint])
+        omega = float(each("known.arm_frequency", known.arm_frequency, n)[joint])
+        zeta = float(each("known.arm_damping_ratio", known.arm_damping_ratio, n)[joint])
+        return JointPrior(
+            arm=(inertia, 2.0 * zeta * omega * inertia, omega * omega * inertia),
+            target=(target.inertia[joint], target.damping[joint], target.stiffness[joint]),
         )
 
     def signal(self, joint: int, *, trial: int, ticks: int) -> FloatArray:
@@ -133,7 +131,7 @@ class ControllerParameters(Schema):
             trial=trial,
             ticks=ticks,
             seed=self.seed,
-            prior=self.priors()[joint],
+            prior=self.prior(joint),
         )
 
     @property
@@ -154,7 +152,12 @@ class ControllerParameters(Schema):
             require_length(name, attrgetter(name)(self), n, n)
         require_length("perturbation.peak", self.perturbation.peak, n, n)
         each("perturbation.angle_limit", self.perturbation.angle_limit, n)
-        self.priors()
+        inertia = [self.prior(joint).arm[0] for joint in range(n)]
+        if self.perturbation.kind == "optimal" and not all(one > 0.0 for one in inertia):
+            raise ConfigurationError(
+                "optimal perturbations need a positive inertia of the arm at every joint, "
+                f"known.arm_inertia has {inertia}"
+            )
         law = self.control_law()
         self.safety.rules(law.target_posture, PERIOD)
         return check_stability(law)

@@ -36,7 +36,7 @@ _GROWTH = 1e-4
 """Growth per tick attributed to rounding: without target stiffness and damping there is none."""
 
 
-def check_stability(law: Law, dynamics: RigDynamics | None = None) -> tuple[str, ...]:
+def check_stability(law: Law) -> tuple[str, ...]:
     """Check the sampled loop with every joint perturbed in turn, and with all locked.
 
     The loop of law and inertia must return to rest, see :func:`spectral_radius`, with the arm as it
@@ -45,8 +45,7 @@ def check_stability(law: Law, dynamics: RigDynamics | None = None) -> tuple[str,
 
     Parameters
     ----------
-    law : has the known inertia of robot and arm
-    dynamics : of drives and transducers; by default those that the law knows
+    law : has what is known of robot, arm, drives and transducers
 
     Returns
     -------
@@ -58,8 +57,7 @@ def check_stability(law: Law, dynamics: RigDynamics | None = None) -> tuple[str,
     ConfigurationError
         If the loop is unstable or the inertia makes no sense; the message carries the value.
     """
-    dynamics = dynamics or law.known
-    robot_inertia, arm_inertia = _inertia(law)
+    dynamics, (robot_inertia, arm_inertia) = law.known, _inertia(law)
     total = robot_inertia + arm_inertia
     smallest = float(np.linalg.eigvalsh(0.5 * (total + total.T))[0])
     if not smallest > 0.0:

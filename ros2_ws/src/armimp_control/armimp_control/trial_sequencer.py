@@ -19,6 +19,8 @@ from armimp_control.safety_limiter import Limit, SafetyParameters, SaturationCou
 from armimp_control.sequence import Segment, Tare, timetable
 
 Reading = tuple[float, ...]
+_MOST_WAITING = 10_000
+"""Readings of one kind that may wait for their partners at most."""
 
 
 class TrialSequencer:
@@ -280,6 +282,8 @@ class SamplePairs:
         other = others.pop(stamp_ns, None)
         if other is None:
             own[stamp_ns] = values
+            if len(own) > _MOST_WAITING:  # the others do not come at all
+                del own[next(iter(own))]
         elif others or own:
             # Older readings without a partner are lost samples, which the sequencer counts.
             for readings in self._waiting:

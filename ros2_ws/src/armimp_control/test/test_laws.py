@@ -13,6 +13,7 @@ from armimp_control.laws import (
     ANGLE_GAIN,
     DISTURBANCE_GAIN,
     INERTIA_MODEL,
+    NO_JOINT,
     VELOCITY_GAIN,
     Law,
     LawParameters,
@@ -22,7 +23,7 @@ from armimp_control.laws.imbic import Imbic
 from armimp_control.laws.law import Controller
 from armimp_control.laws.pd import Pd
 from armimp_control.rig import KnownParameters, RigDynamics
-from armimp_control.stability import check_stability
+from armimp_control.stability import check_stability, spectral_radius
 from support.laws import (
     ARM,
     POSTURE,
@@ -287,16 +288,13 @@ def test_a_fast_joint_that_gets_locked_comes_to_rest_though_commands_are_clipped
 
 
 def test_defaults_bear_one_late_period_and_any_arm_within_a_factor_of_three() -> None:
-    def check(known: int, delay: int) -> tuple[str, ...]:
-        return check_stability(_observed(delay=known), RigDynamics(command_delay=delay))
-
     for delay in (0, 1):
-        assert check(delay, delay) == ()
+        assert check_stability(_observed(delay=delay)) == ()
     with pytest.raises(ConfigurationError, match=r"grows by .* act 2 periods late"):
-        check(2, 2)
+        check_stability(_observed(delay=2))
     # An observer that does not know of the delay makes a heavy arm swing.
-    with pytest.raises(ConfigurationError, match=r"locked, .* an arm 3 times as heavy, with comm"):
-        check(0, 1)
+    late = RigDynamics(command_delay=1)
+    assert spectral_radius(_observed(), late, perturbed=NO_JOINT, arm=3.0) > 1.001
 
 
 # --- Plain PD locking, the negative control -----------------------------------------------------

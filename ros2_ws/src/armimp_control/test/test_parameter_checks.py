@@ -15,13 +15,14 @@ from armimp_control.safety_limiter import SafetyParameters
 from support.controller import controller_parameters
 from support.laws import preset_law
 
-PRESET = flatten(controller_parameters())
+PRESET = {**flatten(controller_parameters()), "perturbation.kind": "optimal"}
 NAN, INF = float("nan"), float("inf")
 
 
 @pytest.mark.parametrize(
     ("name", "values"),
     [
+        ("joints", [()]),
         ("safety.torque_limit", [0.0, -80.0, NAN, INF]),
         ("safety.rate_limit", [0.0, NAN, 1599.0]),
         ("safety.power_limit", [0.0, INF]),
@@ -39,6 +40,7 @@ NAN, INF = float("nan"), float("inf")
         ("target.lock_dither_frequency", [380.0]),
         ("law.model_inertia", [(1.0, 0.0, 1.0), (NAN, 0.0, 0.0, 1.0)]),
         ("known.robot_inertia", [(1.0, 2.0, 2.0, 1.0), (1.0,)]),
+        ("known.arm_inertia", [(0.1, 0.0, 0.0, 0.0), (1.0,)]),
         ("known.actuator_lag", [1e-12, 0.2]),
         ("known.torque_cutoff", [1e-6, INF]),
     ],

@@ -13,7 +13,7 @@ from armimp_control.laws import NO_JOINT, Law
 from armimp_control.laws.law import Controller
 from armimp_control.rig import RigDynamics
 from armimp_control.stability import check_stability, spectral_radius
-from support.laws import ARM, POSTURE, ROBOT, preset_law, torque_only, with_law
+from support.laws import ARM, POSTURE, ROBOT, knowing, preset_law, torque_only, with_law
 
 TDE = preset_law(ROBOT, POSTURE, "tde")
 STEPS = 20
@@ -99,12 +99,9 @@ def test_a_loop_grows_or_comes_to_rest_as_the_check_says(
 def test_the_law_of_the_study_bears_the_delays_that_the_documents_say(
     borne: dict[str, float], refused: dict[str, float]
 ) -> None:
-    def check(known: dict[str, float]) -> None:
-        check_stability(TDE, RigDynamics(**known))  # type: ignore[arg-type]
-
-    check(borne)
+    check_stability(knowing(TDE, **borne))
     with pytest.raises(ConfigurationError, match="unstable when sampled"):
-        check(refused)
+        check_stability(knowing(TDE, **refused))
 
 
 def test_the_default_is_accepted_without_a_warning_and_tde_with_one_of_late_commands() -> None:

@@ -198,6 +198,13 @@ def test_a_reading_whose_partner_was_lost_is_given_up_with_the_next_pair() -> No
     assert pairs.other(1, 4, (0.0,)) == (4.0,), "it was not older"
 
 
+def test_readings_of_one_kind_alone_do_not_pile_up_for_ever() -> None:
+    pairs = SamplePairs()
+    assert not any(pairs.other(0, stamp, (1.0,)) for stamp in range(20_000))
+    assert pairs.other(1, 0, (0.0,)) is None
+    assert pairs.other(1, 19_999, (0.0,)) == (1.0,)
+
+
 # --- Trials that end early, because the estimator says that they are good enough ----------------
 
 

@@ -97,7 +97,7 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
         for name, value in zip(self._settings.names_there(), torques, strict=True):
             if math.isnan(value):
                 # A broadcaster also sends this if there is no effort interface.
-                self.limiter.latch(f"{STATES}: the effort of {name!r} is not a number")
+                self.latch(f"{STATES}: the effort of {name!r} is not a number")
         self.check_sample(angles, steps)
         self.publish_sample(stamp_ns, angles, torques)
 
@@ -117,7 +117,7 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
         # What queued up while this process was held up is heard before the next check.
         if self.active and self._heard:
             if self._heard == self._heard_before:
-                self.limiter.latch(f"{STATES}: nothing for {1e3 * _SILENCE_PERIOD:g} ms")
+                self.latch(f"{STATES}: nothing for {1e3 * _SILENCE_PERIOD:g} ms")
             self._heard_before = self._heard
         if self.active and self.limiter.fault:
             # The forward controller listens by best effort: once might be too seldom.

@@ -190,3 +190,18 @@ def test_the_emergency_stop_zeroes_torque_again_and_again_until_a_reset_refused_
     assert world.call(topics.SIM_RESET_SERVICE)[0]
     world.answer = PUSH
     world.until_told(*PUSH)
+
+
+@pytest.mark.usefixtures("world")
+def test_the_latency_of_a_command_counts_from_the_sample_that_it_answers(
+    bridge: PatientBridge,
+) -> None:
+    for k in range(3):
+        bridge.check_sample(ZERO, 1)
+        bridge.publish_sample(PERIOD_NS * k, ZERO, ZERO)
+        if k != 1:  # the answer to this one comes after the next one
+            bridge.on_command(ZERO)
+        time.sleep(0.05)
+    figures = bridge.timing()
+    assert figures is not None
+    assert figures.latency_max >= 0.05

@@ -13,7 +13,7 @@ from armimp_common import qos, topics
 from armimp_common.driver_base import DriverBase, FlowControl
 from armimp_common.errors import ArmimpError, GraphError
 from armimp_common.executor import run_node, steady_timer
-from armimp_common.heartbeat import HeartbeatMonitor, Presence
+from armimp_common.heartbeat import HeartbeatMonitor
 from armimp_common.lifecycle import reported
 from armimp_common.pubsub import subscribe_counts, wait_for_partners
 from armimp_common.realtime import Pacer, RealtimeScheduling
@@ -49,7 +49,7 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
         self.set_up(rig, parameters.joints)
         self._clock_publisher = self.create_publisher(Clock, topics.CLOCK, qos.CLOCK)
         self._flow = FlowControl()
-        self._flow.silent = self._recorder.presence in (Presence.STALLED, Presence.SILENT)
+        self._flow.silent = self._recorder.presence.silent
         self._holding = False
         received = subscribe_counts(self, topics.RECEIVED, self._on_received)
         self.own(self._clock_publisher, received)
@@ -159,8 +159,8 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
 
     def _on_recorder(self, recorder: HeartbeatMonitor) -> None:
         """Wait for a silent recorder, which may only be stopped; a lost one ends the trial."""
-        self._flow.silent = recorder.presence in (Presence.STALLED, Presence.SILENT)
-        if recorder.presence in (Presence.GONE, Presence.LEFT) and self._flow.recorded:
+        self._flow.silent = recorder.presence.silent
+        if recorder.presence.gone and self._flow.recorded:
             self.latch(f"{recorder.sentence}, and a trial without recorder is of no use")
             self.report_news()
             self._flow.acknowledge(topics.RECORDER_GONE)

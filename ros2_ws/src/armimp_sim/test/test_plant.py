@@ -13,15 +13,7 @@ from armimp_sim.model.robot import PlanarChain
 from armimp_sim.model.sensors import Sampling
 from armimp_sim.parameters import RK4_RADIUS, SimulatorParameters
 from armimp_sim.plant import IntegrationError, Plant
-from support.plants import (
-    changed,
-    load,
-    random_plant,
-    set_state,
-    slopes,
-    state_of,
-    study_plant,
-)
+from support.plants import changed, load, random_plant, set_state, slopes, state_of, study_plant
 
 START = np.array([[1.3, 0.9], [4.0, -7.0], [0.0, 0.0]])
 TORQUE = np.array([1.5, -2.0])

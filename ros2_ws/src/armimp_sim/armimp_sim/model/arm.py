@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from armimp_common.arrays import FloatArray
-from armimp_common.schema import Schema, Vector
+from armimp_common.schema import Schema, Vector, matrix
 
 
 class HumanArm(Schema):
@@ -25,10 +25,7 @@ class HumanArm(Schema):
     """Stiffness K_h of the arm, n×n row by row (N·m/rad)."""
 
     @model_validator(mode="after")
-    def _has_a_shape(self) -> HumanArm:
-        for name in ("inertia", "damping", "stiffness"):
-            if len(values := getattr(self, name)) != (needed := self.joints**2):
-                raise ValueError(f"{name} has {len(values)} values, needs {needed}")
+    def _has_inertia(self) -> HumanArm:
         if not all(value > 0.0 for value in self.inertia[:: self.joints + 1]):
             raise ValueError(f"inertia of every joint must be positive, got {self.inertia}")
         return self
@@ -46,20 +43,17 @@ class HumanArm(Schema):
     @property
     def M(self) -> FloatArray:
         """(n, n) M_h, kg·m²."""
-        return self._matrix(self.inertia)
+        return matrix("arm.inertia", self.inertia, self.joints)
 
     @property
     def B(self) -> FloatArray:
         """(n, n) B_h, N·m·s/rad."""
-        return self._matrix(self.damping)
+        return matrix("arm.damping", self.damping, self.joints)
 
     @property
     def K(self) -> FloatArray:
         """(n, n) K_h, N·m/rad."""
-        return self._matrix(self.stiffness)
-
-    def _matrix(self, values: Vector) -> FloatArray:
-        return np.array(values).reshape(self.joints, self.joints)
+        return matrix("arm.stiffness", self.stiffness, self.joints)
 
 
 class ReflexParameters(Schema):
