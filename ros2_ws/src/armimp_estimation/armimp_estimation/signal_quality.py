@@ -59,7 +59,7 @@ _PERIODS = 6
 MENDED = 0.005
 """Share of samples that may be mended; beyond, too many lost ones remain that don't stand out."""
 _TELLING_COUNTS = 50.0  # range in counts, or number of changes or samples, that suffices for a test
-_TELLING_SAMPLES = 4096  # half of the samples that are searched for repetitions
+_SEARCHED = 8192  # samples that are searched for repetitions
 _TELLING_MOST = 16384  # samples that suffice for a regression on commands
 _REPEATED = 0.15  # share of repetitions that chance doesn't reach
 _BESIDE = 9.0  # ratio of repetitions to the most frequent step that chance doesn't reach
@@ -532,13 +532,9 @@ def sticking(signal: FloatArray, rate: float, partner: FloatArray) -> tuple[floa
         Longest time for which the signal was stuck or, if it never was, kept one value, s; number
         of times that it was stuck; limit, s.
     """
-    edges = np.flatnonzero(np.diff(signal) != 0.0)
-    runs = np.diff(np.concatenate(([-1], edges, [signal.size - 1])))
-    typical = float(np.quantile(runs, 0.99))
-    limit = max(STUCK * rate, _STUCK_TIMES * typical)
-    starts = np.concatenate(([0], edges + 1))
-    sizes = np.abs(np.diff(signal)[edges])
-    jumps = np.concatenate((sizes > _SETS_OFF * float(np.median(sizes)), [True]))
+    starts, runs, sizes = _runs(signal)
+    limit = max(STUCK * rate, _STUCK_TIMES * float(np.quantile(runs, 0.99)))
+    jumps = np.append(sizes > _SETS_OFF * float(np.median(sizes)), True)
     chosen = (runs > limit) & jumps
     long = [
         int(run)
@@ -566,13 +562,11 @@ def dropouts(
         Angle of the locked joint whose torque the signal is. Where it rests as well, and steps when
         the torque jumps, the control law has thrown the joint back, which is no dropout.
     """
-    steps = np.diff(signal)
-    edges = np.flatnonzero(steps)
-    if edges.size <= _TELLING_COUNTS:
+    starts, runs, sizes = _runs(signal)
+    if sizes.size <= _TELLING_COUNTS:
         return 0, 0.0
-    sizes = np.abs(steps[edges])
     jumps = sizes > _JUMP * float(np.median(sizes))
-    starts, runs = edges[:-1] + 1, np.diff(edges)
+    starts, runs = starts[1:-1], runs[1:-1]  # those with a jump at either end
     long = max(_HELD_TIMES * float(np.quantile(runs, 0.99)), _LEAST_HELD)
     found = (runs >= long) & jumps[1:]
     for place in np.flatnonzero(found):
@@ -637,7 +631,7 @@ def repeating(signal: FloatArray) -> float:
     ----------
     signal : ndarray, shape (N,)
     """
-    signal = signal[: 2 * _TELLING_SAMPLES]
+    signal = signal[:_SEARCHED]
     levels = np.rint(signal / (resolution_of(signal) or 1.0))
     counts = np.unique(levels, return_inverse=True)[1]
     unit = max(EXACT * float(np.ptp(signal)), _TINY)
@@ -668,6 +662,13 @@ def _copied(record: TrialRecord, source: str) -> tuple[float, float]:
         share = float(np.std(shown - factor * given)) / float(np.std(torque))
         best = min(best, (factor, share), key=lambda one: one[1])
     return best
+
+
+def _runs(signal: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArray]:
+    """First samples and lengths of all runs of one value, and sizes of the steps between them."""
+    steps = np.diff(signal)
+    starts = np.append(0, np.flatnonzero(steps) + 1)
+    return starts, np.diff(starts, append=signal.size), np.abs(steps[starts[1:] - 1])
 
 
 def _rests(signal: FloatArray, start: int, run: int) -> bool:
