@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_common.errors import DataError
-from armimp_estimation.periods import Periods, has_power
+from armimp_estimation.periods import Periods, among, has_power
 
 Mix = Callable[[FloatArray], ComplexArray]
 """Gives, at frequencies (n,) in Hz, the coefficients (m, C, n) that combine C outputs to m."""
@@ -245,13 +245,8 @@ def local_response(
 
 def at_common_frequencies(columns: Sequence[LocalResponse]) -> list[LocalResponse]:
     """Restrict the responses of all trials to the frequencies that all have."""
-    # Frequencies of lines of different periods are equal up to rounding only.
-    places = [np.round(one.f, 9) for one in columns]
-    f: FloatArray = reduce(np.intersect1d, places)
-    return [
-        one if one.f.size == f.size else one.at(np.isin(place, f))
-        for one, place in zip(columns, places, strict=True)
-    ]
+    f: FloatArray = reduce(lambda f, g: f[among(f, g)], [one.f for one in columns])
+    return [one if one.f.size == f.size else one.at(among(one.f, f)) for one in columns]
 
 
 def _periodic_response(
