@@ -201,7 +201,7 @@ def _limits(result: Result) -> Rows:
         where = max(off, key=lambda place: off[place])
         text = f"{'≤' if sign > 0.0 else '≥'} {number(limit, spec)}"
         met = off[where] <= sign * limit
-        verdict = _held(summary, met) if found in (locks, bounds) else mark(met)
+        verdict = mark(met) if found is coherences or found is lacks else _held(summary, met)
         rows.append([title, number(found[where], spec), text, verdict, where])
     lost = sum(trial.lost for trial in summary.trials)
     verdict = "left out" if lost and summary.valid else mark(not lost)
@@ -273,7 +273,7 @@ def _distortion(result: Result) -> Content | None:
     trials = []
     for one in result.trials:
         if one.record is not None and (found := Distortion.of(one.record, arm)) is not None:
-            changes = deviations(one.record, arm, late=late)[one.joint]
+            changes = deviations(one.record, arm, None, summary.torque_reading, late)[one.joint]
             trials.append((one, found, changes.get("amplitude"), changes.get("time")))
     if not trials:
         return None
