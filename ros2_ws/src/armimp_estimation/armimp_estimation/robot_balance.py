@@ -634,6 +634,8 @@ def judge_answers(
     if balance is None or not all(_rounds(record) for record in records):
         return []
     answers, errors = answers_to_rounding(records)
+    if (answers - _ERRORS * errors > _WHOLE).any():
+        return []
     inverse = np.linalg.pinv(arm.mbk.M + balance.M)
     shares = arm.mbk.M @ inverse
     of_arm, of_robot = (np.eye(len(names)) - shares) ** 2 @ arm.M_se**2, shares**2 @ balance.M_se**2
@@ -641,8 +643,6 @@ def judge_answers(
     most = np.diag(shares)
     least = answers - _ERRORS * np.hypot(errors, most_error[:, None])
     beyond = least - most[:, None] - _AT_ONCE
-    if (answers - _ERRORS * errors > _WHOLE).any():
-        return []
     return [
         problem(
             ProblemCode.TORQUE_FROM_COMMAND,
