@@ -269,9 +269,7 @@ def identify(
             for name, one in results.items()
         }
     realised = scores.realisation(best.estimate, options.target)
-    balance = None
-    if responses is not None:
-        balance = responses.balance(order, hold, reading, best.fit)
+    balance = None if responses is None else responses.balance(order, hold, reading, best.fit)
     unbalanced, gains = judge_balance(names, balance, best.fit, options.calibration)
     problems += [*unbalanced, *judge_answers(names, records, balance, best.fit)]
     results = {name: one.with_gains_in_doubt(gains) for name, one in results.items()}
