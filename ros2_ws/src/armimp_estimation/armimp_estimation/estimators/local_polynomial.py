@@ -9,16 +9,15 @@ T are therefore modelled as polynomials, fitted by least squares; the residual g
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_common.errors import DataError
-from armimp_estimation.periods import Periods, among, has_power
+from armimp_estimation.periods import Periods, has_power
 
 Mix = Callable[[FloatArray], ComplexArray]
 """Gives, at frequencies (n,) in Hz, the coefficients (m, C, n) that combine C outputs to m."""
@@ -241,12 +240,6 @@ def local_response(
             f"perturbation has too few spectral lines between {band[0]:.4g} and {band[1]:.4g} Hz"
         )
     return found if perturbed.all() else found.at(perturbed)
-
-
-def at_common_frequencies(columns: Sequence[LocalResponse]) -> list[LocalResponse]:
-    """Restrict the responses of all trials to the frequencies that all have."""
-    f: FloatArray = reduce(lambda f, g: f[among(f, g)], [one.f for one in columns])
-    return [one if one.f.size == f.size else one.at(among(one.f, f)) for one in columns]
 
 
 def _periodic_response(
