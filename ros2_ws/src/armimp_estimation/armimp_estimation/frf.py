@@ -117,17 +117,13 @@ def frf_matrix(trials: Sequence[TrialData]) -> FrfMatrix:
     DataError
         If a trial has fewer than two segments or no perturbation in the band.
     """
-    covariance = np.stack([_covariance(trial) for trial in trials])
+    # From the residuals of the signals.
+    covariance = np.stack([noise_gain(one) * unexplained(one.spectra, 0, 1) for one in trials])
     responses = [trial.spectra.matrix[0, 1:] / trial.input_power for trial in trials]
     stacked, n = np.stack(responses, axis=1), trials[0].record.joints
     return FrfMatrix(
         f=trials[0].f, R=stacked[:n].copy(), T=stacked[n:].copy(), covariance=covariance
     )
-
-
-def _covariance(trial: TrialData) -> ComplexArray:
-    """Covariance of R and T of a trial, from the residuals of its signals."""
-    return noise_gain(trial) * unexplained(trial.spectra, 0, 1)
 
 
 def unexplained(spectra: CrossSpectra, source: int, first: int) -> ComplexArray:

@@ -78,17 +78,17 @@ class EstimatorResult:
     @property
     def coherence_derived(self) -> FloatArray:
         """Band mean of the derived coherence, shape (n, n)."""
-        return scores.band_mean(self.coherence.derived)
+        return np.asarray(self.coherence.derived.mean(axis=-1))
 
     @property
     def coherence_torque(self) -> FloatArray:
         """Band mean of ``γ²(τΔ_k, τ_i)``, shape (n, n)."""
-        return scores.band_mean(self.coherence.torque)
+        return np.asarray(self.coherence.torque.mean(axis=-1))
 
     @property
     def coherence_motion(self) -> FloatArray:
         """Band mean of ``γ²(τΔ_k, θ_k)``, shape (n,)."""
-        return scores.band_mean(self.coherence.motion)
+        return np.asarray(self.coherence.motion.mean(axis=-1))
 
 
 class TrialScores(JsonModel):
@@ -222,23 +222,22 @@ def identify(
             coherence=scores.Coherences.of(ordered, estimate),
             models=models,
         )
-    first = next(iter(results.values()))
+    deciding = _deciding(results)
+    best = results[deciding[0]]
+    records = [trial.record for trial in ordered]
     problems = verdict.judge_band(trials[0].f, ordered[0].f)
     for trial in ordered:
         problems += [*trial.problems, *judge_angles(trial.record), *judge_signals(trial.record)]
     problems += verdict.judge_order(names, locks)
-    problems += verdict.judge_trials([trial.record for trial in ordered])
-    problems += verdict.judge_coherence(
-        names, first.coherence_motion, first.coherence_torque, level
-    )
+    problems += verdict.judge_trials(records)
+    problems += verdict.judge_coherence(names, best.coherence_motion, best.coherence_torque, level)
     if verdict.SINGLE in distinct:
         problems += verdict.judge_locking(names, locks, bounds)
-    postures = np.stack([trial.record.position.mean(axis=1) for trial in ordered])
+    postures = np.stack([record.position.mean(axis=1) for record in records])
     apart = float(np.max(np.ptp(postures, axis=0)))
     for name, one in results.items():
-        decides = name in _deciding(results)
         problems += verdict.judge_estimate(
-            names, one.estimate, one.fit, reading, apart=apart, decides=decides
+            names, one.estimate, one.fit, reading, apart=apart, decides=name in deciding
         )
         problems += verdict.judge_models(name, one.models)
     if options.calibration.assumed:
@@ -251,11 +250,8 @@ def identify(
                 angle=100.0 * options.calibration.angle,
             )
         )
-    best = next((r for r in results.values() if r.estimate.unbiased), None)
-    records = [trial.record for trial in ordered]
-    known = results.get("lpm_full")
-    hold = LpmFull(config=options.lpm).jump(records) if known is None else known.estimate.hold
-    if best is not None:
+    hold = best.estimate.hold or LpmFull(config=options.lpm).jump(records)
+    if best.estimate.unbiased:
         of_motion, doubts, gains = judge_linearity(
             records,
             best.estimate,
@@ -272,15 +268,11 @@ def identify(
             name: one.with_doubts(doubts).with_gains_in_doubt(np.diag(gains))
             for name, one in results.items()
         }
-    trusted = first if best is None else best
-    realised = scores.realisation(trusted.estimate, options.target)
-    fit = trusted.fit
-    balance = None
-    if responses is not None:
-        balance = responses.balance(order, hold, reading, fit)
-    unbalanced, gains = judge_balance(names, balance, fit, options.calibration)
-    problems += [*unbalanced, *judge_answers(names, records, balance, fit)]
-    scales = [] if balance is None else balance.scales_in_doubt(fit)
+    realised = scores.realisation(best.estimate, options.target)
+    balance = None if responses is None else responses.balance(order, hold, reading, best.fit)
+    unbalanced, gains = judge_balance(names, balance, best.fit, options.calibration)
+    problems += [*unbalanced, *judge_answers(names, records, balance, best.fit)]
+    scales = [] if balance is None else balance.scales_in_doubt(best.fit)
     results = {
         name: one.with_gains_in_doubt(gains).with_doubts(scales) for name, one in results.items()
     }

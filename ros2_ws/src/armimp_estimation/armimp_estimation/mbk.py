@@ -46,7 +46,7 @@ class MBK:
         )
 
     def __hash__(self) -> int:
-        return hash(self.K.tobytes())
+        return self.joints
 
     @property
     def joints(self) -> int:

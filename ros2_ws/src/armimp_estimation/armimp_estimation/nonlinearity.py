@@ -109,7 +109,7 @@ _JUMPING = 15.0
 relative to the control period, N·m/s: a quarter of 2 N·m (assumption) at 30 rad/s."""
 _LEFT = 0.01
 """Share of the torque that a linear arm may leave, and least share of an abrupt change."""
-_BETWEEN = 0.05
+_BETWEEN = 0.01
 """Largest share of a linear residual that the linear filters leave between their frequencies."""
 _LEAST = 10.0
 _INFORMATIVE = 0.1

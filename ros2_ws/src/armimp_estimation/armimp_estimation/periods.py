@@ -142,8 +142,13 @@ def common_lines(
     ]
     if not lines:
         return None
-    same: FloatArray = reduce(lambda f, g: f[np.isin(np.round(f, 9), np.round(g, 9))], lines)
+    same: FloatArray = reduce(lambda f, g: f[among(f, g)], lines)
     return same if same.size >= min(_FEWEST_COMMON, *(f.size for f in lines)) else None
+
+
+def among(f: FloatArray, others: FloatArray) -> BoolArray:
+    """Mask of frequencies that are among others, up to rounding, as of lines of other periods."""
+    return np.asarray(np.isin(np.round(f, 9), np.round(others, 9)))
 
 
 def has_power(amplitudes: FloatArray) -> BoolArray:

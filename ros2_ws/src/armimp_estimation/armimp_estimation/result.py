@@ -115,8 +115,9 @@ def conclude(
     """
     known = Metadata.of(metadata, len(joint_names))
     found = list(problems)
-    of_trials = problems_of(trials, known, allow_gaps=allow_gaps, most_excluded=most_excluded)
-    found += (one for one in of_trials if one not in found)
+    for one in problems_of(trials, known, allow_gaps=allow_gaps, most_excluded=most_excluded):
+        if one not in found:
+            found.append(one)
     identification = None
     if not any(trial.refusals(allow_gaps=allow_gaps) for trial in trials):
         try:

@@ -89,7 +89,7 @@ _UNCONFIRMED_CROSS_TALK = 0.03
 """Assumption: error of cross-talk in the same case."""
 _SLIGHT = 0.1
 """Share of an element that friction of locked joints takes, below which it hardly bends that."""
-_NOTICED = 2.0
+_NOTICED = 3.0
 """Standard errors from which on the scales of two encoders seem to differ."""
 _SPRING = 2.0
 """Standard errors from which on a joint of the robot seems to have a spring."""
@@ -671,6 +671,8 @@ def judge_answers(
     if balance is None or not all(_rounds(record) for record in records):
         return []
     answers, errors = answers_to_rounding(records)
+    if (answers - _ERRORS * errors > _WHOLE).any():
+        return []
     inverse = np.linalg.pinv(arm.mbk.M + balance.M)
     shares = arm.mbk.M @ inverse
     of_arm, of_robot = (np.eye(len(names)) - shares) ** 2 @ arm.M_se**2, shares**2 @ balance.M_se**2
@@ -678,8 +680,6 @@ def judge_answers(
     most = np.diag(shares)
     least = answers - _ERRORS * np.hypot(errors, most_error[:, None])
     beyond = least - most[:, None] - _AT_ONCE
-    if (answers - _ERRORS * errors > _WHOLE).any():
-        return []
     return [
         problem(
             ProblemCode.TORQUE_FROM_COMMAND,

@@ -281,9 +281,3 @@ class Coherences:
             torque=np.stack(torque),
             derived=np.stack(derived),
         )
-
-
-def band_mean(values: FloatArray) -> FloatArray:
-    """Mean over frequency, the last axis."""
-    rows = [float(np.mean(row)) for row in values.reshape(-1, values.shape[-1])]
-    return np.reshape(rows, values.shape[:-1])

@@ -24,7 +24,7 @@ from armimp_estimation.record import EXACT, TrialRecord, resolution_of
 Values = dict[str, Any]
 
 _UNITS: Final = {JOINT_STATES: "rad", TORQUE_SENSORS: "N·m"}
-_CLIPPED = 8  # least number of samples at a clipped value, and of passages through a dead zone
+_OFTEN = 8  # least number of samples at a clipped value, and of passages through a dead zone
 _HEAPED = 4.0  # ratio of samples at a suspect value to those at each neighbouring value
 _NEIGHBOURS = 8  # distinct values next to a suspect one that it is compared with
 _REACH = 3.0  # range of those values, in median steps of the signal, where that includes more
@@ -58,9 +58,9 @@ _PERIODS = 6
 """Control periods in which torques follow a command by jumps, before the arm has moved."""
 MENDED = 0.005
 """Share of samples that may be mended; beyond, too many lost ones remain that don't stand out."""
-_TELLING_COUNTS = 50.0  # range in counts, or number of changes or samples, that suffices for a test
-_TELLING_SAMPLES = 4096  # half of the samples that are searched for repetitions
-_TELLING_MOST = 16384  # samples that suffice for a regression on commands
+_ENOUGH = 50.0  # range in counts, or number of changes or samples, that suffices for a test
+_SEARCHED = 8192  # samples that are searched for repetitions
+_REGRESSED = 16384  # samples that suffice for a regression on commands
 _REPEATED = 0.15  # share of repetitions that chance doesn't reach
 _BESIDE = 9.0  # ratio of repetitions to the most frequent step that chance doesn't reach
 _BROAD = 0.5  # share of samples near 0, or of changes of one size, that leaves a test undecided
@@ -124,7 +124,7 @@ def _faults(record: TrialRecord, stream: str, joint: int) -> Iterator[tuple[Prob
         if counts < RESOLVED[stream]:
             yield ProblemCode.UNRESOLVED, {"counts": counts}
         partner = (record.position if torques else record.torque)[k]
-        if counts >= _TELLING_COUNTS:
+        if counts >= _ENOUGH:
             longest, count, limit = sticking(signal, record.rate, partner)
             if count:
                 yield ProblemCode.STUCK, {"longest": longest, "count": count, "limit": limit}
@@ -262,13 +262,13 @@ def mended(record: TrialRecord) -> tuple[TrialRecord, list[Problem]]:
 
 def _of_commands(record: TrialRecord) -> FloatArray:
     """Part of the torques that jumps with the commands of the last periods, (n, N), N·m."""
-    if record.command is None or record.samples <= _TELLING_COUNTS:
+    if record.command is None or record.samples <= _ENOUGH:
         return np.zeros_like(record.torque)
     lags = range(_PERIODS)
     steps = np.pad(command_steps(record), ((0, 0), (_PERIODS, 0)))
     lagged = np.concatenate([steps[:, _PERIODS - lag : steps.shape[1] - lag] for lag in lags])
     changes = np.diff(record.torque, axis=1, prepend=record.torque[:, :1])
-    answers, _ = regress([lagged[:, :_TELLING_MOST]], [changes[:, :_TELLING_MOST]])
+    answers, _ = regress([lagged[:, :_REGRESSED]], [changes[:, :_REGRESSED]])
     return np.asarray(np.cumsum(answers @ lagged, axis=1))
 
 
@@ -313,7 +313,7 @@ def clipping(signal: FloatArray, step: float) -> list[tuple[float, int]]:
         (0, counts[0], counts[1 : 1 + above]),
         (values.size - 1, counts[-1], counts[-1 - below : -1]),
     ):
-        if heap >= _CLIPPED and heap > _HEAPED * float(np.max(inner)):
+        if heap >= _OFTEN and heap > _HEAPED * float(np.max(inner)):
             rank = np.abs(np.searchsorted(values, levels) - end)
             arrivals = _arrivals(rank)
             found.append((float(signal[rank == 0][0]), int(heap)))
@@ -532,13 +532,9 @@ def sticking(signal: FloatArray, rate: float, partner: FloatArray) -> tuple[floa
         Longest time for which the signal was stuck or, if it never was, kept one value, s; number
         of times that it was stuck; limit, s.
     """
-    edges = np.flatnonzero(np.diff(signal) != 0.0)
-    runs = np.diff(np.concatenate(([-1], edges, [signal.size - 1])))
-    typical = float(np.quantile(runs, 0.99))
-    limit = max(STUCK * rate, _STUCK_TIMES * typical)
-    starts = np.concatenate(([0], edges + 1))
-    sizes = np.abs(np.diff(signal)[edges])
-    jumps = np.concatenate((sizes > _SETS_OFF * float(np.median(sizes)), [True]))
+    starts, runs, sizes = _runs(signal)
+    limit = max(STUCK * rate, _STUCK_TIMES * float(np.quantile(runs, 0.99)))
+    jumps = np.append(sizes > _SETS_OFF * float(np.median(sizes)), True)
     chosen = (runs > limit) & jumps
     long = [
         int(run)
@@ -566,13 +562,11 @@ def dropouts(
         Angle of the locked joint whose torque the signal is. Where it rests as well, and steps when
         the torque jumps, the control law has thrown the joint back, which is no dropout.
     """
-    steps = np.diff(signal)
-    edges = np.flatnonzero(steps)
-    if edges.size <= _TELLING_COUNTS:
+    starts, runs, sizes = _runs(signal)
+    if sizes.size <= _ENOUGH:
         return 0, 0.0
-    sizes = np.abs(steps[edges])
     jumps = sizes > _JUMP * float(np.median(sizes))
-    starts, runs = edges[:-1] + 1, np.diff(edges)
+    starts, runs = starts[1:-1], runs[1:-1]  # those with a jump at either end
     long = max(_HELD_TIMES * float(np.quantile(runs, 0.99)), _LEAST_HELD)
     found = (runs >= long) & jumps[1:]
     for place in np.flatnonzero(found):
@@ -613,7 +607,7 @@ def zeros_beyond_chance(signal: FloatArray, step: float) -> int:
     starts, ends = edges[::2], edges[1::2]
     passed = np.minimum(ends - starts, _PASSED)[before[starts] & after[ends]]
     count, passing = int(np.sum(passed)), (before | after)[1:]
-    if passed.size < _CLIPPED or count < _FELT * signal.size:
+    if passed.size < _OFTEN or count < _FELT * signal.size:
         return 0
     values, counts = np.unique(levels[passing], return_counts=True)
     place = int(np.searchsorted(values, 0.0))
@@ -637,7 +631,7 @@ def repeating(signal: FloatArray) -> float:
     ----------
     signal : ndarray, shape (N,)
     """
-    signal = signal[: 2 * _TELLING_SAMPLES]
+    signal = signal[:_SEARCHED]
     levels = np.rint(signal / (resolution_of(signal) or 1.0))
     counts = np.unique(levels, return_inverse=True)[1]
     unit = max(EXACT * float(np.ptp(signal)), _TINY)
@@ -668,6 +662,13 @@ def _copied(record: TrialRecord, source: str) -> tuple[float, float]:
         share = float(np.std(shown - factor * given)) / float(np.std(torque))
         best = min(best, (factor, share), key=lambda one: one[1])
     return best
+
+
+def _runs(signal: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArray]:
+    """First samples and lengths of all runs of one value, and sizes of the steps between them."""
+    steps = np.diff(signal)
+    starts = np.append(0, np.flatnonzero(steps) + 1)
+    return starts, np.diff(starts, append=signal.size), np.abs(steps[starts[1:] - 1])
 
 
 def _rests(signal: FloatArray, start: int, run: int) -> bool:

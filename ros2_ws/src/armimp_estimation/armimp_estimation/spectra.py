@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError, DataError
+from armimp_estimation.periods import among
 
 BAND: Final = (0.122, 15.0)
 """Band of all estimates, Hz, both ends included. It excludes the zero-frequency bin, which only
@@ -146,7 +147,7 @@ class CrossSpectra:
 
     def at(self, f: FloatArray) -> "CrossSpectra":
         """Return the spectra at some frequencies, Hz, such as the lines of a periodic signal."""
-        kept = np.flatnonzero(np.isin(np.round(self.f, 9), np.round(f, 9)))
+        kept = np.flatnonzero(among(self.f, f))
         correlation = np.zeros((len(self.bin_correlation), kept.size))
         for lag in range(min(correlation.shape)):
             lower, upper = kept[: kept.size - lag], kept[lag:]

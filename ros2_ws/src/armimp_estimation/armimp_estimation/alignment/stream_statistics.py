@@ -110,9 +110,7 @@ class AlignedStream:
     def number(self, stamps: IntArray, numbers: IntArray) -> None:
         """Look up the period number of each message, and keep one message for each period."""
         self.numbers = numbers[np.searchsorted(stamps, self.stamps)]
-        early = int(np.searchsorted(self.numbers, 0))
-        self._keep(slice(early, None))
-        self._keep(np.diff(self.numbers, prepend=-1) > 0)
+        self._keep((self.numbers >= 0) & (np.diff(self.numbers, prepend=-1) > 0))
 
     def cut(self, span: int) -> None:
         """Keep the messages of the first `span` periods, and arrange them by period."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
-from armimp_estimation.estimators.welch import WelchSiso, matrix_estimate, with_biases
+from armimp_estimation.estimators.welch import WelchSiso, matrix_estimate
 from armimp_estimation.frf import frf_matrix, noise_gain, order_trials, unexplained
 from armimp_estimation.trial import TrialData
 
@@ -50,7 +50,7 @@ class Direct:
             disturbances.append(gain * unexplained(trial.spectra, angle, torque))
         frf = frf_matrix(ordered)
         inverse = np.eye(len(ordered), dtype=np.complex128)[:, :, None] * np.ones(frf.f.size)
-        estimate = matrix_estimate(
-            self.name, ordered, frf, np.stack(columns, axis=1), np.stack(disturbances), inverse
-        )
-        return with_biases(estimate, (estimate.Z - WelchSiso().estimate(ordered).Z,))
+        impedance = np.stack(columns, axis=1)
+        bias = impedance - WelchSiso().estimate(ordered).Z
+        disturbance = np.stack(disturbances)
+        return matrix_estimate(self.name, ordered, frf, impedance, disturbance, inverse, (bias,))

@@ -9,9 +9,8 @@ T are therefore modelled as polynomials, fitted by least squares; the residual g
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -241,17 +240,6 @@ def local_response(
             f"perturbation has too few spectral lines between {band[0]:.4g} and {band[1]:.4g} Hz"
         )
     return found if perturbed.all() else found.at(perturbed)
-
-
-def at_common_frequencies(columns: Sequence[LocalResponse]) -> list[LocalResponse]:
-    """Restrict the responses of all trials to the frequencies that all have."""
-    # Frequencies of lines of different periods are equal up to rounding only.
-    places = [np.round(one.f, 9) for one in columns]
-    f: FloatArray = reduce(np.intersect1d, places)
-    return [
-        one if one.f.size == f.size else one.at(np.isin(place, f))
-        for one, place in zip(columns, places, strict=True)
-    ]
 
 
 def _periodic_response(

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import reduce
 
 import numpy as np
 
@@ -14,7 +15,6 @@ from armimp_estimation.estimators.local_polynomial import (
     ORDER,
     LocalResponse,
     Mix,
-    at_common_frequencies,
     bins_in_band,
     local_response,
 )
@@ -28,7 +28,7 @@ from armimp_estimation.hold_correction import (
     without_skew,
 )
 from armimp_estimation.mbk import MBK
-from armimp_estimation.periods import common_lines
+from armimp_estimation.periods import among, common_lines
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.signal_quality import (
     lost_motion,
@@ -376,7 +376,8 @@ def responses(
         width = _half_width(record.duration, periodic=periods is not None)
         source = record.perturbation[record.perturbed_joint]
         columns.append(local_response(source, signals, rate, band, width, f, periods, mix))
-    return at_common_frequencies(columns)
+    shared: FloatArray = reduce(lambda f, g: f[among(f, g)], [one.f for one in columns])
+    return [one if one.f.size == shared.size else one.at(among(one.f, shared)) for one in columns]
 
 
 def _half_width(duration: float, *, periodic: bool) -> int:

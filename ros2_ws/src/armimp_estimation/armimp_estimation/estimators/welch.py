@@ -7,7 +7,7 @@ cause the disturbance v. So ``T = Z R + V``, and ``V_ik = G_{x v_i}/G_xx`` has t
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -54,10 +54,9 @@ class WelchSiso:
         inverse, impedance = invert(still, frf.f), frf.T / own
         taken = np.einsum("ikf,kl->kilf", impedance, np.eye(n))
         disturbance = disturbances(taken, frf.covariance)
-        estimate = matrix_estimate(self.name, ordered, frf, impedance, disturbance, inverse)
-        biases = known_biases(estimate, still, trials[0])
         moving = multiply(multiply(impedance, frf.R - still), inverse)
-        return with_biases(estimate, (*biases, moving))
+        biases = (*known_biases(frf, impedance, still, inverse, trials[0]), moving)
+        return matrix_estimate(self.name, ordered, frf, impedance, disturbance, inverse, biases)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,12 +82,12 @@ class WelchFull:
         inverse = invert(frf.R, frf.f)
         impedance = multiply(frf.T, inverse)
         disturbance = disturbances([impedance] * len(ordered), frf.covariance)
-        estimate = matrix_estimate(self.name, ordered, frf, impedance, disturbance, inverse)
-        return with_biases(estimate, known_biases(estimate, frf.R, trials[0]))
+        biases = known_biases(frf, impedance, frf.R, inverse, trials[0])
+        return matrix_estimate(self.name, ordered, frf, impedance, disturbance, inverse, biases)
 
 
 def known_biases(
-    estimate: ImpedanceEstimate, R: ComplexArray, trial: TrialData
+    frf: FrfMatrix, Z: ComplexArray, R: ComplexArray, inverse: ComplexArray, trial: TrialData
 ) -> tuple[ComplexArray, ...]:
     """Known biases of averaged spectra, as systematic standard errors of the impedance.
 
@@ -98,27 +97,20 @@ def known_biases(
 
     Parameters
     ----------
-    estimate : ImpedanceEstimate
-        Estimated impedance, with T and the inverse of R.
-    R : ndarray, shape (n, n, n_freq)
-        Responses of those angles that the estimator uses.
+    frf : FrfMatrix
+        Frequency responses.
+    Z, R, inverse : ndarray, shape (n, n, n_freq)
+        Estimated impedance, responses of those angles that the estimator uses, and their inverse.
     trial : TrialData
         One of the trials. At the lines of a periodic perturbation, there is no leakage.
     """
-    if estimate.f.size < 3 or estimate.inverse is None:
+    if frf.f.size < 3:
         return ()
-    skew = 1j * np.pi * estimate.f / trial.record.rate * estimate.Z
+    skew = 1j * np.pi * frf.f / trial.record.rate * Z
     if trial.at_lines:
         return (skew,)
-    change = _second_difference(estimate.T) - multiply(estimate.Z, _second_difference(R))
-    leakage = multiply(change, estimate.inverse) / 6.0
-    return leakage, skew
-
-
-def with_biases(estimate: ImpedanceEstimate, biases: tuple[ComplexArray, ...]) -> ImpedanceEstimate:
-    """Add known biases to an estimate, as systematic standard errors."""
-    variance = estimate.variance + sum(np.abs(bias) ** 2 for bias in biases)
-    return replace(estimate, variance=variance, systematics=(*estimate.systematics, *biases))
+    change = _second_difference(frf.T) - multiply(Z, _second_difference(R))
+    return multiply(change, inverse) / 6.0, skew
 
 
 def _second_difference(values: ComplexArray) -> ComplexArray:
@@ -162,6 +154,7 @@ def matrix_estimate(
     impedance: ComplexArray,
     disturbance: ComplexArray,
     inverse: ComplexArray,
+    biases: tuple[ComplexArray, ...],
 ) -> ImpedanceEstimate:
     """Assemble the estimate of an estimator by averaged spectra, from trials in order of k."""
     # Trials may differ in length: the shortest has the least certain variance.
@@ -170,11 +163,12 @@ def matrix_estimate(
         name=name,
         f=frf.f,
         Z=impedance,
-        variance=variance_of(disturbance, inverse),
+        variance=variance_of(disturbance, inverse, biases),
         bin_correlation=shortest.bin_correlation,
         averages=shortest.effective_averages,
         T=frf.T,
         R=frf.R,
+        systematics=biases,
         covariance=frf.covariance,
         disturbance=disturbance,
         inverse=inverse,

@@ -171,27 +171,25 @@ def advised(problems: Iterable[tuple[ProblemCode, str]]) -> list[tuple[Kind, lis
 def _limits(result: Result) -> Rows:
     """Rows with the worst value of each score, its limit, whether that is met, and the place."""
     summary, names = result.summary, result.summary.joint_names
-    first = next(iter(summary.estimators.values()))
-    judged = next((one for one in summary.estimators.values() if one.decides), None)
+    judged = max(summary.estimators.values(), key=lambda one: one.decides)
     coherences: dict[object, float] = {}
     bounds: dict[object, float] = {}
     lacks: dict[object, float] = {}
     for k, name in enumerate(names):
-        coherences[f"angle, {name} perturbed"] = first.coherence_motion[k]
-        coherences[f"torque of {name}, {name} perturbed"] = first.coherence_torque[k][k]
+        coherences[f"angle, {name} perturbed"] = judged.coherence_motion[k]
+        coherences[f"torque of {name}, {name} perturbed"] = judged.coherence_torque[k][k]
     locks = {place: 100.0 * ratio for place, ratio in _locks(summary).items()}
     for trial in summary.trials if summary.joints > 1 else ():
         for i, bound in enumerate(trial.bias_bound):
             bounds[symbol("Z", i + 1, trial.k)] = 100.0 * bound
-    if judged is not None:
-        for i, k in np.ndindex(summary.joints, summary.joints):
-            lacks[symbol("Z", i + 1, k + 1)] = judged.lack_of_fit[i][k]
+    for i, k in np.ndindex(summary.joints, summary.joints):
+        lacks[symbol("Z", i + 1, k + 1)] = judged.lack_of_fit[i][k]
     rows: Rows = []
     scores: tuple[tuple[str, dict[object, float], float | None, str, float], ...] = (
         ("motion of held joints (%)", locks, 100.0 * LOCK_RATIO, ".2f", 1.0),
         ("bias that this may cause (%)", bounds, 100.0 * BIAS_BOUND, ".2f", 1.0),
         ("coherence with perturbation", coherences, result.significance, ".4f", -1.0),
-        ("lack of fit", lacks, None if judged is None else judged.lack_limit, ".2f", 1.0),
+        ("lack of fit", lacks, judged.lack_limit, ".2f", 1.0),
     )
     for title, found, limit, spec, sign in scores:
         if limit is None or not found:
@@ -201,7 +199,7 @@ def _limits(result: Result) -> Rows:
         where = max(off, key=lambda place: off[place])
         text = f"{'≤' if sign > 0.0 else '≥'} {number(limit, spec)}"
         met = off[where] <= sign * limit
-        verdict = _held(summary, met) if found in (locks, bounds) else mark(met)
+        verdict = mark(met) if found is coherences or found is lacks else _held(summary, met)
         rows.append([title, number(found[where], spec), text, verdict, where])
     lost = sum(trial.lost for trial in summary.trials)
     verdict = "left out" if lost and summary.valid else mark(not lost)
@@ -267,13 +265,13 @@ def _distortion(result: Result) -> Content | None:
     summary = result.summary
     if not summary.estimators:
         return None
-    fitted = summary.estimators.get("lpm_full") or next(iter(summary.estimators.values()))
+    fitted = max(summary.estimators.values(), key=lambda one: one.decides)
     arm = MBK(M=np.array(fitted.M), B=np.array(fitted.B), K=np.array(fitted.K))
     late = 0.0 if fitted.delay is None else fitted.delay.delay
     trials = []
     for one in result.trials:
         if one.record is not None and (found := Distortion.of(one.record, arm)) is not None:
-            changes = deviations(one.record, arm, late=late)[one.joint]
+            changes = deviations(one.record, arm, None, summary.torque_reading, late)[one.joint]
             trials.append((one, found, changes.get("amplitude"), changes.get("time")))
     if not trials:
         return None
