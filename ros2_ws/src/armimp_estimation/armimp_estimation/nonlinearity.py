@@ -109,7 +109,7 @@ _JUMPING = 15.0
 relative to the control period, N·m/s: a quarter of 2 N·m (assumption) at 30 rad/s."""
 _LEFT = 0.01
 """Share of the torque that a linear arm may leave, and least share of an abrupt change."""
-_BETWEEN = 0.01
+_BETWEEN = 0.05
 """Largest share of a linear residual that the linear filters leave between their frequencies."""
 _LEAST = 10.0
 _INFORMATIVE = 0.1
@@ -642,8 +642,10 @@ class _Motion:
         for weights in (nearly, white):
             whole = band.signal(weights * left)[kept]
             remains = linear.removed(whole)
-            # Filters are constant within each band, so some of what is linear remains.
-            weighed.append((weights, remains, _BETWEEN * float(np.linalg.norm(whole - remains))))
+            # A locked joint that moves shows another arm in a trial at another posture. Filters are
+            # constant within each band, so some of that linear residual remains.
+            between = 0.0 if joint == self._k else _BETWEEN * float(np.linalg.norm(whole - remains))
+            weighed.append((weights, remains, between))
         steady = self._smooth.removed(band.signal(nearly * left)[kept])
         found = {}
         for name, one in TERMS.items():
@@ -657,12 +659,12 @@ class _Motion:
             alone = one.bend(loaded if of_gain or one.even else known)
             turns = alone + turns if of_gain or one.even else turns
             bent = np.stack([band.of(signal) for signal in (turns, whole, alone)])
-            weights, remains, linear_left = weighed[1 if of_gain else 0]
+            weights, remains, between = weighed[1 if of_gain else 0]
             cause, term, alone = (band.signal(weights * part)[kept] for part in bent)
             instrument = linear.unlike(cause)
             term = linear.removed(term)
             slope, error, freedom = _ratio(*_by_parts(instrument, term, remains))
-            error = float(np.hypot(error, linear_left / np.linalg.norm(term)))
+            error = float(np.hypot(error, between / np.linalg.norm(term)))
             estimate = slope, error, freedom
             if np.linalg.norm(linear.unlike(alone)) <= _INFORMATIVE * np.linalg.norm(alone):
                 estimate = estimate[0], np.inf, estimate[2]
