@@ -265,3 +265,34 @@ def test_a_transmission_that_takes_a_share_of_the_torque_while_it_drives_the_arm
     assert loss or not found
     if loss:
         assert found["efficiency"].gain == pytest.approx(-0.5 * loss, rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("joint", "stiffer", "damped", "named"),
+    [(0, 0.0, 0.0, ""), (1, 0.3, 0.0, "amplitude"), (0, 0.0, 1.5, "damping by angle")],
+    ids=["linear", "stiffness between joints", "damping"],
+)
+def test_a_stiffness_between_joints_or_a_damping_that_changes_is_found(
+    joint: int, stiffer: float, damped: float, named: str
+) -> None:
+    random = np.random.default_rng(3)
+    source = lagging_behind(random.standard_normal(50_000), 0.9)
+    angle = angle_of(source)
+    speed, turned = np.gradient(angle, 1e-3), angle / 0.045
+    arm = TWO_JOINT_ARM
+    torque = np.stack(
+        [
+            arm.M[i, 0] * np.gradient(speed, 1e-3) + arm.B[i, 0] * speed + arm.K[i, 0] * angle
+            for i in range(2)
+        ]
+    )
+    torque[joint] += stiffer * arm.K[joint, 0] * turned**2 * angle
+    torque[joint] += damped * arm.B[joint, 0] * np.abs(turned) * speed
+    torque += 1e-3 * random.standard_normal(torque.shape)
+    held = 1e-7 * random.standard_normal(angle.size)
+    record = made_record(np.stack([angle, held]), torque, np.stack([source, 0.0 * source]))
+    names = [
+        {name for name, one in of.items() if one.significant} for of in deviations(record, arm)
+    ]
+    assert not names[1 - joint]
+    assert named in names[joint] if named else not names[joint]
