@@ -37,7 +37,7 @@ OF_RUN = [
     ("--out", LONG, f"{LONG}: cannot be made: File name too long"),
     ("--colour", "red", "--colour"),
     ("--target-error", "2", '= "2": is no share such as 2% or 0.02; did you mean 2%?'),
-    *(("--target-error", text, f'"{text}": is no share') for text in ("0", "100%", "nan")),
+    *(("--target-error", text, f'"{text}": is no share') for text in ("-1%", "100%", "nan")),
 ]
 STRANGE = {
     **dict.fromkeys(("nowhere", "no\nwhere", "\x1b[31mred", "a\u2028b"), "does not exist"),

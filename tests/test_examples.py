@@ -41,7 +41,7 @@ def printed(number: str, *arguments: str) -> str:
         ("03", ["direct", "lpm_full"]),
         ("04", ["none", "dahl", "viscous", "valid\n"]),
         ("08", ["truth", "welch_siso", "welch_shifted"]),
-        ("09", []),
+        ("09", ["share 0.0: lock ratios 0.", "share 0.8: lock ratios 0.", "; limit 0.02\n"]),
     ],
 )
 def test_an_example_that_needs_no_graph_prints_what_it_is_about(

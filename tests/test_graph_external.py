@@ -31,7 +31,7 @@ def config(**options: Any) -> ExperimentConfig:
 
 
 def test_nodes_of_others_run_an_experiment_with_the_usual_result(
-    started: Processes, tmp_path: Path, composed: FinishedRun
+    started: Processes, driver_domain: int, tmp_path: Path, composed: FinishedRun
 ) -> None:
     summary = run_experiment(config(), tmp_path / "out").summary
 
@@ -39,7 +39,7 @@ def test_nodes_of_others_run_an_experiment_with_the_usual_result(
     assert [trial.lost for trial in summary.trials] == [0, 0]
     FinishedRun(directory=tmp_path / "out", summary=summary).assert_same_streams(composed)
     assert all(process.poll() is None for process in started.values())
-    assert os.environ["ROS_DOMAIN_ID"]
+    assert os.environ["ROS_DOMAIN_ID"] == str(driver_domain)
 
 
 @pytest.mark.slow

@@ -178,6 +178,14 @@ ACTS: dict[str, Act] = {
         for topic in map(topics.alive, (topics.SIM_NODE, topics.CONTROLLER_NODE))
     },
 }
+HARMLESS = {
+    *("decision", "result", "received 0", "received 1000000", f"received {topics.RECORDER_GONE}"),
+    *(f"bytes on {topic}" for topic in (topics.JOINT_STATES, topics.CLOCK, topics.DIAGNOSTICS)),
+    *(f"bytes on {topic}" for topic in (topics.TRIAL, topics.RESULT, topics.STOPPING)),
+    *(f"bytes on {one}" for one in ("impedance_estimator/progress", "arm_sim/alive")),
+    "bytes on imbic_controller/alive",
+}
+"""What must leave the result valid, at the moment at which the last test here does it."""
 
 
 def disturbed(kind: str, directory: Path, moment: str = "during", **options: Any) -> Summary:
@@ -272,8 +280,7 @@ def test_whatever_a_stranger_does_a_valid_result_is_that_of_the_undisturbed_run(
     for kind, moment in zip(ACTS, cycle(MOMENTS), strict=False):
         summary = disturbed(kind, tmp_path / kind.replace("/", " "), moment)
         valid += summary.valid
-        if summary.valid:
-            assert summary.estimators == reference.estimators, kind
-        else:
-            assert summary.faults, kind
-    assert 0 < valid < len(ACTS)
+        assert summary.valid or kind not in HARMLESS, (kind, summary.problems)
+        assert not summary.valid or summary.estimators == reference.estimators, kind
+    assert ACTS.keys() >= HARMLESS
+    assert valid < len(ACTS)

@@ -9,7 +9,6 @@ import resource
 import signal
 import sqlite3
 import struct
-import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing, suppress
@@ -366,19 +365,16 @@ def links_in_a_circle(directory: Path) -> Arguments:
 
 @attack
 def storage_that_is_cut_while_it_is_read(directory: Path) -> Arguments:
-    """A bag that another process truncates and rewrites for 5 s, while it is read."""
-    arguments = mcap(directory, HEAD, *(sound() for _ in range(20)))
-    file = Path(arguments[1])
-    content = file.read_bytes()
-    if not os.fork():
-        end = time.monotonic() + 5.0
-        for turn in count():
-            with suppress(OSError):
-                os.truncate(file, turn * 7919 % len(content))
-                file.write_bytes(content)
-            if time.monotonic() > end:
-                os._exit(0)
-    return arguments
+    return mcap(directory, HEAD, *(sound() for _ in range(20)))
+
+
+def _cut(file: str) -> None:
+    """Truncate and rewrite a file until this process is killed."""
+    content = Path(file).read_bytes()
+    for turn in count():
+        with suppress(OSError):
+            os.truncate(file, turn * 7919 % len(content))
+            Path(file).write_bytes(content)
 
 
 # --- trying them ------------------------------------------------------------------------------
@@ -441,6 +437,14 @@ def tried(name: str, directory: Path) -> Outcome:
         (directory / WITNESS / name_of_file).write_bytes(b"ten years of work")
     arguments = _alone(_written, name, inside)
     before = witnessed(directory)
-    told, seconds, memory = _alone(_read, arguments, directory)
+    cutter = _SERVER.Process(target=_cut, args=arguments[1:2])
+    if "cut while it is read" in name:
+        cutter.start()
+    try:
+        told, seconds, memory = _alone(_read, arguments, directory)
+    finally:
+        if cutter.is_alive():
+            cutter.kill()
+            cutter.join()
     untouched = witnessed(directory) == before
     return Outcome(told=told, seconds=seconds, memory=memory, untouched=untouched)

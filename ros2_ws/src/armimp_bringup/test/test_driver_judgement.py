@@ -59,6 +59,8 @@ class Driver(Answering):
     deaf = False
     """Whether it acknowledges an emergency stop without stopping."""
     moody = False
+    answers_after = tells_after = 0.0
+    """How long it takes to acknowledge an emergency stop, and to tell of a fault (s)."""
     sign = 1.0
     """Sign of its transducers."""
 
@@ -69,7 +71,7 @@ class Driver(Answering):
         self.encoders = {
             topic: JointStateEncoder(JOINTS, VALUE_FIELD[topic]) for topic in SENSOR_TOPICS
         }
-        self.errors: list[Error] = []
+        self.tells: list[Error] = []
         self.commanded: Torque = ZERO
         self.silent = -1
         self.told_to_stop: float = math.inf
@@ -77,6 +79,11 @@ class Driver(Answering):
         self.waiting: list[tuple[str, bytes]] = []
         for name, defect in defects.items():
             setattr(self, name, defect)
+
+    @property
+    def errors(self) -> list[Error]:
+        """What it has told of faults so far."""
+        return [one for one in self.tells if one.when <= self.now()]
 
     def held_up(self, tick: int) -> bool:
         """Whether nothing that it sends reaches the checker."""
@@ -93,7 +100,7 @@ class Driver(Answering):
 
     def latch(self, fault: str) -> None:
         if not self.rig.fault:
-            self.errors.append(Error(self.now(), "arm_sim: rig", fault))
+            self.tells.append(Error(self.now() + self.tells_after, "arm_sim: rig", fault))
         if self.lets_go:
             self.rig.fade(fault)
         else:
@@ -131,7 +138,7 @@ class Driver(Answering):
             self.told_to_stop = self.tick
             if not self.deaf:
                 self.latch("emergency stop")
-            return Call(success=True)
+            return Call(success=True, seconds=self.answers_after)
         if self.commanded != ZERO or not self.resets:
             return Call(success=False, message="there is torque")
         self.rig.reset()
@@ -356,6 +363,7 @@ def late(by: int) -> Callable[[Torque], Torque]:
 
 MIXED, SIGN = "torque: joint and sign", "torque_sensors: sign"
 NEVER = ["stale commands: told", "stale commands: torque", "stale commands: latched"]
+TOLD = [f"{of}: told" for of in ("stale commands", "emergency stop", "second publisher")]
 KEPT, LATCHED = "emergency stop: torque", "emergency stop: latched"
 
 
@@ -381,6 +389,9 @@ KEPT, LATCHED = "emergency stop: torque", "emergency stop: latched"
         ({"drive": lambda t: (-t[0], -t[1])}, [MIXED], "shoulder turns against"),
         ({"drive": lambda t: (-t[0], -t[1]), "sign": -1.0}, [MIXED, SIGN], "elbow turns against"),
         ({"sign": -1.0}, [SIGN], "shoulder +"),
+        ({"answers_after": 0.4, "tells_after": 1.4}, [], ""),
+        ({"answers_after": 0.6}, ["emergency stop: answer"], ""),
+        ({"tells_after": 1.6}, TOLD, ""),
     ],
 )
 def test_each_defect_of_a_driver_under_torque_is_named_and_nothing_else(

@@ -2,6 +2,7 @@
 
 import os
 import socket
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from rclpy.node import Node
 
 from armimp_bringup import graph as domain
 from armimp_bringup.graph import LOOPBACK, OPEN, DomainClaim, GraphContext
+from armimp_bringup.nodes import SeparateNodes
 from armimp_bringup.orchestrator import Supervisor
 from armimp_common import qos, topics
 from armimp_common.errors import GraphError
@@ -228,3 +230,12 @@ def test_a_malformed_progress_message_does_not_end_the_orchestrator() -> None:
         for node in (other, supervisor):
             node.destroy_node()
     assert [progress.samples for progress in told] == [100]
+
+
+def test_a_node_that_a_real_time_signal_killed_is_named(tmp_path: Path) -> None:
+    nodes = object.__new__(SeparateNodes)
+    with subprocess.Popen(["sleep", "60"]) as process:
+        process.send_signal(40)
+    (tmp_path / "log").write_text("begun\nsaid last\n")
+    nodes.processes, nodes._logs = {"rig": process}, {"rig": tmp_path / "log"}
+    assert nodes.dead() == {"rig": "node rig was killed by signal 40: said last"}

@@ -87,3 +87,8 @@ def test_the_realistic_rig_can_be_simulated_and_controlled_with_any_number_of_jo
     case = node_parameters(ExperimentConfig.model_validate(values), None)
     assert case.simulator.soft
     case.controller.check()
+
+
+@pytest.mark.parametrize(("given", "share"), [("0", 0.0), ("2%", 0.02), ("0.02", 0.02)])
+def test_a_target_error_is_a_share_or_none_at_all(given: str, share: float) -> None:
+    assert ExperimentConfig.model_validate({"target_error": given}).target_error == share

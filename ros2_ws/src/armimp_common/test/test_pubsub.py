@@ -2,12 +2,13 @@
 
 import signal
 import subprocess
-import threading
 import time
+from collections.abc import Sequence
 from functools import partial
 
 import pytest
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 from std_msgs.msg import String
 
 from armimp_common import pubsub, qos
@@ -46,8 +47,15 @@ ROUNDS = 20
 
 
 def test_what_a_known_publisher_sends_from_now_on_arrives(
-    node: Node, other: "subprocess.Popen[bytes]"
+    node: Node, other: "subprocess.Popen[bytes]", monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    take_all = pubsub.take_all
+
+    def look(probe: Subscription) -> Sequence[bytes]:
+        other.send_signal(signal.SIGCONT)
+        return take_all(probe)
+
+    monkeypatch.setattr(pubsub, "take_all", look)
     question = node.create_publisher(String, "question", qos.SAMPLE)
     monitor = HeartbeatMonitor(node, "other", lambda _: None)
     # A heartbeat that isn't known yet is not waited for, and readers may be known before it.
@@ -59,10 +67,10 @@ def test_what_a_known_publisher_sends_from_now_on_arrives(
             answers: list[String] = []
             # The other node will learn of this subscription and get the question almost together.
             other.send_signal(signal.SIGSTOP)
-            threading.Timer(0.05, other.send_signal, [signal.SIGCONT]).start()
             listener = node.create_subscription(String, "answer", answers.append, qos.SAMPLE)
             wait_for_partners(node, monitors=[monitor])
             question.publish(String(data=f"{number}"))
+            other.send_signal(signal.SIGCONT)
             eventually(spinner, partial(bool, answers), "an answer")
             assert answers == [String(data=f"{number}")]
             node.destroy_subscription(listener)

@@ -126,6 +126,7 @@ def test_a_pause_of_a_quarter_of_a_second_or_another_joint_divides_what_is_infer
     stamps = START + np.arange(1000, dtype=np.int64) * PERIOD_NS
     perturbation = np.zeros((2, 1000))
     perturbation[1, 10:400] = perturbation[1, 649:990] = 1.0
+    perturbation[0, 500] = np.nan
     (window,) = infer_windows(stamps, perturbation)
     assert (window.joint, window.ticks) == (1, 980)
     perturbation[1, 649] = 0.0

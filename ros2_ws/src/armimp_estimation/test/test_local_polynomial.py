@@ -7,6 +7,7 @@ from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.local_polynomial import (
     LocalResponse,
+    _with_neighbours,
     bins_in_band,
     local_response,
 )
@@ -110,3 +111,10 @@ def test_noise_at_lines_includes_what_repeats_and_responses_have_no_transient(
     assert 0.8 < mean_ratio(found) < 1.25
     assert (mean_ratio(plain) > 10.0) == (repeated > 0.0)
     np.testing.assert_array_equal(found.noise[1, 1], plain.noise[1, 1])
+
+
+def test_noise_of_sparse_lines_has_no_more_degrees_of_freedom_than_its_windows() -> None:
+    noise = np.arange(1.0, 6.0)[:, None, None] * (1.0 + 0.0j)
+    for spacing, expected in ((4.0, 3), (1.0, 6), (0.1, 13)):
+        freedom = _with_neighbours(noise, spacing * np.arange(5.0), 3, width=0.5)[1]
+        assert freedom == expected

@@ -23,7 +23,8 @@ from armimp_estimation.signal_quality import (
     without_slow,
     zeros_beyond_chance,
 )
-from support.synthetic_trials import made_record
+from armimp_estimation.trial import TrialData
+from support.synthetic_trials import made_record, part_of
 
 RATE = 1000.0
 
@@ -175,8 +176,16 @@ def test_readings_that_are_lost_now_and_then_are_interpolated_and_counted(
 def test_a_signal_of_which_much_is_lost_is_refused(share: float, severity: Severity) -> None:
     torque = motion(1, 1e-3)
     torque[np.random.default_rng(2).random(torque.size) < share] = 9.0
-    found = mended(made_record(motion(3, 1e-3)[None], torque[None]))[1]
+    record = made_record(motion(3, 1e-3)[None], torque[None])
+    assert [one.severity for one in mended(record)[1]] == [severity]
+    # Also beside a longer stretch that is sound.
+    sound = mended(record)[0]
+    found = TrialData.of(sound, part_of(record, 0, 40_000), segment=2048).problems
     assert [one.severity for one in found] == [severity]
+
+
+def test_a_signal_without_resolution_is_not_clipped() -> None:
+    assert clipping(np.random.default_rng(1).standard_normal(5000), 0.0) == []
 
 
 @pytest.mark.parametrize("step", [1e-9, 1e-3, 0.1])

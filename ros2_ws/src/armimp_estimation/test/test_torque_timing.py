@@ -85,6 +85,13 @@ def test_what_sampling_folds_back_is_the_sum_over_the_images(reading: TorqueRead
     np.testing.assert_allclose(bend, images(reading, 2), atol=1e-6)
 
 
+@pytest.mark.parametrize("order", [1, 3])
+def test_drives_may_lag_by_the_time_constant_of_the_filter(order: int) -> None:
+    reading = TorqueReading(cutoff=200.0, order=order, actuator_lag=0.5 / np.pi / 200.0)
+    for power, found in enumerate(reading.folded(F, RATE), 1):
+        np.testing.assert_allclose(found, images(reading, power), atol=1e-4)
+
+
 @latest
 def test_jumps_are_found_behind_delay_and_filter(reading: TorqueReading) -> None:
     jump = update_jump(rig_records(reading), reading)

@@ -17,7 +17,7 @@ from armimp_common.topics import PERIOD_NS
 from armimp_ros2_control.node import EFFORTS, STATES, Ros2ControlBridge
 from armimp_ros2_control.parameters import BridgeParameters
 from support.controller import SUCCESS, ScriptedController
-from support.graph import CLOCK_STEPS, Launch, a_moment, eventually, set_clock
+from support.graph import CLOCK_STEPS, Launch, eventually, set_clock
 
 ZERO, PUSH = (0.0, 0.0), (5.0, -2.0)
 
@@ -116,6 +116,7 @@ def test_joint_states_that_came_before_the_activation_are_not_passed_on_in_a_bur
     waiting: World, bridge: PatientBridge, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def wait(*args: object, **options: object) -> None:
+        wait_for_partners(waiting.node, publishers=[waiting.states])
         # Meanwhile no callback is executed.
         for _ in range(100):
             waiting.feed()
@@ -123,8 +124,11 @@ def test_joint_states_that_came_before_the_activation_are_not_passed_on_in_a_bur
 
     monkeypatch.setattr("armimp_common.driver_base.wait_for_partners", wait)
     assert bridge.trigger_activate() is SUCCESS
-    a_moment(waiting.spinner)
-    assert waiting.positions == []
+    wait_for_partners(waiting.node, publishers=[waiting.states])
+    wait_for_partners(bridge, subscriptions=[bridge._states])
+    waiting.feed()
+    eventually(waiting.spinner, lambda: bool(waiting.torques), "the next sample")
+    assert [stamp for stamp, _ in waiting.torques] == [101 * PERIOD_NS]
 
 
 def test_joint_states_are_split_in_pairs_with_the_stamps_that_came(world: World) -> None:

@@ -164,7 +164,7 @@ def test_when_the_recorder_is_silent_expect_time_to_stand_still_until_it_is_back
 
     report(watch, alive=0, silent=1)
     world.commands.publish((5.0, -5.0))
-    a_moment(world.spinner)
+    eventually(world.spinner, lambda: world.simulator._holding, "a sample that waits")
     assert world.count == before
     report(watch, alive=1, silent=0)
     eventually(world.spinner, lambda: world.count == before + 1, "the sample held back")
