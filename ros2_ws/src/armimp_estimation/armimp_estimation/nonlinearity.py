@@ -178,6 +178,9 @@ class Term:
     """Whether it does not change sign with the motion that the perturbation causes."""
     couples: bool = False
     """Whether it may be in the torque of a locked joint, too."""
+    shared: bool = False
+    """Whether joints of one arm all have it or not, so that evidence of some that have not lowers
+    its odds at the others."""
 
 
 TERMS: Mapping[str, Term] = {
@@ -199,6 +202,7 @@ TERMS: Mapping[str, Term] = {
         likely=0.7,
         sizes=(0.1, 0.3, 1.0),
         couples=True,
+        shared=True,
     ),
     "posture": Term(
         bend=lambda signals: np.abs(signals[0]),
@@ -994,12 +998,8 @@ def judge_linearity(
         elsewhere = [one for joint, one in enumerate(own) if one and (joint != k or i != k)]
         for name, one in found[k][i].items():
             evidence = sum(other[name].evidence for other in elsewhere)
-            # Joints of one arm share whether their stiffness depends on the amplitude. Evidence of
-            # other joints against any other term does not lower its odds at this one.
-            doubt = one.doubt(
-                evidence if name == "curvature" else max(evidence, 0.0),
-                declared=linearity is not None,
-            )
+            evidence = evidence if TERMS[name].shared else max(evidence, 0.0)
+            doubt = one.doubt(evidence, declared=linearity is not None)
             gain[k] = np.hypot(gain[k], doubt * one.gain)
             for m in range(n) if i == k and doubt * one.held else ():
                 if m != k:
