@@ -23,11 +23,11 @@ from armimp_estimation.result import Result, load_result
 from armimp_estimation.summary import write_frf
 from armimp_estimation.torque_timing import TorqueReading
 from support.pages import markdown_tables
+from support.places import ROOT
 from support.results import make_result
 
-DOCS = Path(__file__).resolve().parents[1] / "docs"
+DOCS = ROOT / "docs"
 PAGE = (DOCS / "interfaces.md").read_text(encoding="utf-8")
-
 
 TABLES = markdown_tables(PAGE)
 

@@ -26,7 +26,6 @@ from support.results import read_study, threads
 BASE = ExperimentConfig(duration=4.0, estimators=("welch_siso", "lpm_full"))
 CONDITIONS = select_conditions(["friction=0+3,resolution=3,perturbation=1"], "1:3")
 
-
 TABLES = ("study.json", "results.csv", "verdict.json", "report.html")
 
 

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from armimp_common.arrays import FloatArray
+from armimp_common.topics import PERIOD
 from armimp_control.safety_limiter import (
     CLIPPED,
     FAULT,
@@ -28,7 +29,6 @@ from armimp_control.safety_limiter import (
 )
 from support.laws import torque_only
 
-PERIOD = 1e-3
 WIDE = torque_only(1e6)
 Vector = tuple[float, ...]
 BAD = [np.nan, np.inf, -np.inf]

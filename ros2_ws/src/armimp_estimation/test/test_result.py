@@ -61,7 +61,6 @@ LIVE = recorded()
 LOST = {RECORDING.records[1].start_ns + tick * PERIOD_NS for tick in range(4000, 4037)}
 KEPT = tuple(one for one in RECORDING.messages if one[0] != JOINT_STATES or one[1] not in LOST)
 
-
 result_of = functools.partial(
     conclude, metadata=METADATA, joint_names=("shoulder", "elbow"), estimators=ESTIMATORS
 )
