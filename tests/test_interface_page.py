@@ -44,15 +44,9 @@ def _keys(heading: str, place: int = 0) -> set[str]:
     return set(_table(heading, "key", place))
 
 
-# --- nodes and topics --------------------------------------------------------------------------
-
-
 def test_the_topics_of_the_page_are_those_of_the_contract() -> None:
     assert set(_table("Topics", "topic")) == set(MESSAGE_TYPES) == set(qos.PROFILES)
     assert {profile.history for profile in qos.PROFILES.values()} == {HistoryPolicy.KEEP_LAST}
-
-
-# --- keys of messages and files ----------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

@@ -137,7 +137,6 @@ def test_with_an_observer_drives_can_follow_and_the_arm_feels_little(
 
 # --- What a stop does to the arm: the way to zero torque must not push it -----------------------
 
-
 AFTER = 150
 """Ticks that are watched after the stop."""
 

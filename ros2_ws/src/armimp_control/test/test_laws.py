@@ -73,9 +73,6 @@ def assert_law(
     assert (saturated == 0) if limit > 100.0 else (20 < saturated < 200 * n - 20)
 
 
-# --- IMBIC with time-delay estimation -----------------------------------------------------------
-
-
 def _delayed(n: int = 2, dither: float = 0.0) -> Law:
     random = np.random.default_rng(n)
     target = TargetParameters(
@@ -166,9 +163,6 @@ def test_law_is_that_of_the_design(n: int, limit: float, dither: float) -> None:
     config = _delayed(n, dither)
     # Roles change hands now and then.
     assert_law(config, DelayedEquations(config, limit), limit, lambda tick: (tick // 60) % n)
-
-
-# --- IMBIC with an observer ---------------------------------------------------------------------
 
 
 def _observed(n: int = 2, delay: int = 0) -> Law:
@@ -297,9 +291,6 @@ def test_defaults_bear_one_late_period_and_any_arm_within_a_factor_of_three() ->
     # An observer that does not know of the delay makes a heavy arm swing.
     with pytest.raises(ConfigurationError, match=r"locked, .* an arm 3 times as heavy, with comm"):
         check(0, 1)
-
-
-# --- Plain PD locking, the negative control -----------------------------------------------------
 
 
 def _plain(n: int) -> Law:

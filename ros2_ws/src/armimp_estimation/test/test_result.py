@@ -79,9 +79,6 @@ def complete() -> Result:
     return result_of(LIVE)
 
 
-# --- from trials ------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("trials", [LIVE[:1], LIVE[1:], [], [LIVE[0], LIVE[0]]])
 def test_when_there_is_not_one_trial_for_each_joint_expect_a_result_without_estimates(
     trials: list[Trial],
@@ -173,9 +170,6 @@ def test_metadata_that_make_no_sense_are_refused_in_one_line(
     assert "\n" not in str(caught.value)
 
 
-# --- gaps -------------------------------------------------------------------------------------
-
-
 def test_trials_that_lost_samples_are_refused_or_estimated_from_their_intact_parts() -> None:
     trials = recorded(replace(RECORDING, messages=KEPT))
     refused, healed = result_of(trials), result_of(trials, allow_gaps=True)
@@ -213,8 +207,6 @@ def test_segments_of_all_parts_are_averaged_and_none_spans_a_gap() -> None:
     assert twice[0] > joined[0]
     np.testing.assert_allclose(twice[1], once[1])
 
-
-# --- timing in real time ----------------------------------------------------------------------
 
 GOOD = TimingFigures(
     ticks=2000,
@@ -279,9 +271,6 @@ def test_when_a_bag_is_of_another_run_expect_the_worse_run_to_count(
     assert not longer.problems
     for order in ((bad, longer), (longer, bad)):
         assert latest_metadata(stored(*order)) == stored(bad)[0]
-
-
-# --- files ------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
