@@ -152,9 +152,6 @@ def test_a_wrong_value_is_named(text: str, config: Path) -> None:
     assert WRONG[text] in complaint(config, text)
 
 
-# --- Bags of a wrong kind -----------------------------------------------------------------------
-
-
 MESSAGES = recorded_arm(1800).messages
 
 

@@ -236,9 +236,6 @@ def test_the_last_screen_has_the_trials_the_verdict_and_the_place_and_no_progres
     assert {"starting", "estimating", "drawing figures and report"} <= phases
 
 
-# --- Ctrl-C at any moment: one line, exit status 130 without a result, never a traceback --------
-
-
 def test_a_result_that_is_there_outlives_an_interruption_while_it_is_drawn(
     seen: Seen, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

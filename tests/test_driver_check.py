@@ -190,7 +190,6 @@ def test_when_it_is_interrupted_under_torque_expect_zero_torque_to_be_commanded_
 
 # --- The bridge, in front of a robot as ros2_control shows it -----------------------------------
 
-
 # The bridge is a process of its own, in real time. What depends on the load of the machine (pace,
 # and torque under watchdogs) is judged by `armimp check-driver` and by no test.
 BRIDGE = ["-m", "armimp_ros2_control.node"]

@@ -23,11 +23,11 @@ from armimp_estimation.result import Result, load_result
 from armimp_estimation.summary import write_frf
 from armimp_estimation.torque_timing import TorqueReading
 from support.pages import markdown_tables
+from support.places import ROOT
 from support.results import make_result
 
-DOCS = Path(__file__).resolve().parents[1] / "docs"
+DOCS = ROOT / "docs"
 PAGE = (DOCS / "interfaces.md").read_text(encoding="utf-8")
-
 
 TABLES = markdown_tables(PAGE)
 
@@ -44,15 +44,9 @@ def _keys(heading: str, place: int = 0) -> set[str]:
     return set(_table(heading, "key", place))
 
 
-# --- nodes and topics --------------------------------------------------------------------------
-
-
 def test_the_topics_of_the_page_are_those_of_the_contract() -> None:
     assert set(_table("Topics", "topic")) == set(MESSAGE_TYPES) == set(qos.PROFILES)
     assert {profile.history for profile in qos.PROFILES.values()} == {HistoryPolicy.KEEP_LAST}
-
-
-# --- keys of messages and files ----------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

@@ -2,13 +2,13 @@
 
 import json
 import re
-from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from armimp_common.topics import DATA_STREAMS, MESSAGE_TYPES, VALUE_FIELD
 from armimp_sim.presets import JOINT_NAMES
+from support.places import SOURCES
 
-LAYOUTS = Path(__file__).resolve().parents[1] / "ros2_ws/src/armimp_bringup/layouts"
+LAYOUTS = SOURCES["armimp_bringup"] / "layouts"
 JOINTS = JOINT_NAMES[2]
 
 

@@ -11,6 +11,7 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import run_offline, simulate
 from armimp_bringup.parameters import node_parameters
 from armimp_common.arrays import FloatArray as Array
+from armimp_common.topics import PERIOD
 from armimp_control import presets as control_presets
 from armimp_control.laws import Law
 from armimp_control.laws.law import Controller
@@ -22,7 +23,6 @@ from armimp_sim.plant import Plant
 from support.laws import preset_law, torque_only
 from support.plants import study_plant
 
-PERIOD = 1e-3
 TORQUE_ONLY = torque_only(80.0)
 
 
@@ -136,7 +136,6 @@ def test_with_an_observer_drives_can_follow_and_the_arm_feels_little(
 
 
 # --- What a stop does to the arm: the way to zero torque must not push it -----------------------
-
 
 AFTER = 150
 """Ticks that are watched after the stop."""

@@ -54,9 +54,6 @@ def test_every_link_leads_somewhere(page: Path) -> None:
     assert [link for link in links(page) if not leads_somewhere(page, link)] == []
 
 
-# --- The page on safety names tests that exist --------------------------------------------------
-
-
 SAFETY = (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
 NAMED = sorted(
     {
@@ -84,9 +81,6 @@ def test_every_hazard_of_the_page_has_a_test() -> None:
 @pytest.mark.parametrize(("file", "test"), NAMED)
 def test_every_test_that_a_page_names_exists(file: str, test: str) -> None:
     assert test in names_in(file)
-
-
-# --- Pictures of README and docs are made by one command, and none is older than what makes it --
 
 
 @pytest.mark.parametrize("name", make_pictures.RECIPES)

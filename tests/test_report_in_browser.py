@@ -171,9 +171,6 @@ def test_hostile_names_do_nothing(browser: Browser, tmp_path: Path) -> None:
     assert HOSTILE in browser.value("document.querySelector('h1').textContent")
 
 
-# --- The report of a study ----------------------------------------------------------------------
-
-
 CONDITIONS = "friction=0+3,resolution=0+3,perturbation=1+3"
 
 

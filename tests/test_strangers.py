@@ -46,7 +46,6 @@ from support.streams import trial_status
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("environment")]
 
-
 BASE: dict[str, Any] = {"duration": 2.0}
 MOMENTS = {
     "before": Phase.SETTLE,

@@ -20,7 +20,6 @@ BLOCK = re.compile(
 TOLERANCE = 0.01
 """Relative, beside half of the last digit: other processors and versions round differently."""
 
-
 STEPS = [(one["commands"], (one["shown"] or "").splitlines()) for one in BLOCK.finditer(PAGE)]
 """Each block of commands, and what the page shows of their output."""
 

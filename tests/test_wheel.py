@@ -13,16 +13,15 @@ import numpy as np
 import pytest
 
 import armimp
+from support.places import ROOT, SOURCES
 from support.processes import run_program
 
-ROOT = Path(__file__).resolve().parents[1]
-SOURCES = ROOT / "ros2_ws" / "src"
-PACKAGES = sorted(path.parent.name for path in SOURCES.glob("*/package.xml"))
+PACKAGES = [one for one, path in sorted(SOURCES.items()) if path.parent.name == "src"]
 
 
 def test_the_project_has_the_packages_versions_and_commands_of_the_workspace() -> None:
     project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
-    setups = {one: (SOURCES / one / "setup.cfg").read_text(encoding="utf-8") for one in PACKAGES}
+    setups = {one: (SOURCES[one] / "setup.cfg").read_text(encoding="utf-8") for one in PACKAGES}
     where = re.findall(r'^    "ros2_ws/src/(\w+)",$', project, flags=re.MULTILINE)
     assert sorted(where) == PACKAGES
     version, *_ = re.findall(r'^version = "(.+)"$', project, flags=re.MULTILINE)

@@ -80,9 +80,6 @@ def test_an_option_that_a_study_does_not_have_is_refused(
     assert capsys.readouterr().err.startswith(f"armimp: {use[1]}: {use[0]} ")
 
 
-# --- Coverage: whether standard errors are honest -----------------------------------------------
-
-
 def test_intervals_of_local_polynomials_hold_the_truth_as_often_as_they_say() -> None:
     """48 experiments of 12 parameters, against 92 to 98 % by the 95 % interval of the share."""
     plan = coverage.CoveragePlan(base=BASE, levels=REALISTIC, seeds="0:48", voluntary=(0.3,))
@@ -101,9 +98,6 @@ def test_pooled_intervals_hold_the_share_in_95_of_100_experiments() -> None:
         share = Share.of(np.abs(np.sqrt(0.4) * common + np.sqrt(0.6) * own) < QUANTILE)
         held.append(share.lower <= 0.95 <= share.upper)
     assert np.mean(held) == pytest.approx(0.95, abs=4.0 * np.sqrt(0.95 * 0.05 / 400))
-
-
-# --- Decomposition: what it buys ----------------------------------------------------------------
 
 
 def test_chance_alone_is_significant_as_often_as_stated() -> None:

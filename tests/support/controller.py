@@ -19,10 +19,11 @@ from armimp_common.status import Level, values_of
 from armimp_common.topics import JOINT_STATES, TORQUE_SENSORS, VALUE_FIELD
 from armimp_control.parameters import ControllerParameters
 from armimp_control.sequence import SequenceParameters
+from support import laws
 from support.graph import PATIENCE, eventually, raised
 
 NAMES = ("shoulder", "elbow")
-POSTURE = tuple(np.radians([62.708, 77.260]).tolist())
+POSTURE = tuple(laws.POSTURE.tolist())
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 Sample = tuple[int, tuple[float, ...]]
 
@@ -33,9 +34,9 @@ def controller_parameters(
     """Parameters for robot and arm of the study; `ticks` of settling, perturbation and rest."""
     preset = ControllerParameters.preset(
         joints=NAMES,
-        posture=np.array(POSTURE),
-        robot_inertia=np.array([[0.354, 0.191], [0.191, 0.180]]),
-        arm_inertia=np.array([[0.187, 0.084], [0.079, 0.060]]),
+        posture=laws.POSTURE,
+        robot_inertia=laws.ROBOT,
+        arm_inertia=laws.ARM,
         seed=1,
         law=law,
     )

@@ -49,9 +49,6 @@ def attack(function: Attack) -> Attack:
     return function
 
 
-# --- MCAP by hand -----------------------------------------------------------------------------
-
-
 def records(*parts: McapRecord) -> bytes:
     builder = RecordBuilder()
     for part in parts:
@@ -126,9 +123,6 @@ def zstd_chunks(records: Iterable[bytes]) -> bytes:
     return b"".join(found)
 
 
-# --- what stands in an MCAP file ----------------------------------------------------------------
-
-
 def statuses(number: int, spacing_ns: int, ticks: int, first_ns: int = 0) -> bytes:
     """Statuses of trials that begin at regular intervals."""
 
@@ -194,8 +188,6 @@ ATTACKS |= {name: partial(with_content, make) for name, make in MCAP.items()}
 def compressed_file_of_zeros(directory: Path) -> Arguments:
     return mcap(directory, repeated(bytes(1 << 20), 1 << 10), name="bag.mcap.zstd")
 
-
-# --- SQLite -----------------------------------------------------------------------------------
 
 _SCHEMA: Final = """
 CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT);
@@ -277,9 +269,6 @@ def journal_that_has_another_file_deleted(directory: Path) -> Arguments:
     return arguments
 
 
-# --- what is no regular file -------------------------------------------------------------------
-
-
 def _hole(path: Path) -> None:
     """Make a sparse file of a tebibyte."""
     path.touch()
@@ -328,9 +317,6 @@ ATTACKS |= {
 }
 
 
-# --- directories ------------------------------------------------------------------------------
-
-
 def unfinished(directory: Path, *content: bytes) -> Path:
     """A bag as a killed recorder leaves it; its reader finishes it."""
     bag = directory / "bag"
@@ -376,8 +362,6 @@ def _cut(file: str) -> None:
             os.truncate(file, turn * 7919 % len(content))
             Path(file).write_bytes(content)
 
-
-# --- trying them ------------------------------------------------------------------------------
 
 _KILLED_AFTER: Final = 240
 """Wall time after which a reader is killed (s)."""

@@ -9,11 +9,11 @@ from armimp_control.laws import Law
 from armimp_control.parameters import ControllerParameters
 from armimp_control.presets import LawName
 from armimp_control.safety_limiter import SafetyParameters
+from armimp_sim.presets import human_arm, robot
 
-ROBOT = np.array([[0.3543, 0.1909], [0.1909, 0.1800]])
-ARM = np.array([[0.187, 0.084], [0.079, 0.060]])
-"""Inertia of robot and arm of the study in their posture, kg·m²."""
-POSTURE = np.array([1.0945, 1.3484])
+ARM, POSTURE = human_arm(2).M, human_arm(2).theta_0
+ROBOT = robot(2).mass_matrix(POSTURE)
+"""Inertia of the robot of the study in its posture, kg·m², as that of the arm."""
 
 
 def preset_law(

@@ -18,12 +18,10 @@ from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
+from armimp_sim.presets import human_arm
 
-TWO_JOINT_ARM = MBK(
-    M=np.array([[0.187, 0.084], [0.079, 0.060]]),
-    B=np.array([[0.651, 0.239], [0.236, 0.407]]),
-    K=np.array([[7.967, 3.187], [1.663, 6.901]]),
-)
+_STUDY = human_arm(2)
+TWO_JOINT_ARM = MBK(M=_STUDY.M, B=_STUDY.B, K=_STUDY.K)
 """Arm of Table I of Kang & Zhang."""
 
 

@@ -449,9 +449,6 @@ def test_a_driver_that_stops_by_itself_or_goes_astray_is_named_and_the_rest_is_i
     assert driver.rig.fault == fault
 
 
-# --- The checker's limit of motion --------------------------------------------------------------
-
-
 def angles(*values: float, names: tuple[str, ...] = JOINTS) -> Message:
     return Message(0, 0, names, values, ())
 

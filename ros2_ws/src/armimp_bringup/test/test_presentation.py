@@ -164,7 +164,6 @@ def test_commands_that_were_not_recorded_are_shown_as_such_and_not_as_lost(
 
 # --- The live display: what is measured so far, with its uncertainty, and how far the trial is --
 
-
 SNAPSHOT = Progress(
     trial=1,
     trials=2,

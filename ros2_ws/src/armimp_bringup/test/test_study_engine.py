@@ -51,9 +51,6 @@ def test_batches_keep_order_and_workers_busy(total: int, workers: int) -> None:
         assert len(batches) == total
 
 
-# --- where batches run -------------------------------------------------------------------------
-
-
 def test_the_first_error_of_a_task_is_raised_and_ends_the_others_but_for_those_at_work() -> None:
     begun, over = list[int](), threading.Event()
 
@@ -135,9 +132,6 @@ def test_scheduler_that_is_not_there_is_named(
         cluster(address)
     assert str(caught.value).startswith(complaint)
     assert len(str(caught.value).splitlines()) == 1
-
-
-# --- Selections of conditions on the command line: what they mean, and what is refused how ------
 
 
 def test_without_a_selection_all_48_conditions_are_there_once_and_in_order() -> None:

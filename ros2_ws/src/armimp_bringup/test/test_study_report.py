@@ -26,7 +26,6 @@ from support.results import read_study, threads
 BASE = ExperimentConfig(duration=4.0, estimators=("welch_siso", "lpm_full"))
 CONDITIONS = select_conditions(["friction=0+3,resolution=3,perturbation=1"], "1:3")
 
-
 TABLES = ("study.json", "results.csv", "verdict.json", "report.html")
 
 
@@ -68,9 +67,6 @@ def test_a_directory_that_holds_something_is_refused_and_left_alone(study: Path)
     assert _bytes(study) == before
 
 
-# --- report ------------------------------------------------------------------------------------
-
-
 def test_report_is_written_without_figures_and_says_how_far_each_missed_target_is(
     study: Path, entries: Sequence[StudyEntry]
 ) -> None:
@@ -87,9 +83,6 @@ def test_report_is_written_without_figures_and_says_how_far_each_missed_target_i
     assert f"{len(missed)} of 10 targets missed" in words
     for one in missed:
         assert str(one) in words
-
-
-# --- figures -----------------------------------------------------------------------------------
 
 
 def test_figure_2_shows_each_element_beside_the_truth_with_a_phase_that_does_not_jump(
@@ -128,9 +121,6 @@ def test_figures_3_and_4_group_by_every_factor_and_reach_from_worst_to_best(
     np.testing.assert_allclose(container.lines[0].get_ydata()[2], np.mean(values))
     segment = container.lines[2][0].get_segments()[2]
     np.testing.assert_allclose(segment[:, 1], [values.min(), values.max()])
-
-
-# --- The targets of accuracy, where they are hardest to meet ------------------------------------
 
 
 HARDEST = ["friction=0+3,resolution=0+3,perturbation=1", "friction=1,resolution=2,perturbation=2"]

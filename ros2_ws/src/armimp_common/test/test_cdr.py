@@ -232,9 +232,6 @@ def test_when_bytes_are_changed_expect_cached_and_fresh_decoder_to_agree(
             assert outcome(warm, data) == outcome(JointStateDecoder(names, field), data)
 
 
-# --- Float64MultiArray bytes: agreement with rclpy, and refusal of everything else --------------
-
-
 def labelled(values: list[float], *labels: str) -> Float64MultiArray:
     dimensions = [
         MultiArrayDimension(label=label, size=len(values), stride=index)
@@ -284,9 +281,6 @@ def test_decode_many_of_commands_agrees_with_decode(length: int) -> None:
     foreign = [serialize_message(labelled(row.tolist(), "a")) for row in numbers]
     for messages in (plain, foreign, [*plain, *foreign]):
         assert_many_agree(CommandDecoder(3), messages, 3)
-
-
-# --- UInt64 bytes: agreement with rclpy, and refusal of everything else -------------------------
 
 
 @given(st.integers(0, 2**64 - 1))

@@ -155,9 +155,6 @@ def test_parameter_file_reads_back() -> None:
     assert content["empty"] == {"ros__parameters": {}}
 
 
-# --- Parameters of real nodes: files, command line, changes at run time ------------------------
-
-
 MakeNode = Callable[..., Node]
 
 

@@ -40,9 +40,6 @@ def test_when_peers_are_missing_expect_their_topics_named(
     missed("/heard")
 
 
-# --- Mutual discovery: what is published after the wait arrives ---------------------------------
-
-
 ROUNDS = 20
 
 

@@ -362,7 +362,6 @@ def test_when_a_sample_comes_after_a_stall_before_anyone_looked_expect_an_abort_
 
 # --- Decisions on the end of a trial: in lockstep samples wait for them -------------------------
 
-
 LONG = 600
 JUDGED = 20
 END = JUDGED + NOTICE_TICKS

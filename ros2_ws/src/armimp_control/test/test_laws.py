@@ -74,9 +74,6 @@ def assert_law(
     assert (saturated == 0) if limit > 100.0 else (20 < saturated < 200 * n - 20)
 
 
-# --- IMBIC with time-delay estimation -----------------------------------------------------------
-
-
 def _delayed(n: int = 2, dither: float = 0.0) -> Law:
     random = np.random.default_rng(n)
     target = TargetParameters(
@@ -167,9 +164,6 @@ def test_law_is_that_of_the_design(n: int, limit: float, dither: float) -> None:
     config = _delayed(n, dither)
     # Roles change hands now and then.
     assert_law(config, DelayedEquations(config, limit), limit, lambda tick: (tick // 60) % n)
-
-
-# --- IMBIC with an observer ---------------------------------------------------------------------
 
 
 def _observed(n: int = 2, delay: int = 0) -> Law:
@@ -295,9 +289,6 @@ def test_defaults_bear_one_late_period_and_any_arm_within_a_factor_of_three() ->
     # An observer that does not know of the delay makes a heavy arm swing.
     late = RigDynamics(command_delay=1)
     assert spectral_radius(_observed(), late, perturbed=NO_JOINT, arm=3.0) > 1.001
-
-
-# --- Plain PD locking, the negative control -----------------------------------------------------
 
 
 def _plain(n: int) -> Law:

@@ -5,6 +5,7 @@ import pytest
 
 from armimp_common.arrays import FloatArray, IntArray
 from armimp_common.compiled import compiled, compiled_entry
+from armimp_common.topics import PERIOD
 from armimp_control.safety_limiter import (
     CENTRE,
     FAULT,
@@ -43,7 +44,6 @@ PROMISES = (
 )
 """What the judge looks at; indices of the counts of violations."""
 
-_PERIOD = 1e-3
 _TICKS = 80
 _CHUNK = 1000
 _TOLERANCE = 1e-9  # of rounding, relative
@@ -128,11 +128,11 @@ def _run_sequence(
             span = min(count, WINDOW)
             for i in range(n):
                 past = kept[count - span, i]
-                speed[i] = (theta[k, i] - past) / (span * _PERIOD) if span else 0.0
+                speed[i] = (theta[k, i] - past) / (span * PERIOD) if span else 0.0
                 excursion[i] = theta[k, i] - rules[CENTRE, i]
                 kept[count, i] = theta[k, i]
             count += 1
-        used = check_sample(theta[k], tau_h[k], tau_delta[k], rules, _PERIOD, limiter, journal)
+        used = check_sample(theta[k], tau_h[k], tau_delta[k], rules, PERIOD, limiter, journal)
         command[:] = asked[k]
         clipped = limit_command(command, rules, limiter, journal)
         poisoned = poisoned or (used and not np.all(np.isfinite(asked[k])))

@@ -64,9 +64,6 @@ def test_spectrum_is_flat_below_the_cutoff_and_empty_beyond() -> None:
     assert band(30.0, 500.0) < 1e-5 * reference
 
 
-# --- The low-pass against that of scipy, bit for bit --------------------------------------------
-
-
 @pytest.mark.parametrize("order", range(1, 21))
 def test_sections_are_those_of_scipy_to_the_last_bit(order: int) -> None:
     for cutoff in (0.5, 2.0, 5.0, 15.0, 40.0, 100.0, 249.0, 250.5, 400.0, 499.9):
@@ -147,7 +144,6 @@ def test_trials_have_their_own_phases_and_the_same_lines_and_seeds_have_other_on
 
 
 # --- The optimal multisine: more informative about M, B and K within the same limits ------------
-
 
 PRIORS = (
     JointPrior(arm=(0.187, 0.9, 12.0), target=(0.2, 2.0, 10.0)),

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from armimp_common.arrays import FloatArray
+from armimp_common.topics import PERIOD
 from armimp_control.safety_limiter import (
     CLIPPED,
     FAULT,
@@ -28,7 +29,6 @@ from armimp_control.safety_limiter import (
 )
 from support.laws import torque_only
 
-PERIOD = 1e-3
 WIDE = torque_only(1e6)
 Vector = tuple[float, ...]
 BAD = [np.nan, np.inf, -np.inf]
@@ -78,9 +78,6 @@ class SafetyLimiter:
         return counts[limit]
 
 
-# --- what is not finite ----------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("bad", BAD)
 @pytest.mark.parametrize("joint", [0, 1, 2])
 @pytest.mark.parametrize(
@@ -105,9 +102,6 @@ def test_one_bad_number_takes_the_torque_from_all_joints_at_once(
     assert not limiter.tick((30.0, -40.0, 50.0)).any()
     assert limiter.fault.startswith(said)  # the first cause stays
     assert limiter.present == ""
-
-
-# --- position and velocity -------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("theta", "joint"), [((0.21, 0.0), 1), ((0.0, -0.61), 2)])
@@ -173,9 +167,6 @@ def test_beyond_a_velocity_limit_that_clips_only_braking_torque_passes() -> None
     assert (limiter.stopped, limiter.count(Limit.VELOCITY)) == (False, 3)
 
 
-# --- torque, rate, power ---------------------------------------------------------------------
-
-
 def test_when_a_joint_is_asked_for_too_much_torque_expect_less_of_all_in_proportion() -> None:
     limiter = SafetyLimiter(torque_limit=80.0)
     assert limiter.tick((40.0, -160.0)).tolist() == [20.0, -80.0]
@@ -205,9 +196,6 @@ def test_power_beyond_its_limit_is_clipped_joint_by_joint() -> None:
     assert limiter.count(Limit.POWER) == 10
 
 
-# --- the ramp --------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("ramp_time", "ticks"), [(0.05, 50), (0.01, 10), (0.001, 1), (0.0, 1)])
 def test_after_a_stop_the_torque_falls_in_a_straight_line(ramp_time: float, ticks: int) -> None:
     limiter = SafetyLimiter(ramp_time=ramp_time)
@@ -227,9 +215,6 @@ def test_when_no_samples_come_the_ramp_goes_on_by_the_ticks_that_have_passed() -
         continue_ramp(ticks, limiter.command, limiter.rules, limiter.memory, limiter.journal)
         assert limiter.command == pytest.approx([left, -left])
     assert not limiter.command.any()
-
-
-# --- Where in a trial commands were clipped -----------------------------------------------------
 
 
 def ledger_of(ticks: dict[int, int]) -> SaturationCounter:

@@ -207,7 +207,6 @@ def test_readings_of_one_kind_alone_do_not_pile_up_for_ever() -> None:
 
 # --- Trials that end early, because the estimator says that they are good enough ----------------
 
-
 PLANNED = 1000
 JUDGED = 300
 END = JUDGED + NOTICE_TICKS
@@ -277,7 +276,6 @@ def test_when_a_decision_does_not_fit_expect_it_ignored(
 
 
 # --- The tare of the torque transducers: what it is, when it is taken, which is refused ---------
-
 
 WAIT, READ = 100, 400
 TARED = WAIT + READ + TRIAL
@@ -362,9 +360,6 @@ def test_a_tare_beyond_its_limits_ends_the_experiment_before_anything_is_perturb
     bench.run(SETTLE + 10, OFFSET)
     assert not bench.experiment.tau_delta.any()
     assert bench.experiment.at_rest
-
-
-# --- The watchdog over samples ------------------------------------------------------------------
 
 
 def _watchdog(*, ticks: int = 5, slowest: float = 1e-3) -> Watchdog:

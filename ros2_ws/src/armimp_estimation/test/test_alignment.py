@@ -95,9 +95,6 @@ def numbered(count: int) -> list[bytes]:
     return [encode((0.0, 0.0), number) for number in range(1, count + 1)]
 
 
-# --- windows ----------------------------------------------------------------------------------
-
-
 def test_statuses_give_one_window_per_perturbation_however_often_they_are_repeated() -> None:
     several = synthetic_recording(perturbed=(1, 0), ticks=9, settle=3, rest=2)
     statuses = statuses_of(several)
@@ -142,9 +139,6 @@ def test_a_pause_of_a_quarter_of_a_second_or_another_joint_divides_what_is_infer
 def test_what_cannot_be_inferred_is_refused(values: list[float], reason: str) -> None:
     with pytest.raises(DataError, match=reason):
         infer_windows(np.array([START], np.int64), np.array(values)[:, None])
-
-
-# --- the account of the samples ---------------------------------------------------------------
 
 
 @settings(max_examples=100, deadline=None)
@@ -279,9 +273,6 @@ def test_unknown_perturbed_joint_is_refused() -> None:
         trial.intact(allow_gaps=True)
 
 
-# --- commands ---------------------------------------------------------------------------------
-
-
 def not_finite(commands: list[bytes]) -> list[bytes]:
     """The commands with a NaN in one of those of the first trial."""
     return [*commands[:20], commands[20][:-8] + np.array([np.nan]).tobytes(), *commands[21:]]
@@ -386,9 +377,6 @@ def test_what_follows_clipped_commands_is_left_out_without_being_asked(
     assert not trial.judged(allow_gaps=False, most_excluded=excluded / TICKS)
 
 
-# --- early ends -------------------------------------------------------------------------------
-
-
 @settings(max_examples=60, deadline=None)
 @given(cut=st.integers(1, 4 * (TICKS + 10)))
 def test_cut_recording_gives_all_complete_periods(cut: int) -> None:
@@ -456,7 +444,6 @@ def test_trial_without_any_sample_is_refused(statuses: int, code: ProblemCode) -
 
 
 # --- The sampling rate from stamps: what is taken, and what is found wrong ----------------------
-
 
 BEGIN = 1_700_000_000_000_000_000
 

@@ -183,7 +183,6 @@ class TestBlocks:
 
 # --- Bags that their recorder left unfinished are finished by whoever finds them; others stay ---
 
-
 MESSAGES = synthetic_recording(ticks=160).messages
 LOST = 7
 """Messages that a killed writer loses in the tests below."""

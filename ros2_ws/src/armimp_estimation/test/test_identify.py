@@ -254,9 +254,6 @@ def test_a_single_bad_score_is_told_of_the_right_element() -> None:
     assert (problem.values["stream"], problem.values["name"]) == ("torque", "b")
 
 
-# --- Problems as data: each code has a sentence, and a verdict that it concerns -----------------
-
-
 def test_each_code_has_one_sentence_that_its_values_fill_and_advice() -> None:
     assert sorted(kinds()) == sorted(ProblemCode)
     for code, kind in kinds().items():

@@ -114,7 +114,7 @@ def test_noise_at_lines_includes_what_repeats_and_responses_have_no_transient(
 
 
 def test_noise_of_sparse_lines_has_no_more_degrees_of_freedom_than_its_windows() -> None:
-    noise = np.arange(1.0, 6.0)[:, None, None] * (1.0 + 0.0j)
+    noise = np.arange(1.0, 6.0, dtype=np.complex128)[:, None, None]
     for spacing, expected in ((4.0, 3), (1.0, 6), (0.1, 13)):
         freedom = _with_neighbours(noise, spacing * np.arange(5.0), 3, width=0.5)[1]
         assert freedom == expected

@@ -21,7 +21,6 @@ from support.synthetic_trials import LOOP, SEGMENT, made_record, synthetic_trial
 NAN, INFINITE = float("nan"), float("inf")
 EYE = np.eye(2)
 
-
 of_matrices = functools.partial(MBK, M=EYE, K=EYE)
 
 

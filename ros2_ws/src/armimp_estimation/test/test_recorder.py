@@ -295,9 +295,6 @@ def test_when_a_trial_ends_depends_on_its_first_samples_and_the_trials_before(
         past.append(with_commands(whole))
 
 
-# --- running figures --------------------------------------------------------------------------
-
-
 def with_commands(record: TrialRecord) -> TrialRecord:
     """Commands are the perturbation alone."""
     return replace(record, command=record.perturbation)

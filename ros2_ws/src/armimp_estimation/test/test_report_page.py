@@ -226,9 +226,6 @@ def assert_harmless(page: Page) -> None:
         assert (attributes.get("href") or "#").startswith("#")
 
 
-# --- Strings stay text whatever they hold, and numbers are written ------------------------------
-
-
 @pytest.mark.parametrize("value", ["a\x00b", "a\x1bb", "a\x7fb", "a\u202eb", "a\u2066b"])
 def test_characters_which_deceive_are_shown_as_replaced(value: str) -> None:
     assert plain(value) == "a\N{REPLACEMENT CHARACTER}b"
@@ -246,9 +243,6 @@ def test_what_is_not_a_number_is_a_dash() -> None:
     assert number(float("inf")) == percent(float("nan")) == difference(1.0, 0.0) == "–"
     assert difference(1.1, 1.0) == "+10.00\N{NARROW NO-BREAK SPACE}%"
     assert number(62.708, ".1f", "°") == "62.7°"
-
-
-# --- Figures for papers: there, of the right size, and equal for equal results ------------------
 
 
 @pytest.mark.slow

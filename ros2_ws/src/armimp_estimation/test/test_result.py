@@ -61,7 +61,6 @@ LIVE = recorded()
 LOST = {RECORDING.records[1].start_ns + tick * PERIOD_NS for tick in range(4000, 4037)}
 KEPT = tuple(one for one in RECORDING.messages if one[0] != JOINT_STATES or one[1] not in LOST)
 
-
 result_of = functools.partial(
     conclude, metadata=METADATA, joint_names=("shoulder", "elbow"), estimators=ESTIMATORS
 )
@@ -78,9 +77,6 @@ def codes(result: Result) -> list[ProblemCode]:
 @functools.cache
 def complete() -> Result:
     return result_of(LIVE)
-
-
-# --- from trials ------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("trials", [LIVE[:1], LIVE[1:], [], [LIVE[0], LIVE[0]]])
@@ -174,9 +170,6 @@ def test_metadata_that_make_no_sense_are_refused_in_one_line(
     assert "\n" not in str(caught.value)
 
 
-# --- gaps -------------------------------------------------------------------------------------
-
-
 def test_trials_that_lost_samples_are_refused_or_estimated_from_their_intact_parts() -> None:
     trials = recorded(replace(RECORDING, messages=KEPT))
     refused, healed = result_of(trials), result_of(trials, allow_gaps=True)
@@ -214,8 +207,6 @@ def test_segments_of_all_parts_are_averaged_and_none_spans_a_gap() -> None:
     assert twice[0] > joined[0]
     np.testing.assert_allclose(twice[1], once[1])
 
-
-# --- timing in real time ----------------------------------------------------------------------
 
 GOOD = TimingFigures(
     ticks=2000,
@@ -280,9 +271,6 @@ def test_when_a_bag_is_of_another_run_expect_the_worse_run_to_count(
     assert not longer.problems
     for order in ((bad, longer), (longer, bad)):
         assert latest_metadata(stored(*order)) == stored(bad)[0]
-
-
-# --- files ------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

@@ -92,9 +92,6 @@ def test_inputs_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
         plant.tick(good, np.zeros(shape))
 
 
-# --- Equations of motion: the compiled plant against mechanics in numpy -------------------------
-
-
 JOINTS = range(1, 8)
 """A plant of each size is compiled for itself."""
 
@@ -130,9 +127,6 @@ def test_lanes_that_disagree_in_time_or_shape_are_refused() -> None:
     ):
         with pytest.raises(ConfigurationError, match="lanes must agree"):
             Plant([one, other])
-
-
-# --- Configurations that make no sense are refused in one line with the offending value ---------
 
 
 def test_robot_with_a_link_lighter_than_a_point_mass_is_refused() -> None:

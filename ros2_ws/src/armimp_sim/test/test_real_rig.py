@@ -259,9 +259,6 @@ def test_readings_pass_cross_talk_hysteresis_hum_noise_and_limit_in_this_order()
     assert position == pytest.approx(noise[:, 0, 0], abs=1e-12)
 
 
-# --- Resolution, and the instant of sampling ----------------------------------------------------
-
-
 @pytest.mark.parametrize("level", [1, 2, 3])
 def test_plant_reads_whole_counts_of_its_exact_state(level: int) -> None:
     sensors = presets.sensors(level)

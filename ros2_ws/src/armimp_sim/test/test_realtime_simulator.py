@@ -121,9 +121,3 @@ class TestWatchdog:
         assert not bench.rig.fault
         assert bench.rig.applied == (7.0, 7.0)
         assert bench.paced.figures().latency_p99 == pytest.approx(300e-6, rel=0.021)
-        # A controller that falls behind is still noticed.
-        for _ in range(2):
-            bench.next(WATCHDOG_PERIODS - 1)
-            bench.command(7.0, 7.0)
-        bench.next()
-        assert bench.rig.fault == f"commands are more than {WATCHDOG_PERIODS} periods behind"

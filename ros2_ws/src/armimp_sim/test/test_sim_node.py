@@ -200,7 +200,6 @@ def test_when_a_recorder_takes_leave_or_there_was_none_expect_no_fault(
 
 # --- The simulator node in real time over DDS: nothing waits, and everything is told ------------
 
-
 REALTIME: dict[str, Value] = {"mode": "realtime"}
 
 

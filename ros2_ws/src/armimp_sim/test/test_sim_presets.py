@@ -90,9 +90,6 @@ def test_sizes_of_joints_are_inertias_to_the_power_of_three_fifths(joints: int) 
     assert sizes[known:] == pytest.approx(tuple(rule[known:]), rel=0.03)
 
 
-# --- Values that make no rig are refused, each with its name and the value ----------------------
-
-
 PRESET = flatten(SimulatorParameters.preset())
 NAN, INF = float("nan"), float("inf")
 

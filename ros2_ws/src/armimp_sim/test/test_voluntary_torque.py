@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from armimp_common.topics import PERIOD
 from armimp_sim.model.sensors import ReadingParameters, SensorParameters
 from armimp_sim.voluntary import Noise, VoluntaryParameters, reading_noise, voluntary_torque
-
-PERIOD = 1e-3
 
 
 def _stream(cutoff: float = 20.0) -> Noise:
