@@ -178,6 +178,8 @@ class Term:
     """Whether it does not change sign with the motion that the perturbation causes."""
     couples: bool = False
     """Whether it may be in the torque of a locked joint, too."""
+    explained_by: str = ""
+    """Term that explains this one where it is found more clearly at the perturbed joint."""
     shared: bool = False
     """Whether joints of one arm all have it or not, so that evidence of some that have not lowers
     its odds at the others."""
@@ -225,9 +227,10 @@ TERMS: Mapping[str, Term] = {
         code=ProblemCode.DAMPING_CHANGES,
         kind=Kind.DAMPING,
         slope=2.0 * _NORMAL,
-        likely=0.3,
-        sizes=(0.1, 0.3, 1.0),
+        likely=0.1,
+        sizes=(0.1, 0.3),
         couples=True,
+        explained_by="friction",
     ),
     "damping by angle": Term(
         bend=lambda signals: signals[2] * np.abs(signals[0]),
@@ -235,7 +238,7 @@ TERMS: Mapping[str, Term] = {
         kind=Kind.DAMPING,
         slope=_NORMAL,
         large=0.1,
-        likely=0.1,
+        likely=0.05,
         sizes=(0.1, 0.3),
         couples=True,
     ),
@@ -997,6 +1000,9 @@ def judge_linearity(
         reported: set[tuple[ProblemCode, Severity]] = set()
         elsewhere = [one for joint, one in enumerate(own) if one and (joint != k or i != k)]
         for name, one in found[k][i].items():
+            rival = own[k].get(TERMS[name].explained_by)
+            if rival is not None and rival.significant and rival.errors > one.errors:
+                continue
             evidence = sum(other[name].evidence for other in elsewhere)
             evidence = evidence if TERMS[name].shared else max(evidence, 0.0)
             doubt = one.doubt(evidence, declared=linearity is not None)
