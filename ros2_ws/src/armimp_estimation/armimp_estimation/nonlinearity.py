@@ -227,7 +227,7 @@ TERMS: Mapping[str, Term] = {
         code=ProblemCode.DAMPING_CHANGES,
         kind=Kind.DAMPING,
         slope=2.0 * _NORMAL,
-        likely=0.1,
+        likely=0.05,
         sizes=(0.1, 0.3),
         couples=True,
         explained_by="friction",
@@ -238,8 +238,6 @@ TERMS: Mapping[str, Term] = {
         kind=Kind.DAMPING,
         slope=_NORMAL,
         large=0.1,
-        likely=0.05,
-        sizes=(0.1, 0.3),
         couples=True,
     ),
     "hysteresis": Term(
