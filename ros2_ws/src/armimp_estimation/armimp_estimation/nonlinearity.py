@@ -238,6 +238,8 @@ TERMS: Mapping[str, Term] = {
         kind=Kind.DAMPING,
         slope=_NORMAL,
         large=0.1,
+        likely=0.05,
+        sizes=(0.1, 0.3),
         couples=True,
     ),
     "hysteresis": Term(
