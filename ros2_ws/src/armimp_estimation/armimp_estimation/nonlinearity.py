@@ -671,10 +671,11 @@ class _Motion:
             instrument = linear.unlike(cause)
             term = linear.removed(term)
             slope, error, freedom = _ratio(*_by_parts(instrument, term, remains))
-            error = float(np.hypot(error, between / np.linalg.norm(term)))
-            estimate = slope, error, freedom
+            if between:
+                error = float(np.hypot(error, between / np.linalg.norm(term)))
             if np.linalg.norm(linear.unlike(alone)) <= _INFORMATIVE * np.linalg.norm(alone):
-                estimate = estimate[0], np.inf, estimate[2]
+                error = np.inf
+            estimate = slope, error, freedom
             at_lines = False
             if record.periods is not None and not one.in_time:
                 signal = shown if one.kind in {Kind.GAIN, Kind.LOST} else moved
