@@ -22,7 +22,7 @@ import numpy as np
 
 from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.torque_timing import TorqueReading
+from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 
 # Periods for which the torque is followed after a jump, once the jump has passed the filter.
 _PERIODS = 3
@@ -149,18 +149,23 @@ def update_jump(
     Parameters
     ----------
     records : sequence of TrialRecord
-        Trials of one arm, with commands.
+        Trials of one arm.
     reading : TorqueReading, optional
-        How their torques were read; by default just before the updates.
+        How their torques were read; just before the updates if that is not known.
 
     Returns
     -------
     HoldCorrection or None
-        None if torques do not follow the commands like that: neither way explains one, commands
-        seem to be those of other samples, or the eigenvalues of D do not lie between 0 and 1, as
-        they do for any two inertias.
+        None if readings do not miss the jumps, or nothing tells them: a trial has no commands,
+        neither way explains a torque, commands seem to be those of other samples, or the
+        eigenvalues of D do not lie between 0 and 1, as they do for any two inertias.
     """
-    known = reading or TorqueReading()
+    known = (reading or TorqueReading()).at_rate(records[0].rate)
+    if known.timing is TorqueTiming.UNKNOWN:
+        known = known.model_copy(update={"timing": TorqueTiming.BEFORE_UPDATE})
+    late = known.timing is TorqueTiming.BEFORE_UPDATE
+    if not late or any(record.command is None for record in records):
+        return None
     chatter = _chatter(records, known)
     jump, explained = _from_chatter(*chatter, known, records[0].rate)
     sure = explained > _CHATTER_EXPLAINS

@@ -15,10 +15,10 @@ from armimp_common.errors import ConfigurationError
 from armimp_estimation import scores, verdict
 from armimp_estimation.arm_models import ModelFit, fit_models
 from armimp_estimation.estimators.estimate import Estimator, ImpedanceEstimate
-from armimp_estimation.estimators.lpm import LpmFull
 from armimp_estimation.estimators.registry import IdentifyConfig, make_estimator
 from armimp_estimation.fit import MBKFit, fit_impedance
 from armimp_estimation.frf import frf_matrix, order_trials
+from armimp_estimation.hold_correction import update_jump
 from armimp_estimation.json_model import JsonModel, Number, Vector
 from armimp_estimation.mbk import MBK
 from armimp_estimation.metadata import Metadata
@@ -250,7 +250,7 @@ def identify(
                 angle=100.0 * options.calibration.angle,
             )
         )
-    hold = best.estimate.hold or LpmFull(config=options.lpm).jump(records)
+    hold = best.estimate.hold or update_jump(records, reading)
     if best.estimate.unbiased:
         of_motion, doubts, gains = judge_linearity(
             records,

@@ -603,21 +603,45 @@ class _Motion:
     """
 
     def __init__(self, record: TrialRecord, motion: FloatArray) -> None:
-        self._record, self._motion, self._k = record, motion, record.perturbed_joint
+        self._record = record
         self._band, wide, moving = _Band(record), _Band(record, WIDE), _Band(record, MOVING)
-        position = record.position[self._k]
+        k, kept, band = record.perturbed_joint, self._band.kept, self._band
+        position = record.position[k]
         angle = moving.signal(moving.of(position))
         quick = np.vstack((2j * np.pi * wide.f * wide.of(position), wide.of(record.torque)))
         speed, *self._torques = wide.signal(quick)
-        caused = wide.caused(np.stack((speed, *self._torques)))
-        self._actual = np.stack((angle, motion[0], speed))
-        self._known = np.stack((moving.caused(angle), self._band.caused(motion[0]), caused[0]))
-        self._known_torques = caused[1:]
-        self._linear = _Linear(record, self._band)
+        torque = band.inner(self._torques[k])
+        load = band.inner(np.full(torque.size, record.torque[k].mean()))
+        caused = wide.caused(np.stack((speed, self._torques[k])))
+        actual = np.stack((angle, motion[0], speed, torque + load))
+        known = (moving.caused(angle), band.caused(motion[0]), caused[0], band.inner(caused[1]))
+        self._sizes = np.std(actual[:, kept], axis=1)
+        units = np.where(self._sizes > 0.0, self._sizes, 1.0)[:, None]
+        self._signals, self._known = actual / units, np.stack(known) / units
+        self._load = np.array([0.0, 0.0, 0.0, 1.0])[:, None] * load / units
+        self._bent = {name: self._bend(one) for name, one in TERMS.items()}
+        # The M, B and K that look most like a term: its regression on derivatives 2, 1, 0.
+        shapes = band.signal(np.stack([one[1] for one in self._bent.values()]))[:, kept].T
+        alike = np.linalg.lstsq(motion[2::-1, kept].T, shapes, rcond=None)[0]
+        self._alike = dict(zip(TERMS, alike.T, strict=True))
+        self._linear = _Linear(record, band)
         # With one band for each line, the filters could follow an abrupt change.
         self._smooth = self._linear
         if record.periods is not None:
             self._smooth = _Linear(record, _Band(record, by_lines=False))
+
+    def _bend(self, term: Term) -> ComplexArray:
+        """Spectra, (3, n_freq), of a term's cause, of the term, and of it without the person.
+
+        The part that changes sign with the perturbation is as independent of the person as the term
+        of the perturbed motion alone, and larger where the person moves the joint.
+        """
+        whole = term.bend(self._signals)
+        turns = 0.5 * (whole - term.bend(self._signals - 2.0 * self._known))
+        of_gain = term.kind is Kind.GAIN
+        alone = term.bend(self._known + self._load if of_gain or term.even else self._known)
+        turns = alone + turns if of_gain or term.even else turns
+        return np.stack([self._band.of(signal) for signal in (turns, whole, alone)])
 
     def deviations(self, joint: int, rest: FloatArray, size: FloatArray) -> dict[str, Deviation]:
         """Estimate the terms in the torque of a joint.
@@ -631,42 +655,32 @@ class _Motion:
             Sizes of M, B and K between the perturbed joint and this one.
         """
         record, band, linear = self._record, self._band, self._linear
-        torque, kept = self._torques[joint], band.kept
-        load = band.inner(np.full(torque.size, record.torque[joint].mean()))
-        actual = np.vstack((self._actual, band.inner(torque) + load))
-        known = np.vstack((self._known, band.inner(self._known_torques[joint])))
-        sizes = np.std(actual[:, kept], axis=1)[:, None]
-        if not ((sizes > 0.0).all() and size.all()):
+        k, kept = record.perturbed_joint, band.kept
+        if not ((self._sizes > 0.0).all() and size.all()):
             return {}
-        signals, known = actual / sizes, known / sizes
-        loaded = known + np.array([0.0, 0.0, 0.0, 1.0])[:, None] * load / sizes
-        inner = band.inner(rest)
-        white = band.weights(inner)
-        # The residual of a linear arm whose fit is slightly wrong is in proportion to the torque.
-        nearly = band.weights(inner, _LEFT * band.inner(torque))
-        left, moved, shown = map(band.of, (rest, record.position[self._k], record.torque[joint]))
-        weighed = []
-        for weights in (nearly, white):
+        inner, torque = band.inner(rest), band.inner(self._torques[joint])
+        left, moved, shown = map(band.of, (rest, record.position[k], record.torque[joint]))
+
+        def weighed(*noise: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+            weights = band.weights(*noise)
             whole = band.signal(weights * left)[kept]
-            remains = linear.removed(whole)
+            return weights, whole, linear.removed(whole)
+
+        # The residual of a linear arm whose fit is slightly wrong is in proportion to the torque.
+        usual = nearly, whole, remains = weighed(inner, _LEFT * torque)
+        of_gains, between = usual, 0.0
+        if joint == k:
+            of_gains, steady = weighed(inner), self._smooth.removed(whole)
+        else:
             # A locked joint that moves shows another arm in a trial at another posture. Filters are
             # constant within each band, so some of that linear residual remains.
-            between = 0.0 if joint == self._k else _BETWEEN * float(np.linalg.norm(whole - remains))
-            weighed.append((weights, remains, between))
-        steady = self._smooth.removed(band.signal(nearly * left)[kept])
+            between = _BETWEEN * float(np.linalg.norm(whole - remains))
         found = {}
         for name, one in TERMS.items():
-            if joint != self._k and not one.couples:
+            if joint != k and not one.couples:
                 continue
-            of_gain = one.kind is Kind.GAIN
-            # The part that changes sign with the perturbation is as independent of the person as
-            # the term of the perturbed motion alone, and larger where the person moves the joint.
-            whole = one.bend(signals)
-            turns = 0.5 * (whole - one.bend(signals - 2.0 * known))
-            alone = one.bend(loaded if of_gain or one.even else known)
-            turns = alone + turns if of_gain or one.even else turns
-            bent = np.stack([band.of(signal) for signal in (turns, whole, alone)])
-            weights, remains, between = weighed[1 if of_gain else 0]
+            weights, _, remains = of_gains if one.kind is Kind.GAIN else usual
+            bent = self._bent[name]
             cause, term, alone = (band.signal(weights * part)[kept] for part in bent)
             instrument = linear.unlike(cause)
             term = linear.removed(term)
@@ -682,13 +696,11 @@ class _Motion:
                 of_lines = _slope_at_lines(band.lines, signal, bent[2], bent[1], left, shown)
                 at_lines = of_lines[1] < estimate[1]
                 estimate = of_lines if at_lines else estimate
-            # The M, B and K that look most like the term: its regression on derivatives 2, 1, 0.
-            derivatives = self._motion[2::-1, kept].T
-            alike = np.linalg.lstsq(derivatives, band.signal(bent[1])[kept], rcond=None)[0]
-            known_of = partial(_deviation, name, alike=alike, own=size, sizes=sizes[:, 0])
+            alike, sizes = self._alike[name], self._sizes
+            known_of = partial(_deviation, name, alike=alike, own=size, sizes=sizes)
             found[name] = replace(known_of(estimate), at_lines=at_lines, joints=record.joints)
             if one.at_once is not None:
-                changing = known[one.at_once], signals[one.at_once]
+                changing = self._known[one.at_once], self._signals[one.at_once]
                 seen = [band.signal(nearly * band.of(signal))[kept] for signal in changing]
                 step, looks = _step(seen[0], seen[1], steady)
                 sudden = replace(known_of(step), looks=looks, joints=record.joints)

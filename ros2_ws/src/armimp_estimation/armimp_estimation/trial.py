@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
@@ -112,6 +113,17 @@ def drift_of(record: TrialRecord) -> Drift | None:
     return Drift(slopes=slopes, errors=errors)
 
 
+def cleaned(
+    stretches: Sequence[TrialRecord],
+) -> tuple[tuple[TrialRecord, ...], tuple[Problem, ...]]:
+    """Interpolate lost readings of a trial's stretches, and remove the drift of the longest."""
+    whole, problems = zip(*map(mended, stretches), strict=True)
+    drift = drift_of(max(whole, key=lambda stretch: stretch.samples))
+    if drift is not None and drift.significant:
+        whole = tuple(map(drift.removed_from, whole))
+    return whole, tuple(chain(*problems))
+
+
 def segment_for(trials: Sequence[Sequence[TrialRecord]]) -> int:
     """Choose the length of Welch segments, in samples, to suit the trial with the shortest parts.
 
@@ -165,13 +177,8 @@ class TrialData:
             sizes = [np.max(np.abs(one), initial=0.0) for one in given if one is not None]
             if not (largest := float(np.max(sizes))) < _ABSURD:
                 raise DataError(f"trial {stretch.trial}: {largest:.3g} is no angle and no torque")
-        whole = [mended(stretch) for stretch in stretches]
-        stretches = tuple(stretch for stretch, _ in whole)
+        stretches, mendings = cleaned(stretches)
         record = max(stretches, key=lambda stretch: stretch.samples)
-        drift = drift_of(record)
-        if drift is not None and drift.significant:
-            stretches = tuple(drift.removed_from(stretch) for stretch in stretches)
-            record = max(stretches, key=lambda stretch: stretch.samples)
         k = record.perturbed_joint
         signals = [
             np.concatenate((one.perturbation[k : k + 1], one.position, one.torque))
@@ -189,7 +196,7 @@ class TrialData:
             return cls(
                 record=record,
                 spectra=spectra,
-                problems=tuple(one for _, problems in whole for one in problems),
+                problems=mendings,
                 at_lines=periods is not None,
             )
         except DataError as error:

@@ -32,14 +32,13 @@ from armimp_estimation.periods import among, common_lines
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.signal_quality import (
     lost_motion,
-    mended,
     rounding_lead,
     speed_of,
     without_slow,
 )
 from armimp_estimation.spectra import BAND
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
-from armimp_estimation.trial import TrialData, drift_of
+from armimp_estimation.trial import TrialData, cleaned
 
 _SPARE_BINS = 3
 """Bins on either side beyond the degree of the polynomials, for degrees of freedom of the noise."""
@@ -133,7 +132,7 @@ class LpmFull:
         If only m joints have a record, estimate their columns alone, (n, m, n_freq), as if all
         other joints were still.
         """
-        jump = self.jump(records)
+        jump = update_jump(records, self.config.reading)
         rate, n = records[0].rate, records[0].joints
         joints = [record.perturbed_joint for record in records]
         reference = self._reference_arm(records, jump)
@@ -213,7 +212,7 @@ class LpmFull:
         DataError
             If a record is too short, joint k does not move, or R cannot be inverted.
         """
-        by_joint = {one.perturbed_joint: _cleaned(one) for one in (*others, record)}
+        by_joint = {one.perturbed_joint: cleaned([one])[0][0] for one in (*others, record)}
         joints, k = sorted(by_joint), record.perturbed_joint
         found = self._estimate([by_joint[joint] for joint in joints])
         preliminary = len(joints) < record.joints
@@ -253,16 +252,6 @@ class LpmFull:
         rubbing = np.asarray(share * correction.real, dtype=np.complex128)
         bent = (_inertia(correction, f) * bending)[..., None] * 2j * np.pi * f
         return inertial, rubbing, np.asarray(bent, dtype=np.complex128)
-
-    def jump(self, records: Sequence[TrialRecord]) -> HoldCorrection | None:
-        """Jump of torques with the commands, if readings miss it and the records identify it."""
-        reading = self.config.reading.at_rate(records[0].rate)
-        if reading.timing is TorqueTiming.UNKNOWN:
-            reading = reading.model_copy(update={"timing": TorqueTiming.BEFORE_UPDATE})
-        late = reading.timing is TorqueTiming.BEFORE_UPDATE
-        if late and all(record.command is not None for record in records):
-            return update_jump(records, reading)
-        return None
 
     def _delay_uncertainty(self, jump: HoldCorrection | None, rate: float) -> float:
         """Standard error of the delay between torques and angles, s."""
@@ -453,13 +442,6 @@ def _uneven(
         share = (both - noise) / np.sum(np.abs(T[joint, column]) ** 2)
         shares.append(float(share) if both > limit * noise else 0.0)
     return tuple(shares)
-
-
-def _cleaned(record: TrialRecord) -> TrialRecord:
-    """Return a record as :meth:`TrialData.of` does."""
-    record = mended(record)[0]
-    drift = drift_of(record)
-    return drift.removed_from(record) if drift is not None and drift.significant else record
 
 
 class HiddenMotion:

@@ -14,6 +14,7 @@ from armimp_common import topics
 from armimp_common.realtime import LATE_NS
 from armimp_estimation.atomic_write import write_text
 from armimp_estimation.distortion import Distortion
+from armimp_estimation.hold_correction import update_jump
 from armimp_estimation.mbk import MBK
 from armimp_estimation.nonlinearity import deviations
 from armimp_estimation.problems import Kind, ProblemCode, Severity, kinds
@@ -268,13 +269,18 @@ def _distortion(result: Result) -> Content | None:
     fitted = max(summary.estimators.values(), key=lambda one: one.decides)
     arm = MBK(M=np.array(fitted.M), B=np.array(fitted.B), K=np.array(fitted.K))
     late = 0.0 if fitted.delay is None else fitted.delay.delay
-    trials = []
-    for one in result.trials:
-        if one.record is not None and (found := Distortion.of(one.record, arm)) is not None:
-            changes = deviations(one.record, arm, None, summary.torque_reading, late)[one.joint]
-            trials.append((one, found, changes.get("amplitude"), changes.get("time")))
-    if not trials:
+    whole = [(one, one.record) for one in result.trials if one.record is not None]
+    periodic = [
+        (one, record, found)
+        for one, record in whole
+        if (found := Distortion.of(record, arm)) is not None
+    ]
+    if not periodic:
         return None
+    jump, trials = update_jump([record for _, record in whole], summary.torque_reading), []
+    for one, record, found in periodic:
+        changes = deviations(record, arm, jump, summary.torque_reading, late)[one.joint]
+        trials.append((one, found, changes.get("amplitude"), changes.get("time")))
     plots = [distortion_plot(found, one.trial) for one, found, *_ in trials]
     return {"trials": trials, "plots": plots, "joints": min(len(plots), SIDE_BY_SIDE)}
 
