@@ -477,7 +477,7 @@ class _Problem:
         inverse /= np.outer(scale, scale)
         b = (inverse @ weighted[free]).reshape(-1, n, n, bins)
         found = self._spread(b)
-        systematics = [*self.estimate.systematics, *self.calibration.effects(self.estimate.Z)]
+        systematics = list(self.estimate.systematics)
         if self.doubt:
             found += np.outer(inverse[-1], inverse[-1]) / self.doubt**2
             # It is unknown if torque that doesn't jump with commands is late; see the M-B-K fit.
@@ -487,6 +487,9 @@ class _Problem:
             # The error of a correction belongs to one transducer, so it is common to a row.
             shift = np.sum((np.conj(b) * common).real, axis=(2, 3))
             found += shift @ shift.T
+        for one in self.calibration.effects(self.estimate.Z):
+            shift = np.sum((np.conj(b) * one).real, axis=(1, 2, 3))
+            found += np.outer(shift, shift)
         errors = np.full(solution.size, math.nan)
         errors[free] = np.sqrt(np.diag(found))
         return errors

@@ -14,7 +14,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from itertools import product
+from itertools import chain, product
 from typing import TypeVar
 
 import numpy as np
@@ -76,15 +76,17 @@ class Calibration:
         return cls(gain=0.01, cross_talk=0.01, angle=0.015, assumed=True)
 
     def effects(self, Z: ComplexArray) -> tuple[ComplexArray, ...]:
-        """Standard errors ``g Z_ij``, ``c Z_lj`` for each other joint l, and ``a Z_ij`` by column.
+        """Independent errors: ``g Z_ij`` and ``c Z_lj`` of a row i, ``a Z_ij`` of a column j.
 
-        Rows are independent. No shape of Z over frequency reveals these errors, so they count in
-        neither weights nor lack of fit.
+        There is one for each gain, each joint l whose torque a transducer i may also show, and each
+        scale of an encoder, which all torques have in common. No shape of Z over frequency reveals
+        them, so they count in neither weights nor lack of fit.
         """
+        own = np.eye(len(Z))[:, :, None, None]
         sizes = [self.gain] + [self.cross_talk] * (len(Z) - 1)
-        rows = [size * np.roll(Z, -l, axis=0) for l, size in enumerate(sizes) if size > 0.0]
-        columns = self.angle * Z * np.eye(len(Z))[:, None, :, None] if self.angle > 0.0 else ()
-        return (*rows, *columns)
+        rows = [size * own * np.roll(Z, -l, axis=0) for l, size in enumerate(sizes) if size > 0.0]
+        columns = self.angle * np.swapaxes(own, 1, 2) * Z if self.angle > 0.0 else ()
+        return (*chain(*rows), *columns)
 
 
 class CommonDelay(JsonModel):
@@ -452,14 +454,15 @@ class _Elements:
 
         Two elements have the sandwich of one, with their coherency κ: ``½ Re Σ_fg conj(b_f) c_g
         σ_f ς_g ρ_fg (κ_f + κ_g)/2``. An estimate without covariances has independent elements. The
-        error of a correction is that of one transducer, so it is common to a row.
+        error of a correction is that of one transducer, so it is common to a row; one of the
+        calibration is common to all that it concerns.
         """
         (n, columns, _), estimate = self.estimate.Z.shape, self.estimate
         count = n * columns
         terms = self.functionals * np.sqrt(0.5 * self.noise)[:, None]
         spread = with_neighbours(terms, estimate.bin_correlation)
         more = self.change_by_more_terms
-        shifts = [self.shifts(common) for common in (*self.systematics, *self.calibration)]
+        shifts = [self.shifts(common) for common in self.systematics]
         covariance = np.zeros((3, count, 3, count))
         for one in range(count):
             for other in range(one, count):
@@ -472,7 +475,8 @@ class _Elements:
                     block += np.diag(more[:, one])
                 covariance[:, one, :, other] = block
                 covariance[:, other, :, one] = block.T
-        return covariance.reshape(3 * count, 3 * count)
+        known = np.reshape([self.shifts(one) for one in self.calibration], (-1, 3 * count))
+        return np.asarray(covariance.reshape(3 * count, 3 * count) + known.T @ known)
 
     def _coherency(self, one: int, other: int) -> ComplexArray:
         """Complex correlation of the errors of two elements at each frequency."""
