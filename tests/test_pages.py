@@ -9,6 +9,7 @@ from pathlib import Path
 import make_pictures
 import pytest
 
+from research.truth import names_like
 from support.places import ROOT
 from support.processes import run_program
 
@@ -81,6 +82,13 @@ def test_every_hazard_of_the_page_has_a_test() -> None:
 @pytest.mark.parametrize(("file", "test"), NAMED)
 def test_every_test_that_a_page_names_exists(file: str, test: str) -> None:
     assert test in names_in(file)
+
+
+def test_every_choice_of_classes_that_a_page_names_has_some() -> None:
+    pattern = r"truth [^`]*?--only ('[^'`]+'|[^\s\"`]+)"
+    chosen = [choice for page in PAGES for choice in re.findall(pattern, (ROOT / page).read_text())]
+    assert len(chosen) > 15
+    assert all(names_like(choice.strip("'")) for choice in chosen)
 
 
 @pytest.mark.parametrize("name", make_pictures.RECIPES)
