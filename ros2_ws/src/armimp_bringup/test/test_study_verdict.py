@@ -185,6 +185,12 @@ def test_with_more_joints_elements_that_transducers_cannot_resolve_are_not_judge
     assert _rows(judge([plain]))["lpm_full", "VAF"].element == "Z24"
 
 
+def test_a_value_that_misses_its_target_by_little_is_shown_with_digits_that_tell() -> None:
+    r2 = next(one for one in SCORES if one.name == "R²")
+    shown = [r2.format(value, 0.999) for value in (0.9989954, 0.9990046, 0.9958, 0.999)]
+    assert shown == ["0.998995", "0.99900", "0.99580", "0.99900"]
+
+
 def test_condition_that_is_not_valid_fails_the_study_with_its_reason() -> None:
     faults = [problem(ProblemCode.NO_PERTURBATION), problem(ProblemCode.NOTHING_RECORDED)]
     broken = _entry(friction=1, problems=faults)

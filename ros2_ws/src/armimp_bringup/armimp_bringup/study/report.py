@@ -145,7 +145,7 @@ class StudyReport:
         place = f"F{one.friction} R{one.resolution} P{one.perturbation}"
         return [
             one.quantity,
-            one.score.format(one.worst),
+            one.score.format(one.worst, one.limit),
             one.target,
             "not judged" if one.met is None else mark(one.met),
             symbol(one.element[0], one.element[1:]),

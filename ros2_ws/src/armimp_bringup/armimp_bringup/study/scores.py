@@ -181,9 +181,15 @@ class Score:
     limits: Mapping[str, float] = field(default_factory=dict)
     """Targets by estimator."""
 
-    def format(self, value: float) -> str:
-        """Value with unit; a dash for what is not a number."""
-        return NONE if math.isnan(value) else f"{value:.{self.digits}f}{self.unit}"
+    def format(self, value: float, limit: float | None = None) -> str:
+        """Value with unit, in as many digits as show that it misses a limit; a dash for NaN."""
+        if math.isnan(value):
+            return NONE
+        digits = self.digits
+        if limit is not None and not self.meets(value, limit):
+            while f"{value:.{digits}f}" == f"{limit:.{digits}f}":
+                digits += 1
+        return f"{value:.{digits}f}{self.unit}"
 
     def limit(self, joints: int, estimator: str) -> float | None:
         """Target of an estimator, if there is one; with more than two joints errors have none."""
@@ -321,8 +327,8 @@ class WorstValue(JsonModel):
         sign = "<" if self.score.floor else ">"
         limit = math.nan if self.limit is None else self.limit
         return (
-            f"{self.estimator}: {self.quantity} {self.score.format(self.worst)} {sign} "
-            f"{self.score.format(limit)} in {self.element} at {condition}"
+            f"{self.estimator}: {self.quantity} {self.score.format(self.worst, limit)} "
+            f"{sign} {self.score.format(limit)} in {self.element} at {condition}"
         )
 
 

@@ -188,7 +188,7 @@ def print_verdict(verdict: StudyVerdict, console: Console) -> None:
         table.add_row(
             one.estimator if place % len(SCORES) == 0 else "",
             one.quantity,
-            one.score.format(one.worst),
+            one.score.format(one.worst, one.limit),
             one.target,
             {True: "[green]✓[/]", False: "[bold red]✗[/]", None: ""}[one.met],
             one.element,
