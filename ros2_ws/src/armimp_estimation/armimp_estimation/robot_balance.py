@@ -119,6 +119,9 @@ class RobotBalance:
     """Inertia, viscosity and stiffness of the robot, SI units; shape (3, n, n)."""
     covariance: FloatArray
     """Covariance of the three values of each element, with lack of fit; shape (3, 3, n, n)."""
+    damped: FloatArray
+    """Inertia as if friction of locked joints were that of dampers, and its standard error, with
+    the difference from M; shape (2, n, n)."""
     friction: FloatArray
     """Share of what moves the robot that the friction of locked joints takes; shape (n, n)."""
     unseen: FloatArray
@@ -139,7 +142,12 @@ class RobotBalance:
 
     @property
     def M_se(self) -> FloatArray:
-        """Standard errors of M, kg·m², shape (n, n).
+        """Standard errors of M, kg·m², shape (n, n)."""
+        return np.asarray(np.hypot(self.errors[0], self._inertia_hidden))
+
+    @property
+    def _inertia_hidden(self) -> FloatArray:
+        """Standard errors of M, kg·m², by what friction may hide of it, shape (n, n).
 
         Friction of the perturbed joint that isn't like a damper may look like an inertia of B/ω at
         the upper end of the band. Where friction takes much of what moves a locked joint, it may
@@ -150,7 +158,7 @@ class RobotBalance:
         share *= np.where(hidden, 1.0, _TAKEN)
         taken = share * np.maximum(np.abs(self.M), np.abs(self.M.T))
         own = np.diag(np.abs(np.diag(self.values[1]))) / (2.0 * np.pi * BAND[1])
-        return np.asarray(np.hypot(self.errors[0], taken + own))
+        return np.asarray(taken + own)
 
     @property
     def K(self) -> FloatArray:
@@ -177,14 +185,17 @@ class RobotBalance:
         """Relative difference of M_ij and M_ji, and its standard error, (n, n).
 
         As the inertia is symmetric, it is that of the scales of encoders j and i. It is 0 with an
-        infinite error where friction of locked joints takes a tenth of an element or more.
+        infinite error where friction of locked joints takes a tenth of an element or more. Less
+        than that may be taken as that of dampers: as a spring it would be too much like inertia.
         """
+        M, error = self.damped
         taken = np.maximum(self.friction, self.unseen)
         slight = (np.maximum(taken, taken.T) < _SLIGHT) & ~np.eye(len(taken), dtype=np.bool_)
-        size = np.maximum(np.minimum(np.abs(self.M), np.abs(self.M.T)), _TINY)
-        error = np.hypot(self.M_se, self.M_se.T)
+        size = np.maximum(np.minimum(np.abs(M), np.abs(M.T)), _TINY)
+        error = np.hypot(error, self._inertia_hidden)
+        error = np.hypot(error, error.T)
         return (
-            np.where(slight, (self.M - self.M.T) / size, 0.0),
+            np.where(slight, (M - M.T) / size, 0.0),
             np.where(slight, error / size, np.inf),
         )
 
@@ -320,7 +331,7 @@ class RobotResponses:
             systematics.append(0.5 * turn * steady)
         disturbance = covariance_of(self.columns, coefficients)
         variance = variance_of(disturbance, self.inverse, systematics)
-        values, covariance, friction = self._fit(
+        values, covariance, friction, damped = self._fit(
             impedance + ahead,
             variance,
             multiply(multiply(mixed[:, 2 * n :], self.stacked[2 * n :]), self.inverse),
@@ -329,6 +340,7 @@ class RobotResponses:
         return RobotBalance(
             values=values,
             covariance=covariance,
+            damped=damped,
             friction=friction,
             unseen=self.hidden.share,
             undamped=undamped,
@@ -338,7 +350,7 @@ class RobotResponses:
 
     def _fit(
         self, impedance: ComplexArray, variance: FloatArray, driven: ComplexArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Fit a robot, friction of locked joints and a lag of their drives to an impedance.
 
         Parameters
@@ -348,14 +360,14 @@ class RobotResponses:
 
         Returns
         -------
-        values, covariance, friction : ndarray
+        values, covariance, friction, damped : ndarray
             As a :class:`RobotBalance` has them.
         """
         n, f = len(self.records), self.columns[0].f
         s, correlation = 2j * np.pi * f, self.columns[0].bin_correlation()
         locked = self.stacked[:n] * np.einsum("jjf->jf", self.inverse)
         found, errors = np.zeros((3, n, n)), np.zeros((3, 3, n, n))
-        friction = np.zeros((n, n))
+        friction, damped = np.zeros((n, n)), np.zeros((2, n, n))
         for i, j in np.ndindex(n, n):
             terms = np.stack([s**2, s, np.ones_like(s)])
             held = np.stack([locked[i, j] * s, locked[i, j]])
@@ -364,15 +376,18 @@ class RobotResponses:
                 terms = np.concatenate([terms, held, lag])
             given = f, impedance[i, j], variance[i, j], correlation
             values, covariance = _least_squares(*given, terms)
-            taken = values[3:5] @ held if i != j else 0.0
-            if i != j and values[4] <= 0.0:
-                # Friction resists motion. A κ below 0 would push, so no friction holds the joint.
-                values, covariance = _least_squares(*given, np.delete(terms, 4, axis=0))
-                taken = values[3] * held[0]
+            free, spread, taken = values, covariance, np.zeros_like(s)
+            if i != j:
+                taken = values[3:5] @ held
+                free, spread = _least_squares(*given, np.delete(terms, 4, axis=0))
+                if values[4] <= 0.0:
+                    # Friction resists motion. A κ below 0 would push, so nothing holds the joint.
+                    values, covariance, taken = free, spread, free[3] * held[0]
+            damped[:, i, j] = free[0], np.hypot(np.sqrt(spread[0, 0]), free[0] - values[0])
             found[:, i, j], errors[:, :, i, j] = values[:3], covariance[:3, :3]
             whole = float(np.linalg.norm(impedance[i, j] / s))
             friction[i, j] = float(np.linalg.norm(taken / s)) / max(whole, _TINY)
-        return found, errors, friction
+        return found, errors, friction, damped
 
     @cached_property
     def _not_of_a_damper(self) -> tuple[FloatArray, FloatArray]:
