@@ -42,6 +42,8 @@ ONCE_WRONG = {
     # What a person does neither hides a bent transducer nor looks like friction.
     ("torque larger in one direction, voluntary 0.3 N·m", 1),
     ("voluntary and tremor 1 N·m", 1),
+    # Friction of a locked joint by chance seems to be a spring, which takes part in its inertia.
+    ("scale of encoder 1, 0.9 0.3 N·m", 3003),
     # What commands lack to overcome friction is no hysteresis of the arm.
     ("friction and a weak perturbation 2 joints, 500", 2),
 }
