@@ -3,11 +3,10 @@
 The residual torque of each joint in the band, ``e_i = τ_i - Σ_j Z_ij θ_j`` with the fitted
 impedance Z, is regressed on one term of the perturbed joint's motion at a time. Terms of the arm
 are the angle clipped at half of its rms (a stiffness that changes with the amplitude), ``|θ|`` (one
-that depends on the direction), ``θ |θ̇|`` (one that changes with the speed), ``θ̇ |θ̇|/(1 + |θ̇|)``
-(damping that does, less and less, as force-velocity curves of muscles flatten), ``θ̇ |θ|`` (damping
-that changes with the angle), a play operator of the angle (a short-range spring that yields:
-Brokate & Sprekels, *Hysteresis and Phase Transitions*, ch. 2), the sign of ``θ̇`` (friction),
-``θ t`` or an abrupt change (a stiffness that changes over the trial) and
+that depends on the direction), ``θ |θ̇|``, ``θ̇ |θ̇|`` and ``θ̇ |θ|`` (stiffness and damping that
+change with the speed, and damping with the angle), a play operator of the angle (a short-range
+spring that yields: Brokate & Sprekels, *Hysteresis and Phase Transitions*, ch. 2), the sign of
+``θ̇`` (friction), ``θ t`` or an abrupt change (a stiffness that changes over the trial) and
 ``θ exp(-t)`` (one that is larger at the start). Terms of the transducer follow the torque τ̂ over
 all perturbed frequencies: ``|τ̂|`` (it shows more in one direction), ``τ̂³`` (its gain changes with
 the torque), the sign of τ̂ (it does not show small torques), ``τ̂ t`` or an abrupt change (its gain
@@ -83,10 +82,6 @@ SLOW = 0.1
 """Speed at which friction reaches three quarters of its size, in rms speeds."""
 _NORMAL = 0.8
 """Mean of the absolute value of a normal distribution, in standard deviations."""
-_SATURATING = 0.59
-"""Mean of ``d/dv v |v|/(1 + |v|)`` over a normal distribution of v with standard deviation 1."""
-_CLEARER = 1.0
-"""Standard errors by which another term has to be clearer to explain one."""
 _ENDS = 3.0
 """Seconds that are left out at either end, up to the share `_MOST_ENDS` of the record."""
 _WIDTH = 1.0
@@ -206,7 +201,7 @@ TERMS: Mapping[str, Term] = {
         code=ProblemCode.DEPENDS_ON_AMPLITUDE,
         slope=0.32,
         large=0.1,
-        likely=0.85,
+        likely=0.7,
         sizes=(0.1, 0.3, 1.0),
         couples=True,
         shared=True,
@@ -223,19 +218,18 @@ TERMS: Mapping[str, Term] = {
         code=ProblemCode.DEPENDS_ON_SPEED,
         slope=_NORMAL,
         large=0.1,
-        likely=0.03,
+        likely=0.1,
         sizes=(0.03, 0.1),
         couples=True,
     ),
     "damping by speed": Term(
-        bend=lambda signals: signals[2] * np.abs(signals[2]) / (1.0 + np.abs(signals[2])),
+        bend=lambda signals: signals[2] * np.abs(signals[2]),
         code=ProblemCode.DAMPING_CHANGES,
         kind=Kind.DAMPING,
-        slope=_SATURATING,
-        likely=0.2,
+        slope=2.0 * _NORMAL,
+        likely=0.05,
         sizes=(0.1, 0.3),
         couples=True,
-        shared=True,
         explained_by="friction",
     ),
     "damping by angle": Term(
@@ -244,7 +238,7 @@ TERMS: Mapping[str, Term] = {
         kind=Kind.DAMPING,
         slope=_NORMAL,
         large=0.1,
-        likely=0.02,
+        likely=0.05,
         sizes=(0.1, 0.3),
         couples=True,
     ),
@@ -1017,11 +1011,10 @@ def judge_linearity(
         elsewhere = [one for joint, one in enumerate(own) if one and (joint != k or i != k)]
         for name, one in found[k][i].items():
             rival = own[k].get(TERMS[name].explained_by)
-            if rival and rival.significant and rival.errors > one.errors + _CLEARER:
+            if rival is not None and rival.significant and rival.errors > one.errors:
                 continue
             evidence = sum(other[name].evidence for other in elsewhere)
-            # That joints by themselves are linear says little of what couples them.
-            evidence = evidence if TERMS[name].shared and i == k else max(evidence, 0.0)
+            evidence = evidence if TERMS[name].shared else max(evidence, 0.0)
             doubt = one.doubt(evidence, declared=linearity is not None)
             gain[k] = np.hypot(gain[k], doubt * one.gain)
             for m in range(n) if i == k and doubt * one.held else ():
