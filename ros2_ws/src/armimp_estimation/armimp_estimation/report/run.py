@@ -269,15 +269,14 @@ def _distortion(result: Result) -> Content | None:
     fitted = max(summary.estimators.values(), key=lambda one: one.decides)
     arm = MBK(M=np.array(fitted.M), B=np.array(fitted.B), K=np.array(fitted.K))
     late = 0.0 if fitted.delay is None else fitted.delay.delay
-    whole = [(one, one.record) for one in result.trials if one.record is not None]
     periodic = [
-        (one, record, found)
-        for one, record in whole
-        if (found := Distortion.of(record, arm)) is not None
+        (one, one.record, found)
+        for one in result.trials
+        if one.record is not None and (found := Distortion.of(one.record, arm)) is not None
     ]
     if not periodic:
         return None
-    jump, trials = update_jump([record for _, record in whole], summary.torque_reading), []
+    jump, trials = update_jump([record for _, record, _ in periodic], summary.torque_reading), []
     for one, record, found in periodic:
         changes = deviations(record, arm, jump, summary.torque_reading, late)[one.joint]
         trials.append((one, found, changes.get("amplitude"), changes.get("time")))
