@@ -1,7 +1,5 @@
 """A headless Chromium that looks at reports."""
 
-from __future__ import annotations
-
 import shutil
 import time
 from collections.abc import Iterator
@@ -15,7 +13,7 @@ EXECUTABLE = shutil.which("chromium")
 
 
 @contextmanager
-def started() -> Iterator[Browser]:
+def started() -> Iterator["Browser"]:
     """A running browser, if there is one on this machine (see `EXECUTABLE`)."""
     with sync_playwright() as playwright:
         flags = ["--no-sandbox", "--disable-gpu"]

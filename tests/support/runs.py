@@ -1,7 +1,5 @@
 """What a finished experiment left behind, for tests of the node graph."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,7 +40,7 @@ class FinishedRun:
         """Bags in the order of the trials."""
         return sorted((self.directory / "bags").iterdir())
 
-    def assert_same_streams(self, other: FinishedRun) -> None:
+    def assert_same_streams(self, other: "FinishedRun") -> None:
         """Check that every message of every data stream is the same to the last bit."""
         assert [bag.name for bag in self.bags] == [bag.name for bag in other.bags]
         for bags in zip(self.bags, other.bags, strict=True):
