@@ -638,10 +638,10 @@ class _Motion:
         """
         whole = term.bend(self._signals)
         turns = 0.5 * (whole - term.bend(self._signals - 2.0 * self._known))
-        of_gain = term.kind is Kind.GAIN
-        alone = term.bend(self._known + self._load if of_gain or term.even else self._known)
-        turns = alone + turns if of_gain or term.even else turns
-        return np.stack([self._band.of(signal) for signal in (turns, whole, alone)])
+        loaded = term.even or term.kind is Kind.GAIN
+        alone = term.bend(self._known + self._load if loaded else self._known)
+        turns = alone + turns if loaded else turns
+        return self._band.of(np.stack((turns, whole, alone)))
 
     def deviations(self, joint: int, rest: FloatArray, size: FloatArray) -> dict[str, Deviation]:
         """Estimate the terms in the torque of a joint.
