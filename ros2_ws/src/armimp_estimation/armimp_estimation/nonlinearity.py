@@ -82,6 +82,8 @@ SLOW = 0.1
 """Speed at which friction reaches three quarters of its size, in rms speeds."""
 _NORMAL = 0.8
 """Mean of the absolute value of a normal distribution, in standard deviations."""
+_SATURATING = 0.59
+"""Mean of ``d/dv v |v|/(1 + |v|)`` over a normal distribution of v with standard deviation 1."""
 _ENDS = 3.0
 """Seconds that are left out at either end, up to the share `_MOST_ENDS` of the record."""
 _WIDTH = 1.0
@@ -156,6 +158,8 @@ class Term:
     slope: float = 1.0
     """Change of the regressor's slope from rest to one rms, or between both directions; for the
     excess of the angle over its rms, the mean over a normal distribution of angles."""
+    rest: float = 1.0
+    """Change of M, B and K from rest, relative to that which looks like the regressor."""
     large: float = np.inf
     """Share beyond which stiffness, or M, B and K, hold for this motion or time alone; change of
     the gain beyond which a transducer is unusable. Smaller shares are part of the standard errors,
@@ -178,8 +182,11 @@ class Term:
     """Whether it does not change sign with the motion that the perturbation causes."""
     couples: bool = False
     """Whether it may be in the torque of a locked joint, too."""
+    couples_alone: bool = False
+    """Whether it may be in what couples joints where the joints themselves have none."""
     explained_by: str = ""
-    """Term that explains this one where it is found more clearly at the perturbed joint."""
+    """Term that explains this one, but for its odds, where it is found more clearly at the
+    perturbed joint."""
     shared: bool = False
     """Whether joints of one arm all have it or not, so that evidence of some that have not lowers
     its odds at the others."""
@@ -200,10 +207,12 @@ TERMS: Mapping[str, Term] = {
         bend=lambda signals: signals[0] - np.clip(signals[0], -FAR, FAR),
         code=ProblemCode.DEPENDS_ON_AMPLITUDE,
         slope=0.32,
+        rest=1.75,
         large=0.1,
-        likely=0.7,
+        likely=0.5,
         sizes=(0.1, 0.3, 1.0),
         couples=True,
+        couples_alone=True,
         shared=True,
     ),
     "posture": Term(
@@ -218,18 +227,19 @@ TERMS: Mapping[str, Term] = {
         code=ProblemCode.DEPENDS_ON_SPEED,
         slope=_NORMAL,
         large=0.1,
-        likely=0.1,
+        likely=0.03,
         sizes=(0.03, 0.1),
         couples=True,
     ),
     "damping by speed": Term(
-        bend=lambda signals: signals[2] * np.abs(signals[2]),
+        bend=lambda signals: signals[2] * np.abs(signals[2]) / (1.0 + np.abs(signals[2])),
         code=ProblemCode.DAMPING_CHANGES,
         kind=Kind.DAMPING,
-        slope=2.0 * _NORMAL,
-        likely=0.05,
+        slope=_SATURATING,
+        likely=0.1,
         sizes=(0.1, 0.3),
         couples=True,
+        shared=True,
         explained_by="friction",
     ),
     "damping by angle": Term(
@@ -238,7 +248,7 @@ TERMS: Mapping[str, Term] = {
         kind=Kind.DAMPING,
         slope=_NORMAL,
         large=0.1,
-        likely=0.05,
+        likely=0.02,
         sizes=(0.1, 0.3),
         couples=True,
     ),
@@ -374,13 +384,18 @@ class Deviation:
         """Whether chance hardly explains it, given the numbers of looks and joints."""
         return self._errors(self.looks * self.joints) > SIGNIFICANT
 
-    def doubt(self, elsewhere: float = 0.0, *, declared: bool = False) -> float:
+    def doubt(
+        self, elsewhere: float = 0.0, *, declared: bool = False, rival: Deviation | None = None
+    ) -> float:
         """Standard error that follows from it, relative to its size: below 1 if it may be chance.
 
-        `elsewhere` is the evidence that the other joints give. If the linearity of transducers was
-        `declared`, what is not significant of them is taken as chance, except a drift.
+        `elsewhere` is the evidence that the other joints give; that of a `rival`, which explains
+        the same, is against it. If the linearity of transducers was `declared`, what is not
+        significant of them is taken as chance, except a drift.
         """
-        if self.significant:
+        if rival is not None:
+            elsewhere -= rival.evidence
+        elif self.significant:
             return 1.0
         if declared and self.of_transducer and not TERMS[self.name].in_time:
             return 0.0
@@ -725,7 +740,7 @@ def _deviation(
         Rms of angle, angle and speed without slow motion, and torque: units of the term's signals.
     """
     term, (slope, error, freedom) = TERMS[name], estimate
-    shift, held, slack = slope * alike, 0.0, 0.0
+    shift, held, slack = slope * term.rest * alike, 0.0, 0.0
     share = term.slope * slope / float(sizes[3])
     gain = term.doubted * share
     if term.kind is Kind.GAIN:
@@ -1010,16 +1025,17 @@ def judge_linearity(
         reported: set[tuple[ProblemCode, Severity]] = set()
         elsewhere = [one for joint, one in enumerate(own) if one and (joint != k or i != k)]
         for name, one in found[k][i].items():
-            rival = own[k].get(TERMS[name].explained_by)
-            if rival is not None and rival.significant and rival.errors > one.errors:
-                continue
+            term, rival = TERMS[name], own[k].get(TERMS[name].explained_by)
+            if rival is not None and not (rival.significant and rival.errors > one.errors):
+                rival = None
             evidence = sum(other[name].evidence for other in elsewhere)
-            evidence = evidence if TERMS[name].shared else max(evidence, 0.0)
-            doubt = one.doubt(evidence, declared=linearity is not None)
+            lowers = term.shared and (i == k or not term.couples_alone)
+            evidence = evidence if lowers else max(evidence, 0.0)
+            doubt = one.doubt(evidence, declared=linearity is not None, rival=rival)
             gain[k] = np.hypot(gain[k], doubt * one.gain)
             for m in range(n) if i == k and doubt * one.held else ():
                 if m != k:
-                    held = _held(records[m].whole_periods, k, TERMS[name])
+                    held = _held(records[m].whole_periods, k, term)
                     doubts.append(of_torque(k, m, doubt * one.held * held))
             if one.significant and abs(one.share) < _NEGLIGIBLE:
                 continue
@@ -1027,9 +1043,9 @@ def judge_linearity(
                 doubts.append(np.zeros((3, n, n)))
                 doubts[-1][:, i, k] = doubt * one.shift
             arms = jumps_known or not 0.0 < abs(one.held) < _JUMPING / record.rate
-            large = arms and resolved[k] and TERMS[name].large < abs(one.share) < TERMS[name].most
-            code, severity = TERMS[name].code, Severity.ERROR if large else Severity.NOTE
-            if not one.significant or (code, severity) in reported:
+            large = arms and resolved[k] and term.large < abs(one.share) < term.most
+            code, severity = term.code, Severity.ERROR if large else Severity.NOTE
+            if rival is not None or not one.significant or (code, severity) in reported:
                 continue
             reported.add((code, severity))
             concern = Concern.IMPEDANCE if one.of_transducer else Concern.PARAMETERS

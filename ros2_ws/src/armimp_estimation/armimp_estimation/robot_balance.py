@@ -95,9 +95,9 @@ _SPRING = 2.0
 """Standard errors from which on a joint of the robot seems to have a spring."""
 _RUBBING = 2.0
 """Largest ratio of the apparent stiffness of friction to its apparent viscosity, 1/s."""
-_LOADED = 0.3
+_LOADED = 0.4
 """Assumption: relative standard error of a torque that seems to be that of a spring of the robot;
-it may as well be that of a cable which loads the transducer."""
+in one of six rigs it is that of a cable which loads the transducer."""
 _PULLED = 0.3
 """Assumption: negative stiffness by which gravity may pull a joint of the robot away from the
 posture, relative to the arm's stiffness."""
