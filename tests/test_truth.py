@@ -29,9 +29,9 @@ ONCE_WRONG = {
     # What a person's torque and muscles that depart from M, B and K look like together.
     ("preload, voluntary 0.3 N·m 0.3 rad", 11),
     ("reflex 0.3, 40 ms", 11),
-    # Stiffness falls while a person pushes.
-    ("amplitude-dependent, voluntary 0.3 N·m 0.1", 0),
-    ("amplitude-dependent, voluntary 0.3 N·m 0.1", 3),
+    # Stiffness or damping falls while a person pushes.
+    *(("amplitude-dependent, voluntary 0.3 N·m 0.1", seed) for seed in (0, 3)),
+    ("damping by speed, 0.3 0.3 N·m", 3033),
     # All lines of a multisine make neither an arm look bent nor a transducer linear.
     ("multisine 2000", 0),
     ("torque compressed, multisine 0.03", 0),

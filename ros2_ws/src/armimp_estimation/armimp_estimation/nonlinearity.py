@@ -3,11 +3,12 @@
 The residual torque of each joint in the band, ``e_i = τ_i - Σ_j Z_ij θ_j`` with the fitted
 impedance Z, is regressed on one term of the perturbed joint's motion at a time. Terms of the arm
 are the angle clipped at half of its rms (a stiffness that changes with the amplitude), ``|θ|`` (one
-that depends on the direction), ``θ |θ̇|``, ``θ̇ |θ̇|`` and ``θ̇ |θ|`` (stiffness and damping that
-change with the speed, and damping with the angle), a play operator of the angle (a short-range
-spring that yields: Brokate & Sprekels, *Hysteresis and Phase Transitions*, ch. 2), the sign of
-``θ̇`` (friction), ``θ t`` or an abrupt change (a stiffness that changes over the trial) and
-``θ exp(-t)`` (one that is larger at the start). Terms of the transducer follow the torque τ̂ over
+that depends on the direction), ``θ |θ̇|`` and ``θ̇ |θ|`` (stiffness that changes with the speed, and
+damping with the angle), ``θ̇ |θ̇|/(1 + |θ̇|)`` (damping that changes with the speed, less and less,
+as force-velocity curves of muscles flatten), a play operator of the angle (a short-range spring
+that yields: Brokate & Sprekels, *Hysteresis and Phase Transitions*, ch. 2), the sign of ``θ̇``
+(friction), ``θ t`` or an abrupt change (a stiffness that changes over the trial) and ``θ exp(-t)``
+(one that is larger at the start). Terms of the transducer follow the torque τ̂ over
 all perturbed frequencies: ``|τ̂|`` (it shows more in one direction), ``τ̂³`` (its gain changes with
 the torque), the sign of τ̂ (it does not show small torques), ``τ̂ t`` or an abrupt change (its gain
 drifts) and a play operator of τ̂ (hysteresis).
@@ -159,7 +160,8 @@ class Term:
     """Change of the regressor's slope from rest to one rms, or between both directions; for the
     excess of the angle over its rms, the mean over a normal distribution of angles."""
     rest: float = 1.0
-    """Change of M, B and K from rest, relative to that which looks like the regressor."""
+    """Change of M, B and K from rest, relative to that which looks like the regressor. The excess
+    of a Gaussian angle takes 1/1.75 of the stiffness that ``θ |θ|`` takes, if fitted to that."""
     large: float = np.inf
     """Share beyond which stiffness, or M, B and K, hold for this motion or time alone; change of
     the gain beyond which a transducer is unusable. Smaller shares are part of the standard errors,
