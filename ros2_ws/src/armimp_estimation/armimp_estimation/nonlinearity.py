@@ -382,6 +382,11 @@ class Deviation:
         return TERMS[self.name].kind in {Kind.GAIN, Kind.DRAG, Kind.LOST}
 
     @property
+    def of_robot(self) -> bool:
+        """Whether it is attributed to the robot alone."""
+        return abs(self.share) <= TERMS[self.name].robots
+
+    @property
     def significant(self) -> bool:
         """Whether chance hardly explains it, given the numbers of looks and joints."""
         return self._errors(self.looks * self.joints) > SIGNIFICANT
@@ -396,7 +401,7 @@ class Deviation:
         significant of them is taken as chance, except a drift.
         """
         if rival is not None:
-            elsewhere -= rival.evidence
+            elsewhere -= np.inf if rival.of_robot else rival.evidence
         elif self.significant:
             return 1.0
         if declared and self.of_transducer and not TERMS[self.name].in_time:
@@ -414,7 +419,7 @@ class Deviation:
         if term.kind is Kind.GAIN and self.error == np.inf:
             return term.likely * float(np.mean(np.square(term.sizes))), 0.0
         untold = not term.likely or (term.lines_alone and not self.at_lines)
-        if untold or not self.errors > 0.0 or abs(self.share) <= term.robots:
+        if untold or not self.errors > 0.0 or self.of_robot:
             return 0.0, 0.0
         error = abs(self.share) / self.errors
         lost = term.kind is Kind.LOST
