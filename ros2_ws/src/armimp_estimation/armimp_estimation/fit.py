@@ -18,7 +18,7 @@ from itertools import chain, product
 from typing import TypeVar
 
 import numpy as np
-from scipy.special import log_ndtr, softmax
+from scipy.special import expit, log_ndtr, softmax
 
 from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError, DataError
@@ -183,6 +183,8 @@ _MOST_CUFFS = 8
 _LIKELY, _SOFT = 0.3, 0.2
 """Assumption: prior probabilities that an element has a reflex of either kind or a spring that
 relaxes, and that a joint has a soft cuff."""
+_RARE = 0.01
+"""Probability of a reflex or a relaxing spring that changes no interval of 95 %, as it is rare."""
 _REFLEX = 0.5
 """Assumption: velocity gain that a reflex of an element may have, relative to its B."""
 _ARCS = ((0.04, 30.0), (0.03, 50.0), (0.06, 50.0))
@@ -506,8 +508,9 @@ class _Elements:
         squares, rows = np.zeros_like(plain), range(len(self.Z))
         relative = self.omega / self.omega[-1]
         for term in (-1j * relative**3, relative**4 + 0j):
-            noticed = [_noticed(*self.coefficient_of(term, row)) for row in rows]
-            squares += noticed * self.shifts(np.broadcast_to(term, self.Z.shape)) ** 2
+            terms: ComplexArray = np.broadcast_to(term, self.Z.shape)
+            noticed = [_noticed(*one) for one in self.coefficients_of(terms)]
+            squares += noticed * self.shifts(terms) ** 2
         low = relative <= _LOW
         if np.count_nonzero(low) >= _FEWEST:
             for row in rows:
@@ -566,16 +569,14 @@ class _Elements:
         What acts across joints acts on its own joint, too, so that is evidence of its presence.
         """
         change, columns = np.zeros_like(values), self.estimate.Z.shape[1]
-        for (likely, terms), own in product(self.hidden_terms(values), self.own):
-            evidence, shifts = 0.0, self.shifts(terms)
-            others = range(own % columns, len(self.Z), columns)
-            for row in (own, *(row for row in others if row != own)):
-                told, error = self.coefficient_of(terms[row], row)
-                square, of_row = hidden_square(
-                    told, error, likely, positive=True, elsewhere=evidence
-                )
-                evidence = of_row if row == own else evidence
-                change[:, row] = np.maximum(change[:, row], square * shifts[:, row] ** 2)
+        for likely, terms in self.hidden_terms(values):
+            shifts, told = self.shifts(terms), self.coefficients_of(terms)
+            judged = partial(hidden_square, likely=likely, positive=True, rare=_RARE)
+            for own in self.own:
+                _, evidence = judged(*told[own])
+                for row in range(own % columns, len(self.Z), columns):
+                    square, _ = judged(*told[row], elsewhere=0.0 if row == own else evidence)
+                    change[:, row] = np.maximum(change[:, row], square * shifts[:, row] ** 2)
         return change
 
     def _change_by_coupling(self, Z: ComplexArray) -> FloatArray:
@@ -608,23 +609,33 @@ class _Elements:
                 change = np.maximum(change, square * self.shifts(terms) ** 2)
         return change
 
-    def beside(self, terms: ComplexArray, row: int) -> ComplexArray:
-        """Residual of terms (..., n_freq) regressed on M, B and K with an element's weights.
+    def beside(self, terms: ComplexArray) -> ComplexArray:
+        """Residual of terms (..., elements, n_freq) regressed on M, B and K of their elements.
 
-        It is orthogonal to them with these weights.
+        It is orthogonal to them with the elements' weights.
         """
-        alike = _sums(self.functionals[row], terms[..., None, :])
+        alike = _sums(self.functionals, terms[..., None, :])
         return np.asarray(terms - _of_mbk(np.moveaxis(alike, -1, 0), self.omega))
 
-    def coefficient_of(self, term: ComplexArray, row: int) -> tuple[float, float]:
-        """Coefficient of a term (n_freq,) beside M, B and K of an element, and its error."""
-        left = self.beside(term, row)
-        total = float(np.sum(self.weights[row] * np.abs(left) ** 2))
-        if not np.finfo(np.float64).tiny < total < math.inf:
-            return 0.0, math.inf  # nothing was measured: the values are not numbers either
-        functional = self.weights[row] * left / total
-        variance = self.covariance_of(functional[None], row)[0, 0]
-        return float(_sums(functional, self.Z[row])), math.sqrt(max(variance, 0.0))
+    def coefficients_of(self, terms: ComplexArray) -> FloatArray:
+        """Coefficient of each term (elements, n_freq) beside M, B and K of its element, and error.
+
+        Returns
+        -------
+        ndarray, shape (elements, 2)
+        """
+        left = self.beside(terms)
+        total = np.sum(self.weights * np.abs(left) ** 2, axis=1)
+        told = (np.finfo(np.float64).tiny < total) & (total < math.inf)
+        left = np.where(told[:, None], left, 0.0)
+        functionals = self.weights * left / np.where(told, total, 1.0)[:, None]
+        spread = functionals * np.sqrt(self.noise)
+        variance = 0.5 * _sums(spread, with_neighbours(spread, self.estimate.bin_correlation))
+        for systematic in self.systematics:
+            variance += _sums(functionals, systematic) ** 2
+        found = np.stack((_sums(functionals, self.Z), np.sqrt(np.maximum(variance, 0.0))), axis=1)
+        # Where nothing was measured, the values are not numbers either.
+        return np.where(told[:, None], found, (0.0, math.inf))
 
     def common_coefficient(self, terms: ComplexArray) -> tuple[float, float, float]:
         """Estimate one coefficient of terms (elements, n_freq) that is common to all elements.
@@ -638,7 +649,7 @@ class _Elements:
             Standard deviation between elements beyond chance (DerSimonian & Laird, *Controlled
             Clinical Trials* 7, 1986); a scatter of one standard deviation more counts as chance.
         """
-        found = np.array([self.coefficient_of(term, row) for row, term in enumerate(terms)])
+        found = self.coefficients_of(terms)
         values, errors = found[np.isfinite(found[:, 1]) & (found[:, 1] > 0.0)].T
         if not values.size:
             return 0.0, math.inf, 0.0
@@ -671,10 +682,9 @@ class _Elements:
         covariance : ndarray, shape (p, p)
             Posterior covariance, which covers the scatter over the elements.
         """
-        rows = []
+        rows, beside = [], self.beside(terms)
         for row in range(len(self.Z)):
-            term = terms[:, row]
-            left = self.beside(term, row)
+            term, left = terms[:, row], beside[:, row]
             size = np.sum(self.weights[row] * np.abs(left) ** 2, axis=1, keepdims=True)
             functionals = self.weights[row] * left / np.sqrt(size + np.finfo(np.float64).tiny)
             # If data determined a term still better, its prior mean would be lost to rounding.
@@ -851,6 +861,7 @@ def hidden_square(
     sizes: Sequence[float] = (1.0,),
     positive: bool = False,
     elsewhere: float = 0.0,
+    rare: float = 0.0,
 ) -> tuple[float, float]:
     """Posterior mean square of an effect that may be absent (spike-and-slab prior).
 
@@ -872,6 +883,8 @@ def hidden_square(
         Whether the effect cannot be negative.
     elsewhere : float
         Logarithm of that ratio for other data, which tell whether it is present, not how large.
+    rare : float
+        Probability after the data that does not count.
 
     Returns
     -------
@@ -890,8 +903,8 @@ def hidden_square(
         ratios += math.log(2.0) + log_ndtr(mean / np.sqrt(left))
         mean = np.maximum(mean, 0.0)
     odds = math.log(likely / (1.0 - likely)) + elsewhere + ratios
-    there = softmax(np.append(odds, 0.0))[:-1]
-    square = float(np.sum(there * (mean**2 + left) * size**2))
+    counts = max(float(expit(np.logaddexp.reduce(odds))) - rare, 0.0)
+    square = counts * float(np.sum(softmax(odds) * (mean**2 + left) * size**2))
     return square, float(np.logaddexp.reduce(ratios))
 
 

@@ -243,10 +243,11 @@ def _from_chatter(
     rate: float,
 ) -> tuple[HoldCorrection, FloatArray]:
     _, to_parabola, edge = _lags(reading, rate)
-    coefficients, _ = regress(inputs, outputs)
+    products = _products(inputs, outputs)
+    coefficients, _ = _solved(*products)
     n = len(outputs[0])
     # The last steps have to explain nearly all; else the commands are those of other samples.
-    _, explained = regress([rows[: n * edge] for rows in inputs], outputs)
+    _, explained = _solved(*products, slice(n * edge))
     torque, slope = (
         sum(weight * coefficients[:, n * lag : n * (lag + 1)] for lag, weight in enumerate(row))
         for row in to_parabola
@@ -264,8 +265,9 @@ def _explained_by_chatter(
     inputs, outputs = _chatter(records, reading, beside=1)
     n = records[0].joints
     others = [0, *range(2, len(inputs[0]) // n)]
-    alone = [regress([rows[n * k : n * (k + 1)] for rows in inputs], outputs)[1] for k in others]
-    return regress(inputs, outputs)[1], np.max(alone, axis=0)
+    products = _products(inputs, outputs)
+    alone = [_solved(*products, slice(n * k, n * (k + 1)))[1] for k in others]
+    return _solved(*products)[1], np.max(alone, axis=0)
 
 
 def _shows(
@@ -346,9 +348,9 @@ def _from_motion(records: Sequence[TrialRecord]) -> HoldCorrection:
         moved = np.concatenate((-0.5 * steps, acceleration, velocity, now))
         inputs.append(_quick(moved, record.rate))
         outputs.append(_quick(torque[:, 1:-1], record.rate))
-    coefficients, explained = regress(inputs, outputs)
-    n = records[0].joints
-    _, without = regress([rows[n:] for rows in inputs], outputs)
+    products, n = _products(inputs, outputs), records[0].joints
+    coefficients, explained = _solved(*products)
+    _, without = _solved(*products, slice(n, None))
     by_jumps = np.maximum(explained - without, np.finfo(np.float64).tiny)
     transmission = coefficients[:, :n]
     return HoldCorrection(
@@ -378,9 +380,31 @@ def regress(
     inputs, outputs : sequence of ndarray, shapes (p, N) and (m, N)
         Signals of each trial.
     """
-    squares = sum(_products(x, x) for x in inputs)
-    mixed = sum(_products(y, x) for x, y in zip(inputs, outputs, strict=True))
-    total = sum(np.sum(y**2, axis=1) for y in outputs)
+    return _solved(*_products(inputs, outputs))
+
+
+def _products(
+    inputs: Sequence[FloatArray], outputs: Sequence[FloatArray]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Scalar products of inputs, (p, p), of outputs with them, (m, p), and of outputs, (m,).
+
+    They are summed by numpy alone to be the same on every machine.
+    """
+    p, m = len(inputs[0]), len(outputs[0])
+    squares, mixed, total = np.zeros((p, p)), np.zeros((m, p)), np.zeros(m)
+    for x, y in zip(inputs, outputs, strict=True):
+        for i in range(p):
+            squares[i, i:] += [np.sum(x[i] * other) for other in x[i:]]
+        mixed += [[np.sum(one * other) for other in x] for one in y]
+        total += np.sum(y**2, axis=1)
+    return np.triu(squares) + np.triu(squares, 1).T, mixed, total
+
+
+def _solved(
+    squares: FloatArray, mixed: FloatArray, total: FloatArray, rows: slice = slice(None)
+) -> tuple[FloatArray, FloatArray]:
+    """Regression on some rows of the inputs, from the scalar products of all."""
+    squares, mixed = squares[rows, rows], mixed[:, rows]
     scale = np.sqrt(np.diag(squares))
     scale[scale == 0.0] = 1.0
     solution = np.linalg.lstsq(squares / np.outer(scale, scale), (mixed / scale).T, rcond=None)[0]
@@ -388,8 +412,3 @@ def regress(
     residual = total - np.sum(coefficients * (2.0 * mixed - coefficients @ squares), axis=1)
     explained = 1.0 - np.divide(residual, total, out=np.ones_like(total), where=total > 0.0)
     return coefficients, explained
-
-
-def _products(left: FloatArray, right: FloatArray) -> FloatArray:
-    """Scalar products of all rows, summed by numpy alone to be the same on every machine."""
-    return np.array([[np.sum(x * y) for y in right] for x in left])

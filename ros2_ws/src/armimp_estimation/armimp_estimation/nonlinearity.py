@@ -36,7 +36,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from functools import partial
+from functools import cached_property, partial
 from itertools import product
 
 import numpy as np
@@ -496,9 +496,14 @@ class _Band:
         cut = np.where(self._parts == parts[:, None], values, 0.0)
         return self.signal(np.concatenate((cut, 1j * cut)))
 
+    @cached_property
+    def forces(self) -> FloatArray:
+        """The perturbation by bands as `filters` splits it, (2 bands, N)."""
+        return self.filters(self.pushes)
+
     def caused(self, signals: FloatArray) -> FloatArray:
         """Project signals (..., N) onto everything that linear filters make of the perturbation."""
-        return _onto(self.filters(self.pushes))(signals)
+        return _onto(self.forces)(signals)
 
     def weights(self, *noise: FloatArray) -> FloatArray:
         """Weights by frequency that make a sum of independent signals white.
@@ -700,7 +705,7 @@ class _Motion:
                 continue
             weights, _, remains = of_gains if one.kind is Kind.GAIN else usual
             bent = self._bent[name]
-            cause, term, alone = (band.signal(weights * part)[kept] for part in bent)
+            cause, term, alone = band.signal(weights * bent)[:, kept]
             instrument = linear.unlike(cause)
             term = linear.removed(term)
             slope, error, freedom = _ratio(*_by_parts(instrument, term, remains))
@@ -841,11 +846,10 @@ class _Linear:
     """
 
     def __init__(self, record: TrialRecord, band: _Band) -> None:
-        signals = record.position[record.perturbed_joint], band.pushes
-        motion, forces = (band.filters(one)[:, band.kept] for one in signals)
+        motion = band.filters(record.position[record.perturbed_joint])[:, band.kept]
         sizes = np.linalg.norm(motion, axis=1, keepdims=True)
         self._motion = motion / np.where(sizes > 0.0, sizes, 1.0)
-        self._onto = _onto(forces)
+        self._onto = _onto(band.forces[:, band.kept])
         self._caused = self._onto(self._motion)
         # Motion that follows the perturbation no more than by chance may be the person's.
         chance = _BEYOND_CHANCE * _RATE / motion.shape[1]

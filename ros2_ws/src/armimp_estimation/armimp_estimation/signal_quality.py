@@ -486,14 +486,14 @@ def aliased(record: TrialRecord) -> float:
     to be below 0.85 at 3 to 8 Hz and at 15 to 40 Hz, and alike in both bands within a fifth.
     """
     k = record.perturbed_joint
-    angle = record.position[k]
-    signals = record.perturbation[k, 1:-1], np.diff(angle, n=2)
-    share, power, answer = followed(*map(spectrum_by_bins, signals))
-    f = (np.arange(share.size) + 0.5) * _BINS * record.rate / (record.samples - 2)
+    pushes = spectrum_by_bins(record.perturbation[k, 1:-1])
+    power = np.sum(np.abs(pushes) ** 2, axis=1)
+    f = (np.arange(power.size) + 0.5) * _BINS * record.rate / (record.samples - 2)
     slow, quick = (f > 3.0) & (f < 8.0), (f > 15.0) & (f < 40.0)
     told = slow.any() and quick.any()
     if not told or np.mean(power[f > 0.375 * record.rate]) < _FOLDED * np.mean(power[quick]):
         return 1.0
+    share, _, answer = followed(pushes, spectrum_by_bins(np.diff(record.position[k], n=2)))
     # Power of the second differences of rounding, whose variance is q²/12, with a Hann window.
     rounding = record.resolution[JOINT_STATES][k] ** 2 / 12.0 * 0.375 * record.samples * _BINS
     moved = np.maximum(1.0 - rounding * (2.0 * np.sin(np.pi * f / record.rate)) ** 4 / answer, 0.02)

@@ -198,8 +198,8 @@ def test_when_values_are_not_finite_expect_data_error() -> None:
 
 
 def test_an_effect_that_noise_may_hide_counts_by_its_evidence_in_the_data() -> None:
-    untold, _ = hidden_square(0.0, 1e6, 0.05)
-    assert untold == pytest.approx(0.05)
+    untold = [hidden_square(0.0, 1e6, 0.05, rare=one)[0] for one in (0.0, 0.01, 0.1)]
+    assert untold == pytest.approx([0.05, 0.04, 0.0])
     assert hidden_square(2.0, 0.01, 0.05)[0] == pytest.approx(4.0, rel=1e-3)
     assert hidden_square(0.01, 0.01, 0.05)[0] < 1e-6
     assert hidden_square(-2.0, 0.01, 0.05, positive=True)[0] < 1e-6
