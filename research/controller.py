@@ -118,7 +118,7 @@ def measure(experiment: SimulatedExperiment) -> dict[str, float]:
     for name, result in found.estimators.items():
         assert result.vaf is not None
         row[f"{name}_vaf"] = float(np.min(result.vaf))
-        row[f"{name}_coherence"] = float(np.min(result.coherence_derived))
+        row[f"{name}_coherence"] = float(np.min(result.coherence.derived.mean(axis=-1)))
         for letter in LETTERS:
             error = getattr(result.fit.mbk, letter) / getattr(truth, letter) - 1.0
             row[f"{name}_{letter}"] = 100.0 * float(np.max(np.abs(error)))

@@ -75,21 +75,6 @@ class EstimatorResult:
             variance[i] += np.abs(doubts[i, row] * self.estimate.Z[row]) ** 2
         return replace(self.with_doubts(shifts), estimate=replace(self.estimate, variance=variance))
 
-    @property
-    def coherence_derived(self) -> FloatArray:
-        """Band mean of the derived coherence, shape (n, n)."""
-        return np.asarray(self.coherence.derived.mean(axis=-1))
-
-    @property
-    def coherence_torque(self) -> FloatArray:
-        """Band mean of ``γ²(τΔ_k, τ_i)``, shape (n, n)."""
-        return np.asarray(self.coherence.torque.mean(axis=-1))
-
-    @property
-    def coherence_motion(self) -> FloatArray:
-        """Band mean of ``γ²(τΔ_k, θ_k)``, shape (n,)."""
-        return np.asarray(self.coherence.motion.mean(axis=-1))
-
 
 class TrialScores(JsonModel):
     """How the robot locked joints, and yielded to the perturbation, in one trial."""
@@ -230,7 +215,8 @@ def identify(
         problems += [*trial.problems, *judge_angles(trial.record), *judge_signals(trial.record)]
     problems += verdict.judge_order(names, locks)
     problems += verdict.judge_trials(records)
-    problems += verdict.judge_coherence(names, best.coherence_motion, best.coherence_torque, level)
+    motion, torque = best.coherence.motion.mean(axis=-1), best.coherence.torque.mean(axis=-1)
+    problems += verdict.judge_coherence(names, motion, torque, level)
     if verdict.SINGLE in distinct:
         problems += verdict.judge_locking(names, locks, bounds)
     postures = np.stack([record.position.mean(axis=1) for record in records])

@@ -108,10 +108,11 @@ class EstimatorSummary(JsonModel):
         fit = result.fit
         ends = np.array((-NORMAL_95, NORMAL_95))
         found: dict[str, Any] = {
-            name: getattr(result, name)
-            for name in ("vaf", "coherence_derived", "coherence_torque", "coherence_motion")
+            f"coherence_{name}": getattr(result.coherence, name).mean(axis=-1)
+            for name in ("derived", "torque", "motion")
         }
         found |= {name: getattr(fit, name) for name in ("covariance", "lack_limit", "r2")}
+        found["vaf"] = result.vaf
         for name in ("M", "B", "K"):
             value, error = getattr(fit.mbk, name), getattr(fit, f"{name}_se")
             found |= {name: value, f"{name}_se": error}
