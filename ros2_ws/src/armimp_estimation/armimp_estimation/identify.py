@@ -236,7 +236,7 @@ def identify(
                 angle=100.0 * options.calibration.angle,
             )
         )
-    hold = best.estimate.hold if best.estimate.unbiased else update_jump(records, reading)
+    hold = best.estimate.hold or update_jump(records, reading)
     if best.estimate.unbiased:
         of_motion, doubts, gains = judge_linearity(
             records,
