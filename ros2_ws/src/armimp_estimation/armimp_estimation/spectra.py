@@ -4,7 +4,6 @@ The convention is that of :func:`scipy.signal.csd`: ``G_xy = E[conj(X) Y]``, one
 """
 
 import functools
-import math
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -49,21 +48,14 @@ def step_of(segment: int) -> int:
     return segment - segment * 3 // 4
 
 
-def bins_of(segment: int, rate: float) -> NDArray[np.intp]:
-    """Bins of the band, for segments of `segment` samples and a sampling rate in Hz.
+def bins_in_band(samples: int, rate: float, f_low: float, f_high: float) -> NDArray[np.intp]:
+    """Bins of the Fourier transform of a record that lie in a band, both ends included.
 
-    Raises
-    ------
-    ConfigurationError
-        If no bin falls into the band.
+    Zero frequency and the Nyquist frequency are never among them.
     """
-    resolution, (low, high) = rate / segment, BAND
-    first = max(1, math.ceil(low / resolution * (1.0 - 1e-12)))
-    last = min(segment // 2, math.floor(high / resolution * (1.0 + 1e-12)))
-    if last < first:
-        raise ConfigurationError(
-            f"no frequency between {low} and {high} Hz at a resolution of {resolution:.4g} Hz"
-        )
+    resolution = rate / samples
+    first = max(1, int(np.ceil(f_low / resolution * (1.0 - 1e-12))))
+    last = min((samples - 1) // 2, int(np.floor(f_high / resolution * (1.0 + 1e-12))))
     return np.arange(first, last + 1)
 
 
@@ -184,7 +176,9 @@ def cross_spectra(*stretches: FloatArray, rate: float, segment: int = SEGMENT) -
     DataError
         If no stretch is as long as one segment.
     """
-    window, places = hann(segment), bins_of(segment, rate)
+    window, places = hann(segment), bins_in_band(segment, rate, *BAND)
+    if not places.size:
+        raise ConfigurationError(f"no frequency of {segment} samples at {rate} Hz is in the band")
     bins = slice(int(places[0]), int(places[-1]) + 1)
     channels = len(stretches[0])
     total = np.zeros((channels, channels, bins.stop - bins.start), dtype=np.complex128)
@@ -204,14 +198,11 @@ def cross_spectra(*stretches: FloatArray, rate: float, segment: int = SEGMENT) -
             "record_too_short",
         )
     density = 1.0 / (rate * float(np.sum(window**2)))
-    one_sided = np.full(total.shape[-1], 2.0 * density / sum(runs))
-    if segment % 2 == 0 and bins.stop == segment // 2 + 1:
-        one_sided[-1] *= 0.5  # the Nyquist bin has no negative twin
     averages, correlation = segment_averages(segment, *runs)
     return CrossSpectra(
         f=places.astype(np.float64) * float(rate / segment),
-        matrix=total * one_sided,
+        matrix=total * (2.0 * density / sum(runs)),
         segments=sum(runs),
         effective_averages=averages,
-        bin_correlation=np.repeat(correlation[:, None], one_sided.size, axis=1),
+        bin_correlation=np.repeat(correlation[:, None], places.size, axis=1),
     )

@@ -8,10 +8,10 @@ from armimp_common.errors import DataError
 from armimp_estimation.estimators.local_polynomial import (
     LocalResponse,
     _with_neighbours,
-    bins_in_band,
     local_response,
 )
 from armimp_estimation.periods import Periods
+from armimp_estimation.spectra import bins_in_band
 
 RATE = 125.0
 SAMPLES = 6144

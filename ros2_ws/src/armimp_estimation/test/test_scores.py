@@ -9,7 +9,7 @@ from armimp_estimation import scores
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.frf import FrfMatrix, frf_matrix
 from armimp_estimation.mbk import MBK
-from armimp_estimation.spectra import CrossSpectra, bins_of, cross_spectra
+from armimp_estimation.spectra import BAND, CrossSpectra, bins_in_band, cross_spectra
 from armimp_estimation.trial import TrialData
 from support.synthetic_trials import (
     SEGMENT,
@@ -20,7 +20,7 @@ from support.synthetic_trials import (
     synthetic_trial,
 )
 
-F = bins_of(SEGMENT, 125.0) * 125.0 / SEGMENT
+F = bins_in_band(SEGMENT, 125.0, *BAND) * 125.0 / SEGMENT
 TARGET = MBK(M=np.diag([0.2, 0.2]), B=np.diag([2.0, 2.0]), K=np.diag([10.0, 10.0]))
 
 

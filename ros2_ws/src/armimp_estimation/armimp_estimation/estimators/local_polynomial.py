@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.periods import Periods, has_power
+from armimp_estimation.spectra import bins_in_band
 
 Mix = Callable[[FloatArray], ComplexArray]
 """Gives, at frequencies (n,) in Hz, the coefficients (m, C, n) that combine C outputs to m."""
@@ -141,17 +142,6 @@ class LocalResponse:
             correlation[lag, :-lag] = sums / (deviation[lag:] * deviation[:-lag])
         overlapping = np.flatnonzero(correlation.any(axis=1))
         return correlation[: overlapping[-1] + 1]
-
-
-def bins_in_band(samples: int, rate: float, f_low: float, f_high: float) -> NDArray[np.intp]:
-    """Bins of the Fourier transform of a record that lie in a band, both ends included.
-
-    Zero frequency and the Nyquist frequency are never among them.
-    """
-    resolution = rate / samples
-    first = max(1, int(np.ceil(f_low / resolution * (1.0 - 1e-12))))
-    last = min((samples - 1) // 2, int(np.floor(f_high / resolution * (1.0 + 1e-12))))
-    return np.arange(first, last + 1)
 
 
 def local_response(

@@ -15,7 +15,6 @@ from armimp_estimation.estimators.local_polynomial import (
     ORDER,
     LocalResponse,
     Mix,
-    bins_in_band,
     local_response,
 )
 from armimp_estimation.estimators.welch import invert, multiply
@@ -36,7 +35,7 @@ from armimp_estimation.signal_quality import (
     speed_of,
     without_slow,
 )
-from armimp_estimation.spectra import BAND
+from armimp_estimation.spectra import BAND, bins_in_band
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData, cleaned
 
