@@ -18,7 +18,7 @@ from itertools import chain, product
 from typing import TypeVar
 
 import numpy as np
-from scipy.special import expit, log_ndtr, softmax
+from scipy.special import log_ndtr, softmax
 
 from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError, DataError
@@ -903,9 +903,11 @@ def hidden_square(
         ratios += math.log(2.0) + log_ndtr(mean / np.sqrt(left))
         mean = np.maximum(mean, 0.0)
     odds = math.log(likely / (1.0 - likely)) + elsewhere + ratios
-    counts = max(float(expit(np.logaddexp.reduce(odds))) - rare, 0.0)
-    square = counts * float(np.sum(softmax(odds) * (mean**2 + left) * size**2))
-    return square, float(np.logaddexp.reduce(ratios))
+    there = softmax(np.append(odds, 0.0))[:-1]
+    present = float(np.sum(there))
+    counts = max(present - rare, 0.0) / max(present, np.finfo(np.float64).tiny)
+    square = float(np.sum(there * (mean**2 + left) * size**2))
+    return counts * square, float(np.logaddexp.reduce(ratios))
 
 
 def _delay_of(problem: _Elements) -> tuple[float, float, float]:

@@ -203,13 +203,13 @@ def test_an_effect_that_noise_may_hide_counts_by_its_evidence_in_the_data() -> N
     assert hidden_square(2.0, 0.01, 0.05)[0] == pytest.approx(4.0, rel=1e-3)
     assert hidden_square(0.01, 0.01, 0.05)[0] < 1e-6
     assert hidden_square(-2.0, 0.01, 0.05, positive=True)[0] < 1e-6
+    assert hidden_square(2.0, 0.01, 0.05, elsewhere=-np.inf)[0] == 0.0
 
     # By the integral over all sizes and both cases.
     told, error, likely, usual = 0.6, 0.3, 0.05, (0.1, 1.0)
     sizes = np.linspace(-10.0, 10.0, 200_001)
-    step = sizes[1] - sizes[0]
     there = np.mean([stats.norm.pdf(sizes, scale=one) for one in usual], axis=0)
-    there *= stats.norm.pdf(told, sizes, error) * step
+    there *= stats.norm.pdf(told, sizes, error) * (sizes[1] - sizes[0])
     absent = stats.norm.pdf(told, 0.0, error)
     square, evidence = hidden_square(told, error, likely, sizes=usual)
     beside = (1.0 - likely) / likely * absent
