@@ -223,8 +223,7 @@ def test_when_a_node_is_killed_in_a_trial_expect_the_others_safe_even_without_or
 
 TRIAL_PHASES = ("settle 1", "perturb 1", "rest 1", "settle 2", "perturb 2")
 LENGTH = {"start": 1.0, "perturb 1": 2.0, "perturb 2": 2.0}
-"""Seconds within which a moment of the phase is chosen; else LENGTH_OF_OTHERS."""
-LENGTH_OF_OTHERS = 0.1
+"""Seconds within which a moment of the phase is chosen; of others within 0.1."""
 
 
 @pytest.mark.slow
@@ -233,15 +232,9 @@ LENGTH_OF_OTHERS = 0.1
 @pytest.mark.parametrize("victim", [*NODES, SUPERVISOR_NODE])
 @pytest.mark.parametrize("phase", ["start", *TRANSITIONS, *TRIAL_PHASES, "done 2", "shuttingdown"])
 def test_when_any_process_is_killed_at_any_moment_expect_the_others_safe(
-    tmp_path: Path,
-    figures: Figures,
-    phase: str,
-    victim: str,
-    moment: int,
+    tmp_path: Path, figures: Figures, phase: str, victim: str, moment: int
 ) -> None:
-    delay = random.Random(f"{phase} {victim} {moment}").uniform(
-        0.0, LENGTH.get(phase, LENGTH_OF_OTHERS)
-    )
+    delay = random.Random(f"{phase} {victim} {moment}").uniform(0.0, LENGTH.get(phase, 0.1))
 
     done = kill(tmp_path, phase, victim, delay=delay)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from armimp_common.arrays import FloatArray, IntArray
+from armimp_common.arrays import BoolArray, FloatArray, IntArray
 from armimp_common.compiled import compiled, compiled_entry
 from armimp_common.topics import PERIOD
 from armimp_control.safety_limiter import (
@@ -24,6 +24,7 @@ from armimp_control.safety_limiter import (
     VELOCITY,
     WINDOW,
     check_sample,
+    copy_values,
     limit_command,
     stop_commands,
 )
@@ -98,6 +99,7 @@ def _judge(  # noqa: PLR0917 (compiled code takes no objects)
 @compiled_entry
 def _run_sequence(
     inputs: FloatArray,
+    finite: BoolArray,
     rules: FloatArray,
     event: int,
     event_tick: int,
@@ -109,6 +111,7 @@ def _run_sequence(
     Parameters
     ----------
     inputs : (4, ticks, n) angles, torques, perturbations and commands, rad, N·m
+    finite : (4, ticks) whether those of all joints are
     rules : (RULE_ROWS, n) of the limiter
     event, event_tick : what the caller asks the limiter for, and when
     broken, counts : of promises; of faults, poisoned ticks and clipped joint commands: added to
@@ -123,7 +126,7 @@ def _run_sequence(
         cut = event == _CUT and k == event_tick
         if event != _NONE and k == event_tick:
             stop_commands(0 if cut else int(rules[RAMP, 0]), event != _RELEASED, limiter, journal)
-        poisoned = not np.all(np.isfinite(inputs[:3, k]))
+        poisoned = not (finite[0, k] and finite[1, k] and finite[2, k])
         if not poisoned:
             span = min(count, WINDOW)
             for i in range(n):
@@ -133,9 +136,9 @@ def _run_sequence(
                 kept[count, i] = theta[k, i]
             count += 1
         used = check_sample(theta[k], tau_h[k], tau_delta[k], rules, PERIOD, limiter, journal)
-        command[:] = asked[k]
+        copy_values(asked[k], command)
         clipped = limit_command(command, rules, limiter, journal)
-        poisoned = poisoned or (used and not np.all(np.isfinite(asked[k])))
+        poisoned = poisoned or (used and not finite[3, k])
         closed = journal[STOPPED] != 0.0
         if closed and closed_at < 0:
             closed_at = k
@@ -145,7 +148,7 @@ def _run_sequence(
             command, before, asked[k], speed, excursion, rules, poisoned, cut, fallen, clipped,
             broken,
         )  # fmt: skip
-        before[:] = command
+        copy_values(command, before)
         counts[1] += poisoned
         counts[2] += clipped
     counts[0] += journal[FAULT] != NO_CAUSE
@@ -190,7 +193,8 @@ def campaign(sequences: int, seed: int) -> tuple[dict[str, int], list[int]]:
         event_ticks = rng.integers(0, _TICKS, m)
         for j in range(m):
             given = np.ascontiguousarray(inputs[:, j])
-            _run_sequence(given, rules[j], events[j], event_ticks[j], broken, counts)
+            finite = np.asarray(np.isfinite(given).all(axis=2))
+            _run_sequence(given, finite, rules[j], events[j], event_ticks[j], broken, counts)
     return dict(zip(PROMISES, broken.tolist(), strict=True)), counts.tolist()
 
 

@@ -107,9 +107,8 @@ class Plant:
             dynamics.sample_now(w, joints, tag)
             read(self.batch)
         else:
-            step = self.batch.step
-            real_rig.settle(w, joints, tag, self.real, step)
-            real_rig.read(self.real, 1, step, self._noise, self.position, self.torque)
+            real_rig.settle(w, joints, tag, self.real)
+            real_rig.read(self.real, 1, self.batch.step, self._noise, self.position, self.torque)
 
     def tick(
         self, command: FloatArray, voluntary: FloatArray, noise: FloatArray | None = None

@@ -283,32 +283,30 @@ def _pass(row: FloatArray, past: FloatArray, kind: int, at: int, signal: float, 
     past[kind, at] = 0.5 * (filtered + out) if mean else out
 
 
-@compiled_entry
-def settle(w: FloatArray, joints: Tag, width: Tag, rig: RealRig, h: float) -> None:
-    """Put all channels in the state of a rig that has long stood still with its present torque.
+def settle(w: FloatArray, joints: Tag, width: Tag, rig: RealRig) -> None:
+    """Put all channels in the state of a rig that has long stood still, without any command.
 
     Parameters
     ----------
     w, joints, width : the batch, as in :mod:`armimp_sim.dynamics`
     rig : RealRig, updated
-    h : step of the integration, s
     """
-    for block in range(w.shape[0]):
-        lanes = slice(block * len(width), (block + 1) * len(width))
-        rows, past = rig.rows[lanes], rig.past[lanes]
-        # Reflexes come first, as they are part of the torque.
-        for kind in (REFLEX, ANGLE, TORQUE):
-            if kind == TORQUE:
-                _load(w[block], joints, width, rows, past, 0, h)
-            for lane in range(rows.shape[0]):
-                for i in range(rows.shape[1]):
-                    row, of = rows[lane, i], _CHANNELS + kind * _CHANNEL
-                    signal = _signal(w[block], lane, kind, i, joints, rows)
-                    row[of + _LAST] = row[of + _FILTERED] = signal
-                    for p in range(int(row[of + _ORDER])):
-                        state = of + _LOW_PASS + p * _WIDE
-                        row[state + _STATE] = signal * row[state + _SETTLED]
-                    past[lane, i, kind, :] = signal
+    lanes, n, _ = rig.rows.shape
+    block, lane = np.divmod(np.arange(lanes)[:, None], len(width))
+
+    def quantity(which: int) -> tuple[IntArray, IntArray, IntArray]:
+        return block, which * len(joints) + np.arange(n), lane
+
+    angle, row = w[quantity(dynamics.THETA)], np.moveaxis(rig.rows, 2, 0)
+    w[quantity(dynamics.COMMAND)] = row[_COGGING] * np.sin(row[_COGGING_CYCLES] * angle)
+    dynamics.sample_now(w, joints, width)
+    # Reflexes are at rest as they are.
+    for kind, signal in ((ANGLE, angle), (TORQUE, w[quantity(dynamics.TORQUE)])):
+        of = _CHANNELS + kind * _CHANNEL
+        row[of + _LAST] = row[of + _FILTERED] = signal
+        states = slice(of + _LOW_PASS, of + _CHANNEL, _WIDE)
+        row[_STATE:][states] = signal * row[_SETTLED:][states]
+        rig.past[:, :, kind] = signal[..., None]
     rig.played[:] = np.nan
 
 
