@@ -48,6 +48,7 @@ def main() -> None:
     run_offline([brief_rig()])
     run_offline([brief_rig(), brief_rig(seed=2)])
     run_offline([brief_rig(joints=3)])
+    run_offline([brief_rig(arm_sim={"sensors.torque.noise": 0.01})])
     still = np.zeros((1, 1))
     Plant([brief_rig(joints=1).simulator]).tick(still, still)
     arm = sim_presets.human_arm(2)

@@ -160,8 +160,8 @@ def test_a_gain_above_one_of_a_single_joint_leaves_the_robot_a_negative_viscosit
 
 
 def simulated(law: str = "tde", noise: float = 0.05) -> TrialRecord:
-    """Trial of one joint whose law knows rounded angles, and noisy torques, which it feeds back."""
-    sensors = {"sensors.torque.noise": noise, "sensors.torque.resolution": 0.0}
+    """Trial of one joint whose law feeds back rounded torques, whose errors have that noise."""
+    sensors = {"sensors.torque.resolution": noise * 12.0**0.5}
     recording = armimp.simulate(
         joints=1, duration=20.0, seed=1, friction=0, internal_model=law, arm_sim=sensors
     )
