@@ -4,15 +4,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from armimp_bringup.config import load_config
 from armimp_bringup.offline import run_offline
 from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_control.laws.law import compile_law
 from armimp_control.safety_limiter import SafetyParameters
 from armimp_sim import presets as sim_presets
-from armimp_sim.plant import Plant
 from support.laws import preset_law, torque_only
 
 
@@ -48,9 +45,10 @@ def main() -> None:
     run_offline([brief_rig()])
     run_offline([brief_rig(), brief_rig(seed=2)])
     run_offline([brief_rig(joints=3)])
-    run_offline([brief_rig(arm_sim={"sensors.torque.noise": 0.01})])
-    still = np.zeros((1, 1))
-    Plant([brief_rig(joints=1).simulator]).tick(still, still)
+    run_offline([brief_rig(joints=1)])
+    noisy = brief_rig(arm_sim={"sensors.torque.noise": 0.01})
+    run_offline([noisy])
+    run_offline([noisy, noisy])
     arm = sim_presets.human_arm(2)
     inertia = sim_presets.robot(2).mass_matrix(arm.theta_0)
     compile_law(preset_law(inertia, arm.theta_0), torque_only(80.0))
