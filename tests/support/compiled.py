@@ -9,8 +9,7 @@ from armimp_bringup.offline import run_offline
 from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_control.laws.law import compile_law
 from armimp_control.safety_limiter import SafetyParameters
-from armimp_sim import presets as sim_presets
-from support.laws import preset_law, torque_only
+from support.laws import torque_only
 
 
 def brief_rig(
@@ -42,16 +41,13 @@ def brief_rig(
 
 def main() -> None:
     """Compile what most tests need."""
-    run_offline([brief_rig()])
-    run_offline([brief_rig(), brief_rig(seed=2)])
-    run_offline([brief_rig(joints=3)])
-    run_offline([brief_rig(joints=1)])
-    noisy = brief_rig(arm_sim={"sensors.torque.noise": 0.01})
-    run_offline([noisy])
-    run_offline([noisy, noisy])
-    arm = sim_presets.human_arm(2)
-    inertia = sim_presets.robot(2).mass_matrix(arm.theta_0)
-    compile_law(preset_law(inertia, arm.theta_0), torque_only(80.0))
+    for rig in (brief_rig(), brief_rig(arm_sim={"sensors.torque.noise": 0.01})):
+        run_offline([rig])
+        run_offline([rig, rig])
+    for joints in (1, 3):
+        run_offline([brief_rig(joints=joints)])
+    controller = brief_rig().controller
+    compile_law(controller.control_law(), controller.safety)
 
 
 if __name__ == "__main__":

@@ -39,7 +39,7 @@ import numpy as np
 from pydantic import Field
 
 from armimp_common.arrays import FloatArray
-from armimp_common.compiled import compiled_entry, inlined
+from armimp_common.compiled import compiled, compiled_entry
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import PositiveVector, Schema, each
 from armimp_common.status import Cause
@@ -239,14 +239,14 @@ class SaturationCounter:
         return " ".join(f"{first}-{last}" for first, last in self._intervals)
 
 
-@inlined
+@compiled
 def _note(journal: FloatArray, place: int, cause: int, joint: int, value: float) -> None:
     journal[place] = cause
     journal[place + 1] = joint
     journal[place + 2] = value
 
 
-@inlined
+@compiled
 def _stop(journal: FloatArray, ticks: float, cause: int, joint: int, value: float) -> None:
     """Let no command through any more; the first cause is kept, and a ramp never gets longer."""
     if journal[STOPPED] == 0.0:
@@ -257,14 +257,14 @@ def _stop(journal: FloatArray, ticks: float, cause: int, joint: int, value: floa
         journal[REMAINING] = ticks
 
 
-@inlined
+@compiled
 def copy_values(values: FloatArray, to: FloatArray) -> None:
     """Copy (n,) values; slice assignment, with its checks, would take 2.5 s more to compile."""
     for i in range(values.size):
         to[i] = values[i]
 
 
-@inlined
+@compiled
 def _first_bad(values: FloatArray) -> int:
     """Return the index of the first value that is not finite; -1 if there is none."""
     for i in range(values.size):
@@ -273,7 +273,7 @@ def _first_bad(values: FloatArray) -> int:
     return -1
 
 
-@inlined
+@compiled
 def _remember(
     theta: FloatArray, rules: FloatArray, period: float, memory: FloatArray, journal: FloatArray
 ) -> None:
@@ -288,7 +288,7 @@ def _remember(
     journal[SAMPLES] = samples + 1
 
 
-@inlined
+@compiled
 def check_sample(
     theta: FloatArray,
     tau_h: FloatArray,
@@ -331,14 +331,14 @@ def check_sample(
     return bool(journal[STOPPED] == 0.0)
 
 
-@inlined
+@compiled
 def _clip(command: FloatArray, i: int, value: float, number: int, journal: FloatArray) -> None:
     if command[i] != value:
         command[i] = value
         journal[CLIPPED + number] += 1.0
 
 
-@inlined
+@compiled
 def _within_torque(command: FloatArray, rules: FloatArray, journal: FloatArray) -> int:
     """Reduce all commands in proportion, if one of them is beyond its torque limit.
 
@@ -360,7 +360,7 @@ def _within_torque(command: FloatArray, rules: FloatArray, journal: FloatArray) 
     return -1
 
 
-@inlined
+@compiled
 def _limit(
     command: FloatArray, rules: FloatArray, memory: FloatArray, journal: FloatArray
 ) -> tuple[int, int, float]:
@@ -395,7 +395,7 @@ def _limit(
     return -1, 0, 0.0
 
 
-@inlined
+@compiled
 def _ramp(command: FloatArray, rules: FloatArray, memory: FloatArray, journal: FloatArray) -> None:
     """Take one tick of the ramp to zero: a straight line, or less where the power limit asks."""
     remaining = journal[REMAINING]
@@ -408,7 +408,7 @@ def _ramp(command: FloatArray, rules: FloatArray, memory: FloatArray, journal: F
             command[i] = math.copysign(limit, command[i])
 
 
-@inlined
+@compiled
 def limit_command(
     command: FloatArray, rules: FloatArray, memory: FloatArray, journal: FloatArray
 ) -> int:

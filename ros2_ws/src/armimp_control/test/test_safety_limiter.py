@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from armimp_common.arrays import FloatArray
+from armimp_common.compiled import compiled_entry
 from armimp_common.topics import PERIOD
 from armimp_control.safety_limiter import (
     CLIPPED,
@@ -32,6 +33,8 @@ from support.laws import torque_only
 WIDE = torque_only(1e6)
 Vector = tuple[float, ...]
 BAD = [np.nan, np.inf, -np.inf]
+_check = compiled_entry(check_sample)
+_limit = compiled_entry(limit_command)
 
 
 class SafetyLimiter:
@@ -55,9 +58,9 @@ class SafetyLimiter:
         sample, torque, perturbation = (
             np.array(still if values is None else values) for values in (theta, tau_h, tau_delta)
         )
-        check_sample(sample, torque, perturbation, self.rules, PERIOD, self.memory, self.journal)
+        _check(sample, torque, perturbation, self.rules, PERIOD, self.memory, self.journal)
         self.command = np.array(command)
-        self.clipped = limit_command(self.command, self.rules, self.memory, self.journal)
+        self.clipped = _limit(self.command, self.rules, self.memory, self.journal)
         return self.command
 
     @property

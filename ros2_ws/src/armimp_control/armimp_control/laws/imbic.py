@@ -45,7 +45,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from armimp_common.arrays import BoolArray, FloatArray
-from armimp_common.compiled import inlined
+from armimp_common.compiled import compiled
 from armimp_common.schema import each, matrix
 from armimp_common.topics import PERIOD
 from armimp_control.laws import (
@@ -176,7 +176,7 @@ class Imbic(Law):
         return rows
 
 
-@inlined
+@compiled
 def _observe(
     theta: FloatArray,
     tau_h: FloatArray,
@@ -207,7 +207,7 @@ def _observe(
             memory[DISTURBANCE, i] += model[DISTURBANCE_GAIN, i, j] * command[j]
 
 
-@inlined
+@compiled
 def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     observer: bool,
     theta: FloatArray,
@@ -278,7 +278,7 @@ def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
         command[i] = memory[COMMAND, i]
 
 
-@inlined
+@compiled
 def forgo(command: FloatArray, model: FloatArray, period: float, memory: FloatArray) -> None:
     """Subtract from the ideal velocity what a clipped command can't bring about (anti-windup).
 

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from armimp_common.arrays import FloatArray
-from armimp_common.compiled import compiled, compiled_entry, inlined
+from armimp_common.compiled import compiled, compiled_entry
 from armimp_common.status import Cause
 from armimp_common.topics import PERIOD
 from armimp_control.laws import (
@@ -81,7 +81,7 @@ def packed_size(n: int) -> int:
     return rows * n + JOURNAL + 2
 
 
-_views = inlined(_unpacked)
+_views = compiled(_unpacked)
 
 
 @compiled
@@ -132,10 +132,8 @@ def packed_tick(law: int, n: int, w: FloatArray) -> int:
     return clipped
 
 
-@compiled_entry
-def _tick(law: int, n: int, w: FloatArray) -> int:
-    """:func:`packed_tick` for Python; one array, as passing each takes as long as the law."""
-    return packed_tick(law, n, w)
+# For Python; one array, as passing each takes as long as the law.
+_tick = compiled_entry(packed_tick)
 
 
 class Controller:

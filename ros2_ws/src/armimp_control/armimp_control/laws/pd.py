@@ -21,7 +21,7 @@ from __future__ import annotations
 import numpy as np
 
 from armimp_common.arrays import FloatArray
-from armimp_common.compiled import inlined
+from armimp_common.compiled import compiled
 from armimp_common.schema import matrix
 from armimp_control.laws import (
     DAMPING,
@@ -52,7 +52,7 @@ class Pd(Law):
         return rows
 
 
-@inlined
+@compiled
 def pd(
     theta: FloatArray,
     tau_delta: FloatArray,
