@@ -298,6 +298,7 @@ def finished(directory: Path) -> Arguments:
 PLACES: Final[dict[str, tuple[str, Attack]]] = {
     "metadata": ("metadata.yaml", lambda directory: ("estimate", str(directory))),
     "storage": ("bag.mcap", finished),
+    "log": ("bag.db3-wal", partial(database, script=_SCHEMA)),
     "configuration": ("config.yaml", lambda directory: configured(directory / "config.yaml")),
 }
 """Files by their role: name, and what returns the arguments of a command that reads it."""

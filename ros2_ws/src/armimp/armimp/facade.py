@@ -60,7 +60,7 @@ class Recording:
         Parameters
         ----------
         perturbation : sequence of array_like
-            Known random torque of each joint, N·m; the largest variance marks the perturbed joint.
+            Known perturbation of each joint, N·m; the largest variance marks the perturbed joint.
         position : sequence of array_like
             Joint angles, rad.
         torque : sequence of array_like
@@ -72,11 +72,11 @@ class Recording:
         joint_names : sequence of str, optional
             Names of the n joints.
         timing : str
-            When torques are read, relative to the update of the command at the same sample:
+            When torques are read, relative to the command update at the same sample:
             ``before_update``, ``after_update``, ``mid_interval``, ``interval_mean`` or
-            ``simultaneous``; ``unknown`` infers it from the records, with the errors of that.
+            ``simultaneous``; ``unknown``: inferred from the records, with larger standard errors.
         torque_delay : float
-            Delay of the torque readings beyond that, s.
+            Delay of the torque readings beyond that instant, s.
 
         Raises
         ------
@@ -161,13 +161,13 @@ class Result:
     valid: bool
     """Whether M, B, K and their intervals can be trusted."""
     impedance_valid: bool
-    """Whether Z(f) and its variance can."""
+    """Whether Z(f) and its variance can be trusted."""
     problems: tuple[str, ...]
-    """What speaks against the result, and what was found and corrected."""
+    """Problems of the result, and notes on what was found and corrected."""
     models: dict[str, ModelFit] = field(default_factory=dict)
-    """Models of the arm that were fitted beside M, B and K, with their values and errors."""
+    """Models of the arm that were fitted in addition to M, B and K, with values and errors."""
     model: str | None = None
-    """Name of the best of them that fits, and was requested or is resolved; None if none is."""
+    """Name of the best model that fits and was requested or is resolved; None if there is none."""
 
     def interval(
         self, matrix: Literal["M", "B", "K"], level: float = 0.95
@@ -200,8 +200,8 @@ def simulate(**options: Any) -> Recording:
     Parameters
     ----------
     **options
-        As for ``armimp run``: ``joints``, ``friction``, ``resolution``, ``perturbation``,
-        ``duration`` (s), ``seed``.
+        As for ``armimp run``, such as ``joints``, ``friction``, ``resolution``, ``perturbation``,
+        ``duration`` (s) or ``seed``.
 
     Raises
     ------
@@ -232,7 +232,7 @@ def read_bag(*bags: str | Path, rate: float | None = None) -> Recording:
     BagError
         If a bag can't be read.
     DataError
-        If the bags don't belong together, or a trial has lost samples.
+        If the bags don't belong together, or a trial has lost samples or clipped commands.
     """
     from armimp_bringup.offline_estimate import read_bags
     from armimp_estimation.metadata import latest_metadata
@@ -267,7 +267,7 @@ def identify(recording: Recording, estimator: str = "lpm_full", model: str | Non
     ----------
     recording : Recording
     estimator : str
-        Name of an estimator, as ``lpm_full`` or ``welch_siso``.
+        Name of an estimator, such as ``lpm_full`` or ``welch_siso``.
     model : str, optional
         Model of the arm to fit beside M, B and K: ``mbk_delay``, ``reflex``, ``cuff``; ``mbk`` for
         none; ``auto`` for all where M, B and K don't fit. By default as recorded, else ``auto``.

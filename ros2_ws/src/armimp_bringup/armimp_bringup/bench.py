@@ -100,7 +100,7 @@ def speed(tell: Tell) -> list[Measured]:
 
 
 def jitter(tell: Tell) -> list[Measured]:
-    """Measure the jitter of runs in real time, with and without precedence over other programs.
+    """Measure the jitter of runs in real time, without and with real-time priority.
 
     Jitter has no target: the verdict of a run decides how much of it is acceptable.
     """

@@ -199,7 +199,7 @@ def checked(model: type[ModelT], values: Mapping[str, Any]) -> ModelT:
     Raises
     ------
     ConfigurationError
-        If there is no field of a name, or a value is wrong; one line names it.
+        If a name is not that of a field, or a value is wrong; one line names it.
     """
     check_names(map(str, values), model.model_fields)
     try:

@@ -228,12 +228,12 @@ def _reach() -> dict[str, str | None]:
 
 
 def external_domain(domain_id: int | None) -> int:
-    """Return the domain that nodes started by others are in: the given one, or where ROS looks.
+    """Return the domain of nodes started by others: the given one, or that of the environment.
 
     Raises
     ------
     ConfigurationError
-        If the variable of the environment holds no number.
+        If the environment variable does not hold a number.
     """
     if domain_id is not None:
         return domain_id

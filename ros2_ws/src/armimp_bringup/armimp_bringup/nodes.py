@@ -31,7 +31,7 @@ from armimp_estimation.metadata import CALIBRATION_KEYS
 from armimp_estimation.result import Result
 
 NODES = (ESTIMATOR_NODE, CONTROLLER_NODE, SIM_NODE)
-"""In the order of activation: whoever listens comes before whoever speaks."""
+"""In the order of activation: listeners first and the rig last, so that no sample is missed."""
 MODULES: Mapping[str, Sequence[str]] = {
     SIM_NODE: ("armimp_sim.node",),
     CONTROLLER_NODE: ("armimp_control.node",),
@@ -54,12 +54,12 @@ class AskedParameters(ServiceClients):
     ----------
     node, spinner : the node that asks, and what spins it
     models : parameters by the name of the node
-    record : file for the parameters that are active, all of each node; written if they differ
+    record : file for all active parameters of each node; written if some are not as requested
 
     Raises
     ------
     GraphError
-        By every method, if a node does not answer.
+        From every method, if a node does not answer.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class AskedParameters(ServiceClients):
             raise GraphError(f"node {name} refused its parameters: {result.reason}")
 
     def differences(self) -> list[str]:
-        """Return a sentence for each parameter that has another value than was asked for."""
+        """Return a sentence for each parameter that has another value than was requested."""
         active: dict[str, dict[str, Any]] = {}
         problems: list[str] = []
         for name, parameters in self.asked.items():
@@ -280,7 +280,7 @@ class SeparateNodes(NodeGroup):
         ]
 
     def close(self) -> None:
-        """End the processes: politely, then firmly."""
+        """End the processes: by SIGINT and, if that fails, by SIGKILL."""
         for signal_number in (signal.SIGINT, signal.SIGKILL):
             for name, process in self.processes.items():
                 if process.poll() is None:
@@ -322,8 +322,8 @@ class ExternalNodes(NodeGroup):
     def dead(self) -> Mapping[str, str]:
         """Say which nodes have disappeared.
 
-        A node that is only silent may be stalled where its process can't be looked up; if it is
-        dead, the middleware declares it so soon.
+        A silent node is not among them: it may only be stalled, on a machine where its process
+        can't be looked up. If it is dead, the middleware soon reports that.
         """
         return {one.name: f"node {one.sentence}" for one in self._monitors if one.presence.gone}
 

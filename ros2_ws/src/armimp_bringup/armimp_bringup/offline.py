@@ -119,8 +119,8 @@ def run_offline(
 
     Raises
     ------
-    DataError
-        If the sequences differ, or the safety limiter of one stopped the experiment.
+    ConfigurationError, DataError
+        If numbers of joints or sequences differ, a tare is refused, or a safety limiter stopped.
     IntegrationError
         If the plant left the stability region of the integrator.
     """
@@ -211,7 +211,7 @@ class SimulatedExperiment:
 
     @property
     def known(self) -> Metadata:
-        """The metadata that a bag of it would hold beside the samples."""
+        """The metadata that a bag of this experiment would hold beside the samples."""
         return Metadata.of(self.parameters.estimator.bag_metadata())
 
     def identify(self, estimators: Sequence[str | Estimator]) -> Identification:

@@ -92,9 +92,9 @@ def _metadata_of(declared: Declared) -> dict[str, str]:
 def read_bags(bags: Sequence[Path], *, namespace: str | None = None) -> list[BagContent]:
     """Read bags that belong to one experiment; those that a killed recorder left are completed.
 
-    They may be given as :func:`armimp_estimation.bags.reader.find_bags` takes them. BagError if a
-    bag can't be read, or is given twice; DataError if the joints differ between them, or the
-    metadata make no sense.
+    `bags` is as for :func:`armimp_estimation.bags.reader.find_bags`. Raises a BagError if a bag
+    can't be read, or is given twice; a DataError if the joints differ between them, or the metadata
+    make no sense.
     """
     contents = []
     for path in find_bags(bags):

@@ -49,7 +49,7 @@ from armimp_estimation.summary import SUMMARY_FILE, read_summary, write_summary
 PARAMETERS_FILE = "parameters.yaml"
 LOGS = "logs"
 _STALL = 30.0  # s without news, after which an experiment has stalled
-_PERIOD = 0.05  # s, how often the state of an experiment is looked at
+_PERIOD = 0.05  # s, between two checks of the state of an experiment
 _LONG = 60.0  # s, longest wait for a lifecycle transition
 _INTERRUPTED = problem(ProblemCode.INTERRUPTED)
 _NICE = {False: 5, True: -10}
@@ -108,7 +108,7 @@ def run_experiment(
     if not external:
         compile_ahead(parameters)
     with GraphContext(external_domain(domain_id) if external else domain_id) as graph:
-        # Only once the domain is claimed, so that a failed claim leaves nothing behind.
+        # Made only once the domain is claimed, so that a failed claim leaves nothing behind.
         file = _prepare(directory, parameters)
         supervisor = Supervisor(graph, on_progress, on_phase=on_phase)
         supervisor.realtime = config.mode == "realtime"
@@ -171,7 +171,7 @@ class Supervisor(Node):
         """Faults that nodes reported on ``/diagnostics``."""
         self.concluded = self.finished = False
         self.realtime = False
-        """Whether a fault ends the experiment at once, and does not matter after its last trial."""
+        """True in real time: a fault ends the experiment, and is ignored after the last trial."""
         self.timing: TimingFigures | None = None
         """Last figures of a rig in real time."""
         self._done = False
@@ -283,7 +283,7 @@ class Course:
         self._problems: list[Problem] = []
 
     def run(self, drive: Callable[[], None] = lambda: None) -> list[Problem]:
-        """Go through the course, with ``drive`` once all nodes are active; return the problems."""
+        """Run the experiment, calling ``drive`` once all nodes are active; return the problems."""
         try:
             if self.startup():
                 drive()
@@ -379,7 +379,7 @@ def settle(
     directory : Path
         Where the estimator stores its summary.
     estimator : EstimatorParameters
-        Parameters of the estimator, for a run without a summary of it.
+        Parameters of the estimator, needed if it has stored no summary.
     found : Result or None
         Result of an estimator in this process.
     problems : sequence of Problem

@@ -36,7 +36,7 @@ class NodeParameters:
     estimator: EstimatorParameters
 
     def by_node(self) -> dict[str, BaseModel]:
-        """Parameters by the name of the node."""
+        """Return the parameters of each node by its name."""
         return {
             SIM_NODE: self.simulator,
             CONTROLLER_NODE: self.controller,
@@ -45,7 +45,7 @@ class NodeParameters:
 
 
 def node_parameters(config: ExperimentConfig, directory: Path | None) -> NodeParameters:
-    """Parameters of the nodes for an experiment.
+    """Return the parameters of the nodes for an experiment.
 
     Parameters
     ----------

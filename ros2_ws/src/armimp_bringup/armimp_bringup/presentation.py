@@ -130,8 +130,8 @@ def present(
 def complaints(summary: Summary) -> list[str]:
     """Return the problems of a result with their consequence, in one line for each cause.
 
-    Notes have none; an error of an estimator that does not decide the verdict only has that
-    estimate refused.
+    Notes have no consequence; an error of an estimator that does not decide the verdict only leads
+    to the refusal of its estimate.
     """
     faults = summary.faults
     late = [one for one in faults if one.code in _TOO_BUSY]

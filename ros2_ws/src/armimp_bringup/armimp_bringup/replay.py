@@ -90,7 +90,7 @@ class BagPlayer(Node):
         if not last.ended:
             self._spinner.spin_until(Future(), _ON_THE_WAY)
             self._senders[topics.TRIAL].publish(_status(Phase.REST, replace(last, trial=_NEVER), 0))
-            # It has to be handled before the next bag, whose samples the estimator fetches first.
+            # It has to arrive before the next bag: the estimator first takes all samples it got.
             self._spinner.spin_until(Future(), _ON_THE_WAY)
 
     def finish(self, last: TrialWindow, trials: int) -> None:
@@ -192,7 +192,7 @@ def replay_bags(
         )
         parameters.bag_metadata()
         with GraphContext(domain_id) as graph:
-            # Only once the domain is claimed, so that a failed claim leaves nothing behind.
+            # Made only once the domain is claimed, so that a failed claim leaves nothing behind.
             prepare_directory(directory)
             parameter_file = directory / PARAMETERS_FILE
             parameter_file.write_text(

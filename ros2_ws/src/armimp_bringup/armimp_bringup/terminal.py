@@ -223,14 +223,14 @@ def describe_trial(snapshot: Snapshot) -> str:
 
 
 def describe_coherence(snapshot: Snapshot) -> str:
-    """Running coherences of angle and torque; empty while there are none."""
+    """Describe the coherences of angle and torque so far; empty while there are none."""
     if snapshot.coherence_motion is None or snapshot.coherence_torque is None:
         return ""
     return f"coherence θ {snapshot.coherence_motion:.3f}  τ {snapshot.coherence_torque:.3f}"
 
 
 def describe_column(snapshot: Snapshot) -> list[str]:
-    """Running M, B and K of the column that is measured, a line for each.
+    """Describe M, B and K of the measured column so far, a line for each, and their errors.
 
     Standard errors are shown only if the estimates account for the motion of the locked joints.
     """
@@ -250,7 +250,7 @@ def describe_column(snapshot: Snapshot) -> list[str]:
 
 
 def _with_digits(value: float, error: float, *, stated: bool) -> str:
-    """Write value and error to two digits of the latter; if not `stated`, the value to one."""
+    """Return value and error to two digits of the error; the value to one if not `stated`."""
     digits = 3
     if 0.0 < error < math.inf:
         digits = min(max(1 - math.floor(math.log10(error)), 0), 9)

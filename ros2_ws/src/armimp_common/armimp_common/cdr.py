@@ -109,14 +109,14 @@ class CdrReader:
         return text[:-1]
 
     def float64s(self) -> Span:
-        """Read a sequence of doubles and return the bytes of its numbers."""
+        """Read a sequence of doubles and return the span of its numbers."""
         count = self.count(8)
         if count == 0:
             return self._position, self._position
         return self._take(8 * count, 8), self._position
 
     def finish(self) -> None:
-        """Check that nothing but a little surplus follows."""
+        """Check that no more follows than a few surplus bytes."""
         surplus = len(self._data) - self._position
         if surplus > _MAX_SURPLUS:
             raise self.error(f"has {surplus} bytes too many")
@@ -309,12 +309,12 @@ class JointStateEncoder:
 
 
 class JointStateDecoder(_Decoder):
-    """Decoder into stamp (ns) and values in the order of `names`, whatever their order was.
+    """Decoder into stamp (ns) and values in the order of `names`, whatever that of the message.
 
     Parameters
     ----------
     names
-        The joints that every message must have, and no further ones but for `others`.
+        The joints that every message must have; further ones are refused unless `others` is set.
     field
         The array that carries the numbers; the other arrays may be filled and are ignored.
     others
@@ -387,7 +387,7 @@ def stamp_of(data: Buffer) -> int:
 class CommandEncoder:
     """Encoder of joint torques in order, as the effort controllers of ros2_controllers take them.
 
-    They ignore the ``layout`` of the message. Its ``data_offset`` holds the number of the command,
+    Those ignore the ``layout`` of the message. Its ``data_offset`` holds the number of the command,
     from 1 on, so that subscribers can detect commands of another publisher, and missing ones.
 
     Parameters

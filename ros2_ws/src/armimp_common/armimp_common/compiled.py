@@ -36,11 +36,11 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def compiled(function: Function) -> Function:
-    """Have a function compiled into the compiled functions that call it.
+    """Mark a function that is to be compiled into the compiled functions that call it.
 
-    It is always inlined, since a call would only add the copying of its arguments and, where values
-    are packed (:mod:`armimp_sim.simd`), of registers. In Python it stays as it is: the code for
-    calls from there would take a fifth of the time of compiling.
+    It is always inlined, since a call would only add copies of its arguments and, where values are
+    packed (:mod:`armimp_sim.simd`), of registers. Called from Python it is not compiled: code for
+    such calls would make up a fifth of the compile time.
     """
     options: Any = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     return register_jitable(error_model="numpy", **options)(function)
@@ -76,7 +76,7 @@ class _OnStart(Listener):
 
 
 def on_compiling(action: Callable[[], None]) -> None:
-    """Register an action to be called whenever a function is compiled for want of cached code."""
+    """Register an action to be called whenever a function is compiled, as no cache has its code."""
     register("numba:compile", _OnStart(action))
 
 
@@ -108,7 +108,7 @@ def _collect(function: Callable[..., Any], files: set[Path], constants: set[str]
 
 
 def _used(names: set[str], namespace: dict[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Yield what ``names`` stand for in a namespace and in this project's modules within it."""
+    """Yield name and value of those ``names`` that a namespace or our modules in it define."""
     for name in names & namespace.keys():
         value = namespace[name]
         if not isinstance(value, ModuleType):
@@ -122,9 +122,9 @@ def _plain(function: Callable[..., Any]) -> FunctionType:
 
 
 def cache_folder(function: Callable[..., Any]) -> Path | None:
-    """Return the cache folder of the present version of an entry function, or None.
+    """Return the cache folder for this version of an entry function; None if none is writable.
 
-    The first writable one is taken: the user's choice, beside the source, in the home directory.
+    The first writable one is taken: the user's choice, beside the source, in the user's cache.
     """
     plain = _plain(function)
     name = f"numba-{source_digest(function)}"

@@ -105,7 +105,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
 
     Commands arrive at :meth:`on_command`. `on_configure` of a subclass calls :meth:`set_up`, its
     `on_activate` sets `active` once commands are obeyed, and :meth:`rest` undoes that. Publishers,
-    subscriptions and timers created in between are handed to :meth:`own`.
+    subscriptions and timers created at configuration are handed to :meth:`own`.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         self.latch(f"malformed command: {error}")
 
     def torque_was_taken(self) -> None:
-        """Pass the loss of torque on to the drives; called when an active node latches a fault."""
+        """Tell the drives that torque was removed; called when an active node latches a fault."""
 
     def obey_again(self) -> None:
         """Clear a fault, so that commands are obeyed again.
@@ -231,7 +231,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
     def _name_publishers(self, *, last: bool = False) -> None:
         """Note the names of all publishers of commands after an accusation, as they become known.
 
-        Torque is gone already; the middleware may learn only later which node a publisher is of.
+        Torque is gone already; the middleware may learn only later which node owns a publisher.
         """
         if not self._accused:
             return
@@ -246,7 +246,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         self._names = list(dict.fromkeys([*self._names, *new]))[:_MOST_NAMES]
 
     def _conclude_accusation(self) -> None:
-        """Wait a moment for names that are yet to be discovered, now that nothing else is due."""
+        """Wait a moment for names of publishers yet to be discovered: nothing else is due now."""
         end = time.monotonic() + _NAMES_PATIENCE
         while self._accused and self._commanders < 2 and time.monotonic() < end:
             self._name_publishers()
@@ -404,7 +404,7 @@ class ProtectedDriver(DriverBase[Protection, ModelT], ABC, Generic[ModelT]):
         for _ in range(periods):
             if self.limiter.period():
                 self._meter.missed()
-        # Only torque that the driver changes by itself; commands go out as they come.
+        # Only torque that the driver itself changes is sent here; commands go out as they come.
         if periods and self.limiter.fault:
             self.drive(self.limiter.applied)
 

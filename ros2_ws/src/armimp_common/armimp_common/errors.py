@@ -12,7 +12,7 @@ class ArmimpError(Exception):
     message
         One line.
     code
-        Code of the problem that the error makes of a result, if its class does not imply it.
+        Code of the problem that this error causes in a result; empty for the caller's default.
     """
 
     def __init__(self, message: str, code: str = "") -> None:

@@ -41,15 +41,15 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 PERIOD: Final = 0.05
-"""Time between two checks of a stop condition (s); so soon does a node end that is told to."""
+"""Time between two checks of a stop condition (s); a node that is told to end does so within it."""
 
 NO_LOG_FILES: Final = "--disable-external-lib-logs"
 """ROS argument with which ROS neither writes to its log directory nor creates it."""
 
 _RESOLUTION: Final = 0.02
-"""Period of the timer that ends spins, and time between two looks at the wall clock (s)."""
+"""Period of the timer that ends spins, and time between two readings of the wall clock (s)."""
 _STEP: Final = 1e-3
-"""Smallest step of the wall clock that matters (s); slewing moves it by less between two looks."""
+"""Smallest step of the wall clock that matters (s); slewing adds less between two readings."""
 _USE_SIM_TIME: Final = "use_sim_time"
 _REFUSAL: Final = (
     f"parameter '{_USE_SIM_TIME}' cannot be true: watchdogs and ramps must not depend on a clock"
@@ -80,13 +80,13 @@ def steady_timer(
     Parameters
     ----------
     node
-        Its executor calls back; ``node.destroy_timer`` ends it.
+        Owner of the timer: its executor calls back, and ``node.destroy_timer`` ends the timer.
     period
         Time between two calls (s).
     callback
         Called each time.
     autostart
-        Whether it runs at once; otherwise it runs from ``reset()`` on.
+        Whether the timer runs at once; otherwise it runs from ``reset()`` on.
     """
     clock = Clock(clock_type=ClockType.STEADY_TIME)
     return node.create_timer(period, callback, clock=clock, autostart=autostart)
@@ -193,7 +193,7 @@ class Spinner:
             self.executor.spin_until_future_complete(done, timeout)
 
     def _keep_time(self) -> None:
-        """Put the timer that ends a spin at its deadline on the first node, if it is missing."""
+        """Give the first node the timer that ends spins at their deadline, unless there is one."""
         if self._timer is None and self._nodes:
             self._timer = steady_timer(self._nodes[0], _RESOLUTION, self._on_timer)
 

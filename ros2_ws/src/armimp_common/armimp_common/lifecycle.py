@@ -33,7 +33,7 @@ _SERVICES: Final[dict[str, Any]] = {
 _POLL: Final = 0.01
 _CHECK_PERIOD: Final = 0.05
 _REPEAT: Final = 2.0
-"""Time between two looks for a service, two looks for an answer, and two identical requests (s)."""
+"""Times between two checks for a service, two checks for an answer, and two equal requests (s)."""
 
 
 class ServiceClients:
@@ -52,7 +52,7 @@ class ServiceClients:
         usually `armimp_common.executor.Spinner.spin_until`. If the nodes are in the same process it
         must spin them too.
     timeout
-        For each service to appear, and for each answer (s).
+        Longest wait for each service to appear, and for each answer (s).
     check
         Called often during each wait, which ends with any exception that it raises. Meant for
         what makes waiting futile, like the death of a process.
@@ -79,7 +79,7 @@ class ServiceClients:
     def _await(
         self, clients: Mapping[tuple[str, str], Client], deadline: float, failure: str
     ) -> None:
-        """Wait until services are there; GraphError if a node lacks one at the deadline (s)."""
+        """Wait until services are there; raise GraphError if one is missing at the deadline (s)."""
         while missing := sorted(
             {name for (name, _), one in clients.items() if not one.service_is_ready()}
         ):
@@ -94,7 +94,7 @@ class ServiceClients:
         """Wait for a service, call it, and return the answer.
 
         The purpose appears in errors; with `repeat`, a request without an answer is sent again.
-        GraphError if there is no answer in time.
+        Raises a GraphError if there is no answer in time.
         """
         client, deadline = self._clients[name, service], time.monotonic() + self._timeout
         self._await({(name, service): client}, deadline, f"no node that could {purpose}")
@@ -125,7 +125,7 @@ class LifecycleManager(ServiceClients):
     Parameters
     ----------
     node, names, options
-        As for :class:`ServiceClients`; discovery and a slow configuration take time.
+        As for :class:`ServiceClients`; the timeout has to cover discovery and slow transitions.
     """
 
     def __init__(self, node: Node, names: Sequence[str], **options: Any) -> None:
@@ -176,10 +176,10 @@ class LifecycleManager(ServiceClients):
 
 
 class ManagedNode(LifecycleNode):
-    """A lifecycle node that refuses an impossible transition, at which a node of rclpy would end.
+    """A lifecycle node that refuses an impossible transition, which would end a plain rclpy node.
 
-    It offers a heartbeat under its name. What is created at configuration is handed to :meth:`own`;
-    `on_cleanup` calls :meth:`disown`.
+    It offers a heartbeat under its name. Subclasses hand what they create at configuration to
+    :meth:`own`, and call :meth:`disown` in `on_cleanup`.
 
     Attributes
     ----------
@@ -211,7 +211,7 @@ class ManagedNode(LifecycleNode):
         self, request: ChangeState.Request, response: ChangeState.Response
     ) -> ChangeState.Response:
         try:
-            # Stubs lack private names; this is the one of rclpy since it has a mixin.
+            # Type stubs lack private names; rclpy has had this one since its mixin was introduced.
             parent: Any = super()
             answer: ChangeState.Response = parent._LifecycleNodeMixin__on_change_state(
                 request, response

@@ -18,9 +18,9 @@ _STAT_BYTES: Final = 4096
 """Bytes to read of ``/proc/<pid>/stat``, more than it ever has."""
 _VARIABLE: Final = "ARMIMP_PARENT_PIPE"
 _IN_ORDER: Final = 5.0
-"""Time within which interrupted work has mostly ended in order (s)."""
+"""Time that interrupted work usually takes to shut down (s)."""
 _PATIENCE: Final = 60.0
-"""Time that an orphan has to end in order, which may include an estimate (s)."""
+"""Time that a process without its parent has to shut down, perhaps with an estimate (s)."""
 
 
 STOPPED: Final = ("T", "t")
@@ -28,7 +28,7 @@ STOPPED: Final = ("T", "t")
 
 
 def identity() -> str:
-    """Return the boot of the machine, PID namespace, PID and start time of this process.
+    """Return boot id of the machine, PID namespace, PID and start time of this process.
 
     Other processes of the same machine can tell by it whether this one is still alive. Empty where
     there is no ``/proc``, that is, anywhere but on Linux.
@@ -42,8 +42,8 @@ def identity() -> str:
 def state_of(process: str) -> str | None:
     """Return the state of the process with this `identity`, a letter of proc_pid_stat(5).
 
-    It is empty if the process has ended, even as a zombie, which its parent has not waited for yet;
-    and None if that can't be told from here.
+    The state is empty if the process has ended, even if it is still a zombie, which its parent has
+    not waited for; None if it cannot be known here, as for a process of another machine.
     """
     place, _, rest = process.rpartition("] ")
     number, _, start = rest.partition(" ")
@@ -76,8 +76,8 @@ def _place() -> str:
 
 
 def _state(process: str) -> tuple[str, str]:
-    """Return state and start time, see proc_pid_stat(5); the name before may contain anything."""
-    # A quarter of the time of psutil (19 instead of 74 µs): heartbeats are checked every 20 ms.
+    """Return state and start time, see proc_pid_stat(5); the name before them may hold anything."""
+    # In a quarter of the time of psutil (19 instead of 74 µs): heartbeats are checked every 20 ms.
     file = os.open(f"/proc/{process}/stat", os.O_RDONLY | os.O_CLOEXEC)
     try:
         fields = os.read(file, _STAT_BYTES).rpartition(b")")[2].split(None, 20)
@@ -118,7 +118,7 @@ def reachable_from_outside(process: int | None = None) -> set[Any]:
 
 
 class ParentWatchdog:
-    """Lets children end in order when the process that started them is gone, for whatever reason.
+    """Lets child processes shut down when the process that started them is gone for any reason.
 
     The parent keeps the write end of a pipe, into which nothing is ever written, and the child
     waits at the read end. When the parent ends the kernel closes the pipe, even after SIGKILL. (The
@@ -144,9 +144,9 @@ class ParentWatchdog:
 
 
 def follow_parent() -> None:
-    """End this process as by SIGTERM when its parent, which gave it a `ParentWatchdog`, is gone.
+    """Send this process SIGTERM when its parent, which gave it a `ParentWatchdog`, is gone.
 
-    If it has not ended within a minute then, it is killed, whatever holds it up.
+    If it has not ended a minute later, it is killed, whatever holds it up.
     """
     text = os.environ.pop(_VARIABLE, "")
     if text.isdecimal():
@@ -168,8 +168,8 @@ def _wait(pipe: int) -> None:
 def stop_on_signals() -> Iterator[Callable[[], bool]]:
     """Turn SIGINT and SIGTERM into a stop condition; a SIGINT over 5 s after the first interrupts.
 
-    An earlier one is ignored as impatience, as the work is still being ended in order. To be used
-    in the main thread, with rclpy's own handlers off.
+    An earlier repetition is ignored, as the work is still shutting down. To be used in the main
+    thread, with rclpy's own handlers off.
 
     Yields
     ------

@@ -178,15 +178,15 @@ class TorqueLatch:
         self.applied, self._fading = self._zero, 0
 
     def fade(self, reason: str) -> None:
-        """Ramp torque down in a straight line, until :meth:`reset`; without effect after a fault.
+        """Latch a fault and ramp torque down linearly; without effect after an earlier fault.
 
-        It is zero after :data:`RAMP_PERIODS` calls of :meth:`go_on_fading`.
+        It is zero after :data:`RAMP_PERIODS` calls of :meth:`go_on_fading`, until :meth:`reset`.
         """
         if not self.fault:
             self.fault, self._fading = reason, RAMP_PERIODS
 
     def go_on_fading(self) -> None:
-        """End a period; a torque that fades becomes smaller."""
+        """End a period: a torque that is being ramped down becomes smaller."""
         if self._fading:
             share = (self._fading - 1) / self._fading
             self.applied = tuple(share * value for value in self.applied) if share else self._zero
@@ -236,7 +236,7 @@ class Protection(TorqueLatch):
         self.obey(torque)
 
     def sample(self, angles: Sequence[float], sent_ns: int = 0) -> None:
-        """Check the angles (n,), rad, of a sample sent at `sent_ns` for a command to answer."""
+        """Check the angles (n,), rad, of a sample sent at `sent_ns` that a command will answer."""
         self.watch.sample(sent_ns)
         self._history.append(tuple(angles))
         if not all(abs(angle) <= self._limits.position for angle in angles):

@@ -1,4 +1,4 @@
-"""Publishers and subscriptions of bytes that pass through the fast codecs, and discovery."""
+"""Publishers and subscriptions that use the codecs of `armimp_common.cdr`; discovery of peers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from armimp_common.topics import ValueField
 
 OnMalformed = Callable[[MalformedMessageError], None]
 _POLL = 0.005
-"""Time between two looks while waiting for something (s)."""
+"""Time between two checks while waiting for something (s)."""
 _PATIENCE = 30.0
 """How long a node that is being activated waits for its peers, and then for their answers (s)."""
 
@@ -237,7 +237,7 @@ def wait_for_partners(
         Monitors of nodes that must know all subscriptions that `node` has created so far. A node
         without a heartbeat, as a third-party driver may be, is not waited for; nor is one whose
         heartbeat has not been discovered yet. A node creates its heartbeat first, so that is known
-        once any other publisher of the node is: `subscriptions` should hold one to each of them.
+        once any other publisher of the node is: `subscriptions` should hold one to each such node.
 
     Raises
     ------

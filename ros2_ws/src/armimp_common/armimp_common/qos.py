@@ -26,7 +26,7 @@ def _profile(offered: topics.Qos) -> QoSProfile:
 PROFILES: Final[dict[str, QoSProfile]] = {
     topic: _profile(offered) for topic, offered in topics.QOS.items()
 }
-"""The profile of every topic of the contract."""
+"""The profile of each topic of :data:`armimp_common.topics.QOS`."""
 
 SAMPLE: Final = _profile(topics.SAMPLE_QOS)
 LATCHED: Final = _profile(topics.LATCHED_QOS)
@@ -40,11 +40,11 @@ OFFERED_LEASE_MS: Final = 3000
 It must not be shorter. The thread that renews the lease takes a lock that another thread holds
 while it removes a publisher that has left, and that other thread waits for the first: if both
 coincide, the middleware is deadlocked for good (as in Fast DDS issue 6502). With renewals every
-20 ms on a busy machine, this happened once in some forty times that a program joined and left.
+20 ms on a busy machine, this happened about once in forty times that a program joined and left.
 """
 
 WATCHED_LEASE_MS: Final = 6000
-"""Silence after which a process counts as dead that is elsewhere and cannot be looked up (ms)."""
+"""Silence (ms) after which a process counts as dead if it cannot be looked up from here."""
 
 
 def _alive(lease_ms: int) -> QoSProfile:

@@ -182,7 +182,7 @@ class RealtimeScheduling:
     def take(self, priority: int) -> None:
         """Take a SCHED_FIFO priority (none with 0), stop garbage collection, switch threads sooner.
 
-        GraphError if the system does not permit the priority.
+        Raises a GraphError if the system does not permit the priority.
         """
         for thread in _threads() if priority else []:
             with suppress(ProcessLookupError):  # ended just now
@@ -241,9 +241,9 @@ def require_precedence(priority: int) -> None:
 
 @contextmanager
 def seldom_collecting() -> Iterator[None]:
-    """Let Python's garbage collector run seldom, and look at new objects only.
+    """Let Python's garbage collector run seldom, and search new objects only.
 
-    In the objects that exist already it would find nothing, but search them again and again.
+    Objects that exist already hold no garbage; it would only search them again and again.
     """
     threshold = gc.get_threshold()
     gc.freeze()

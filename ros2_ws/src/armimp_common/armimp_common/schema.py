@@ -84,7 +84,7 @@ class Leaf:
     """Meaning of the parameter."""
     minimum: float | None
     maximum: float | None
-    """Inclusive bounds of the allowed numbers; None where there is no bound."""
+    """Bounds of the allowed numbers, which may or may not include them; None: no bound."""
 
     @property
     def type_name(self) -> str:
@@ -145,7 +145,7 @@ def descriptions(model: type[BaseModel]) -> dict[str, str]:
 def _docstrings(module: str) -> dict[str, dict[str, str]]:
     """Return the docstrings of attributes by class and name, for all classes of a module.
 
-    The option `use_attribute_docstrings` of pydantic does the same, for 4 ms a class at each start.
+    The option `use_attribute_docstrings` of pydantic does the same, at 4 ms a class for each start.
     """
     file = getattr(sys.modules[module], "__file__", None) or ""
     return {
@@ -246,7 +246,7 @@ def require_length(name: str, values: Sequence[Any], n: int, *lengths: int) -> N
 def each(name: str, values: Sequence[Any], n: int) -> NDArray[Any]:
     """Return the values (n,) of a parameter that has one for all `n` joints, or one for each.
 
-    ConfigurationError if it has another number of values.
+    Raises a ConfigurationError if it has another number of values.
     """
     require_length(name, values, n, 1, n)
     return np.resize(np.array(values), n)
@@ -255,7 +255,7 @@ def each(name: str, values: Sequence[Any], n: int) -> NDArray[Any]:
 def matrix(name: str, values: Vector, n: int) -> NDArray[np.float64]:
     """Return the matrix (n, n) that a parameter of `n` joints holds row by row.
 
-    ConfigurationError if it has another number of values.
+    Raises a ConfigurationError if it has another number of values.
     """
     require_length(name, values, n, n * n)
     return np.array(values).reshape(n, n)
@@ -267,7 +267,7 @@ def check_names(names: Iterable[str], known: Iterable[str]) -> None:
     Raises
     ------
     ConfigurationError
-        Naming the first that is not, and the most similar valid name, if one is similar.
+        If one is not; the message has the first such name, and a similar valid one if there is one.
     """
     valid = list(known)
     for name in names:
@@ -298,7 +298,7 @@ def explain(error: ValidationError) -> str:
 
 
 class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]
-    """Writes each list on one line, and all text but keys in quotes, so that it stays text."""
+    """Writes each list on one line, and all text but keys in quotes, so that it is read as text."""
 
     def represent_list(self, items: list[Any]) -> Any:
         return self.represent_sequence("tag:yaml.org,2002:seq", items, flow_style=True)

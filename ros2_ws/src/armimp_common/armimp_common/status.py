@@ -33,7 +33,7 @@ LIMITER_STATUS: Final = f"{CONTROLLER_NODE}: safety limiter"
 """``name`` of the controller's status on ``/diagnostics``."""
 
 NOTICE_TICKS: Final = 200
-"""Perturbed samples of a trial after those on which the estimator bases its decision to end it.
+"""Perturbed samples between those that a decision to end a trial is based on and the end.
 
 Meanwhile the decision is made and transmitted, so that every node learns of the end beforehand.
 """
@@ -410,7 +410,7 @@ def make_status(
 def status_message(
     record: TrialStatus | StoppingDecision | TimingFigures | Progress,
 ) -> DiagnosticStatus:
-    """Return the message of a record."""
+    """Return a record as a ``DiagnosticStatus`` message."""
     level = record.level if isinstance(record, TrialStatus) else Level.OK
     return make_status(record.STATUS_NAME, level, record.sentence, record.to_values())
 

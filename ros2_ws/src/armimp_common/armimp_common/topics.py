@@ -73,11 +73,11 @@ LATCHED_QOS: Final = Qos(10, durability="transient_local")
 QOS: Final[dict[str, Qos]] = {
     **dict.fromkeys(DATA_STREAMS, SAMPLE_QOS),
     **dict.fromkeys((TRIAL, RESULT, RECEIVED, STOPPING), LATCHED_QOS),
-    PROGRESS: Qos(10),  # for people who look now, of no use later
-    CLOCK: Qos(1, "best_effort"),  # only the newest counts, and nobody may hold the simulator up
+    PROGRESS: Qos(10),  # for display only: nobody needs the old ones
+    CLOCK: Qos(1, "best_effort"),  # only the newest counts; no subscriber may hold the simulator up
     DIAGNOSTICS: Qos(10),  # what diagnostic aggregators expect
 }
-"""Quality of service of every topic of the contract."""
+"""Quality of service of every topic but the heartbeats, see :mod:`armimp_common.qos`."""
 
 VALUE_FIELD: Final[dict[str, ValueField]] = {
     JOINT_STATES: "position",
@@ -90,7 +90,7 @@ RECORDER_GONE: Final = 2**64 - 1
 """On ``impedance_estimator/received``: recording has ended, so nobody has to wait for it."""
 
 RECEIVED_EVERY: Final = 10
-"""Samples from one report of the recorder on how many it has received to the next."""
+"""Number of samples between two reports of the recorder on how many it has received."""
 
 
 def alive(node: str) -> str:
@@ -99,9 +99,9 @@ def alive(node: str) -> str:
 
 
 def clock_step(before_ns: int, stamp_ns: int) -> str:
-    """Say that the clock behind the stamps was set between two samples; empty if it was not.
+    """Return a sentence if the clock of the stamps was set between two samples, else "".
 
-    Steps of a second count: no stall is so long, as samples lost for a second end a trial anyway.
+    Only steps of at least a second count: if samples stay away that long, the trial ends anyway.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ UNKNOWN: Final = "unknown"
 
 _PACKAGES: Final = ("numpy", "scipy", "numba", "rclpy", "rosbags", "mcap", "armimp")
 _OTHER_NAMES: Final = {"rclpy": "ros-jazzy-rclpy", "armimp": "armimp_common"}
-"""Names of distributions: in the wheels of ROS, and in a workspace with a part of this project."""
+"""Other distribution names: of the ROS wheel, and of a workspace with only some packages."""
 
 
 @functools.cache

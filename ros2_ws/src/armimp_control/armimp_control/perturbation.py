@@ -36,7 +36,7 @@ _EXPECTED_CREST = 1.7  # of an optimal multisine, to get its rms from its peak
 _SPREADS = (0.2, 0.3, 0.45, 0.7)
 """Shares of the power, tried in turn, that are spread evenly over all lines despite the prior.
 
-They reveal arms that are not of the form of M, B and K.
+They reveal arms that M, B and K do not describe.
 """
 
 _STEPS = 500  # of the algorithm for optimal powers
@@ -46,7 +46,7 @@ _EVERYWHERE = 2e-3
 
 @dataclass(frozen=True, kw_only=True)
 class JointPrior:
-    """What is expected of a joint while it is perturbed: M, B and K, SI units."""
+    """Expected M, B and K of the arm and of the target impedance at a perturbed joint, SI units."""
 
     arm: tuple[float, float, float]
     """Diagonal elements of the arm's M, B and K."""
@@ -117,7 +117,7 @@ def perturbation(
     Returns
     -------
     (ticks,) NDArray
-        N·m. The largest absolute value of noise is the peak, unless the angle limit is lower.
+        N·m. The largest absolute value of noise is the peak, unless the angle limit reduces it.
 
     Raises
     ------
@@ -244,7 +244,7 @@ def optimal_power(
 def multisine_lines(
     parameters: PerturbationParameters, *, ticks: int, seed: int
 ) -> tuple[NDArray[np.intp], int]:
-    """Return the harmonics of a multisine: odd ones, without one of each four neighbours.
+    """Return the odd harmonics of a multisine without one of each four neighbours; its period.
 
     Those left out are drawn at random, the same in all trials of an experiment. Even distortion
     then shows at even harmonics, odd distortion at those left out (Pintelon & Schoukens, *System
@@ -280,7 +280,7 @@ def multisine(
 
     From random phases on, the signal is clipped and its amplitudes are restored, in turn (van der
     Ouderaa, Schoukens & Renneboog, IEEE Trans. Instrum. Meas. 37(1), 1988). This leads to a crest
-    factor of 1.5 to 1.8; after a larger one it begins again from other phases.
+    factor of 1.5 to 1.8; if it is larger, up to three further draws of phases are tried.
 
     Parameters
     ----------
@@ -326,7 +326,7 @@ def crest_factor(signal: FloatArray) -> float:
 
 
 def butterworth(order: int, cutoff: float, rate: float) -> FloatArray:
-    """Return what ``scipy.signal.butter(order, cutoff, fs=rate, output="sos")`` does, to the bit.
+    """Return what ``scipy.signal.butter(order, cutoff, fs=rate, output="sos")`` gives, to the bit.
 
     Importing `scipy.signal` takes longer than everything else that a run imports, and this filter
     is all that the graph needs of it.

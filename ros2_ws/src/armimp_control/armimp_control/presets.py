@@ -138,7 +138,7 @@ def target(robot_inertia: FloatArray) -> tuple[FloatArray, FloatArray, FloatArra
 
 
 def unknown_torque(joints: int) -> tuple[FloatArray, FloatArray]:
-    """Return rms changes in a period that the observer expects, perturbed and locked, (n,), N·m.
+    """Return the rms change of unknown torque in a period if perturbed and if locked, (n,), N·m.
 
     Assumptions, chosen by ``make research ARGS=controller``. Friction of a joint that reverses
     changes by some N·m within ten milliseconds; that of a locked joint, which moves by a count or

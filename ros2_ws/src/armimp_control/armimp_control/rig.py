@@ -11,7 +11,7 @@ from armimp_common.arrays import FloatArray
 from armimp_common.schema import PositiveVector, Schema, Vector
 
 MOST_DELAY = 20
-"""Largest delay of commands that can be told to the controller (control periods)."""
+"""Largest delay of commands that can be declared to the controller (control periods)."""
 
 
 class RigDynamics(Schema):
@@ -58,7 +58,7 @@ class RigDynamics(Schema):
 
         poles, lags = self.torque_order if self.torque_cutoff else 0, int(self.actuator_lag > 0.0)
         size = 3 + lags + poles
-        # The state: way, speed, torque of the drive if it lags, low-pass; then the held command.
+        # The state: angle, velocity, drive torque if it lags, low-pass; then the held command.
         system, reads = np.zeros((size, size)), np.zeros(size)
         torque, low_pass = 2 if lags else -1, slice(2 + lags, 2 + lags + poles)
         system[0, 1] = system[1, torque] = 1.0
@@ -98,9 +98,9 @@ class SampledDynamics(NamedTuple):
     """Dynamics of a joint from tick to tick: q states x of drive and low-pass, and a command u."""
 
     over: FloatArray
-    """(2 + q, q + 1) from (x, u) to the way (s²) and speed (s) gained in a period, per unit of
+    """(2 + q, q + 1) from (x, u) to the angle (s²) and velocity (s) gained in a period, per unit of
     torque over inertia, and to the states after it."""
     reading: FloatArray
     """(q + 1,) from x before, and u during, the last period to the drive's torque as it is read."""
     delay: int
-    """Ticks by which the reading is later still."""
+    """Whole ticks of further delay of the reading."""

@@ -21,7 +21,7 @@ Every output u satisfies, whatever comes in (T, R, P: limits of torque, rate, po
 
     finite    |u_i| ≤ T_i    |u_i θ̇_i| ≤ P_i    |u_i − u_i(previous)| ≤ R_i L
 
-with two exceptions from the last: zero torque at once (1, and where the caller asks for it); and a
+with two exceptions to the last: zero torque at once (1, and where the caller asks for it); and a
 command that has to approach zero faster, because the power would be too large otherwise. From a
 fault on, the torque of every joint keeps its sign, never grows, is zero after the ticks of the
 ramp, and stays zero: only a new limiter lets commands through again.
@@ -342,7 +342,7 @@ def _clip(command: FloatArray, i: int, value: float, number: int, journal: Float
 def _within_torque(command: FloatArray, rules: FloatArray, journal: FloatArray) -> int:
     """Reduce all commands in proportion, if one of them is beyond its torque limit.
 
-    Returns the joint for which that means a stop; else -1.
+    Returns the joint whose excess means a stop; -1 if there is none.
     """
     largest = 1.0
     for i in range(command.size):
@@ -366,7 +366,7 @@ def _limit(
 ) -> tuple[int, int, float]:
     """Bring a finite command within the limits.
 
-    Returns the index of the limit, the joint and the value if that means a stop; else -1 first.
+    Returns index of the limit, joint and value if a stop is due; otherwise the index is -1.
     """
     for i in range(command.size):
         for number, row in ((POSITION, EXCURSION), (VELOCITY, SPEED)):
@@ -422,7 +422,7 @@ def limit_command(
     Returns
     -------
     int
-        Number of joints whose command was clipped; 0 once it has stopped.
+        Number of joints whose command was clipped; 0 once the limiter has stopped.
     """
     clipped = 0
     if journal[STOPPED] == 0.0:
@@ -468,11 +468,11 @@ def stop_commands(ticks: int, fault: bool, memory: FloatArray, journal: FloatArr
 def continue_ramp(
     ticks: int, command: FloatArray, rules: FloatArray, memory: FloatArray, journal: FloatArray
 ) -> None:
-    """Advance the ramp after a stop, where no samples come.
+    """Advance the ramp after a stop, while no samples come.
 
     Parameters
     ----------
-    ticks : number that have passed since the last command
+    ticks : control periods that have passed since the last command
     command : (n,) N·m, written
     rules, memory, journal : as of :func:`check_sample`; the velocity is that of the last sample
     """

@@ -14,7 +14,7 @@ from armimp_common.status import Phase
 from armimp_common.topics import PERIOD
 
 _PARTS = 4
-"""Parts of the readings of a tare, whose scatter gives its standard error."""
+"""Parts into which the readings of a tare are cut; their scatter gives its standard error."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +59,7 @@ class TareParameters(Schema):
         return round((self.wait + self.duration) / PERIOD) if self.duration else 0
 
     def of(self, torque: FloatArray) -> Tare:
-        """Compute the tare from the torques (n, ticks) since all joints are held, N·m.
+        """Compute the tare from the torques (n, ticks), N·m, read since all joints have been held.
 
         The readings after the wait are cut into four parts of equal length. Each is averaged with a
         Hann window, which suppresses the dither of held joints and mains hum. The tare is the mean
@@ -75,7 +75,7 @@ class TareParameters(Schema):
         return Tare(offset=tuple(means.mean(axis=1).tolist()), error=tuple(error.tolist()))
 
     def refusal(self, tare: Tare, names: Sequence[str]) -> str:
-        """Say why no trial may begin with a tare; empty if one may."""
+        """Return why no trial may begin with this tare; empty if it may."""
         for name, offset, error in zip(names, tare.offset, tare.error, strict=True):
             # Written so that NaN fails.
             if not abs(offset) <= self.limit:

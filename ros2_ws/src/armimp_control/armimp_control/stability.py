@@ -1,4 +1,4 @@
-"""Sampled stability of the law, checked before it is allowed to move anything."""
+"""Stability of the sampled loop, checked before the law is allowed to move anything."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ WARNING_GAIN = 1.25
 ARM_RANGE = 3.0
 """Factor by which the arm may be heavier or lighter than known."""
 _GROWTH = 1e-4
-"""Growth per tick attributed to rounding: without target stiffness and damping there is none."""
+"""Growth per tick attributed to rounding; without target stiffness and damping, motion persists."""
 
 
 def check_stability(law: Law) -> tuple[str, ...]:
@@ -45,7 +45,7 @@ def check_stability(law: Law) -> tuple[str, ...]:
 
     Parameters
     ----------
-    law : has what is known of robot, arm, drives and transducers
+    law : holds what is known of robot, arm, drives and transducers
 
     Returns
     -------
@@ -112,7 +112,7 @@ def spectral_radius(
 
     Parameters
     ----------
-    law : has the known inertia of robot and arm
+    law : holds the known inertia of robot and arm
     dynamics : of drives and transducers
     perturbed : joint that yields, 0-based, or NO_JOINT while all are locked
     gain : factor on M̄, or on the gains of a law without it
@@ -177,7 +177,7 @@ def spectral_radius(
 
 
 def _inertia(law: Law, arm: float = 1.0) -> tuple[FloatArray, FloatArray]:
-    """M_r(θ_0) and the arm's M_h times a factor, (n, n), kg·m², as the law knows them."""
+    """Return M_r(θ_0), and M_h times `arm`, both (n, n), kg·m², as the law knows them."""
     known, n = law.known, law.joints
     return (
         matrix("known.robot_inertia", known.robot_inertia, n),

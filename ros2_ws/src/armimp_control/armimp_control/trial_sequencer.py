@@ -20,7 +20,7 @@ from armimp_control.sequence import Segment, Tare, timetable
 
 Reading = tuple[float, ...]
 _MOST_WAITING = 10_000
-"""Readings of one kind that may wait for their partners at most."""
+"""Most readings of one kind that may wait for their partners."""
 
 
 class TrialSequencer:
@@ -114,7 +114,7 @@ class TrialSequencer:
 
     @property
     def awaits_decision(self) -> bool:
-        """Whether the estimator has announced a decision on the next sample."""
+        """Whether a decision that the estimator has announced is due before the next sample."""
         return self._due is not None and self._place >= self._due + NOTICE_TICKS
 
     def decide(self, decision: StoppingDecision) -> None:
@@ -293,7 +293,7 @@ class SamplePairs:
 
 
 class Watchdog:
-    """Detects that samples stay away, and tells how far the ramp to zero has to be by then.
+    """Detects that samples no longer come, and says how far the ramp to zero has to be by now.
 
     The caller passes the time of any monotonic clock (s), so tests need not wait.
 
@@ -321,7 +321,7 @@ class Watchdog:
     def ticks_due(self, now: float) -> int:
         """Return the ticks of the ramp that have become due since the last call.
 
-        The first is due when the patience ends; all are, if the clock is not a number.
+        The first is due when the patience ends; if ``now`` is NaN, all are.
         """
         if self._last is None or not self.expired(now):
             return 0

@@ -1,4 +1,4 @@
-"""Models of arms that are more than M, B and K, fitted to the same impedance.
+"""Arm models with terms in addition to M, B and K, fitted to the same impedance.
 
 Each :class:`ArmModel` is an equation ``Z(s)`` with the matrices M, B and K of the arm itself and a
 few further parameters. All are fitted by weighted complex least squares with the weights of the
@@ -42,7 +42,7 @@ _BLOCK = 0.5  # width of the stretches of bins that are held out in turn, Hz
 _STRONG = 10.0
 """Difference of the criterion that is strong evidence (Kass & Raftery, J. Am. Stat. Ass. 1995)."""
 _CLEARLY = 2.0
-"""Standard errors from which on a parameter is resolved."""
+"""Number of standard errors from 0 beyond which a parameter is resolved."""
 _ITERATIONS = 30  # evaluations of a least-squares fit per free parameter, at most
 _FAR = 40.0  # largest absolute logarithm of a positive parameter, so that none overflows
 _LEAST = 1e-6  # size of a parameter, and of its effect in weighted residuals, that counts as none
@@ -86,11 +86,11 @@ class ArmModel:
     impedance: Callable[[Values, ComplexArray], ComplexArray]
     """Function of values by name and ``s = jω``, (n_freq,), that returns Z, (n, n, n_freq)."""
     starts: tuple[Mapping[str, float], ...]
-    """Initial values, each set tried, of parameters that aren't 0 at first; M, B and K start from
-    their plain fit."""
+    """Sets of initial values, each of which is tried. Other parameters start at 0, and M, B and K
+    from their plain fit."""
     variants: tuple[Mapping[str, str], ...] = ({},)
     """From simple to full: parameters of which only the diagonal is free, or which keep their
-    initial values. The variant with the best criterion is taken."""
+    initial values. A fuller variant has to improve the criterion by more than `_STRONG`."""
     possible: Callable[[Values], bool] = lambda _: True
     """Whether an arm can have these values; solutions that are possible take precedence."""
 
@@ -136,18 +136,18 @@ class ModelFit(JsonModel):
 
     @property
     def beside(self) -> dict[str, ParameterFit]:
-        """Parameters beside M, B and K, by name."""
+        """Parameters other than M, B and K, by name."""
         return dict([*self.parameters.items()][len(INTRINSIC) :])
 
     @property
     def resolved(self) -> bool:
-        """Whether any parameter beside M, B and K differs significantly from 0."""
+        """Whether any parameter other than M, B and K differs significantly from 0."""
         pairs = (zip(one.values, one.errors, strict=True) for one in self.beside.values())
         return any(abs(value) > _CLEARLY * error for pair in pairs for value, error in pair)
 
     @property
     def text(self) -> str:
-        """Values and standard errors of the parameters beside M, B and K, in words."""
+        """Values and standard errors of the parameters other than M, B and K, as text."""
         parts = []
         for name, one in self.beside.items():
             pairs = zip(one.values, one.errors, strict=True)
@@ -188,7 +188,7 @@ def _cuffed(values: Values, s: ComplexArray) -> ComplexArray:
 
 _DELAY = Parameter(name="delay", unit="s", rank=0)
 _LATENESS = Parameter(name="torque_delay", unit="s", rank=0)
-"""Common delay of the torque readings, fitted in any model unless it is known exactly."""
+"""Common delay of torque readings; unless known exactly, fitted in models without `_DELAY`."""
 
 MODELS: Final[Mapping[str, ArmModel]] = MappingProxyType(
     {
@@ -278,9 +278,9 @@ def fit_models(
     estimate : ImpedanceEstimate
         As the estimator returns it: a delay that it leaves open is fitted in each model anew.
     plain : MBKFit
-        Plain fit of M, B and K to it.
+        Plain fit of M, B and K to that estimate.
     calibration : Calibration
-        What is known of the transducers.
+        Calibration errors of transducers and encoders.
 
     Returns
     -------
@@ -299,9 +299,9 @@ def fit_models(
 
 
 def supported(models: Mapping[str, ModelFit]) -> str | None:
-    """Name of the model to report beside M, B and K: of those that fit, that of best criterion.
+    """Return the name of the model to report: of those that fit, the one of best criterion.
 
-    A model that nobody declared has to be resolved, too. None if there is no such model.
+    A model that was not asked for by name must be resolved, too. None if there is no such model.
     """
     possible = (n for n, one in models.items() if one.fits and (one.declared or one.resolved))
     return min(possible, key=lambda name: models[name].criterion, default=None)
@@ -371,7 +371,7 @@ class _Problem:
         bins: BoolArray,
         tolerance: float = 1e-6,
     ) -> tuple[FloatArray, float]:
-        """Fit the free parameters to some bins; return all of them and half the sum of squares."""
+        """Fit free parameters to some bins; return all parameters and half the sum of squares."""
         from scipy.optimize import least_squares
 
         root = np.sqrt(self.weights[:, :, bins])
@@ -399,7 +399,7 @@ class _Problem:
         return whole(found.x), float(found.cost)
 
     def fit(self) -> ModelFit:
-        """Fit each variant, and take the one with the best criterion."""
+        """Fit each variant; take a fuller one only if its criterion is clearly better."""
         # With fixed scalars, most models are linear.
         free = self.free(self.model.variants[0])
         rough = free & self.vector(lambda one: one.rank == 2)
@@ -458,7 +458,7 @@ class _Problem:
         return independent * float(np.mean(ratio)) + np.sum(free) * math.log(independent)
 
     def errors(self, solution: FloatArray, free: BoolArray) -> FloatArray:
-        """Standard errors of the parameters, (p,), by the sandwich formula, whatever the weights.
+        """Standard errors of the parameters, (p,), by the sandwich formula, for any weights.
 
         To first order ``δp = Re Σ conj(b) δZ`` over elements and bins, with ``b = N⁻¹ W ∂Z/∂p``.
         """
@@ -480,7 +480,7 @@ class _Problem:
         systematics = list(self.estimate.systematics)
         if self.doubt:
             found += np.outer(inverse[-1], inverse[-1]) / self.doubt**2
-            # It is unknown if torque that doesn't jump with commands is late; see the M-B-K fit.
+            # Whether torque that doesn't jump with commands is late is unknown; see the M-B-K fit.
             M = self.values(solution)["M"][:, :, None]
             systematics.append(self.doubt * self.s * (self.impedance(solution) - M * self.s**2))
         for common in systematics:

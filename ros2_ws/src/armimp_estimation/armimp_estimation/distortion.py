@@ -1,4 +1,4 @@
-"""Noise, and even and odd distortion, that a periodic perturbation reveals beside the arm.
+"""Noise, and even and odd distortion, that a periodic perturbation reveals in a torque.
 
 The residual torque of the perturbed joint, ``E = T_k - Σ_j Z_kj Θ_j`` over whole periods, is noise
 between the harmonics of the period. Nonlinearity that is even in the motion adds to the even
@@ -47,7 +47,7 @@ class Harmonics:
 
     @property
     def ratio(self) -> float:
-        """Mean power relative to that of the noise; its mean is 1 if there is nothing else."""
+        """Mean power relative to that of the noise; 1 is expected if there is only noise."""
         return float(np.mean((self.amplitude / self.noise) ** 2))
 
     @property
@@ -75,7 +75,7 @@ class Distortion:
     def of(cls, record: TrialRecord, arm: MBK) -> Distortion | None:
         """Sort the torque of a trial by its origin, given the fitted arm.
 
-        None without two periods, without noise, or if a kind has no harmonic that is not a line.
+        Return None without two periods or noise, or if all odd or all even harmonics are lines.
         """
         periods = record.periods
         if periods is None or periods.count < 2:

@@ -166,7 +166,7 @@ def coherence_figure(result: Result) -> Figure:
 
 
 def trace_figure(trials: Sequence[Trial]) -> Figure:
-    """Draw the signals over time of one or more trials side by side; each trial has a segment."""
+    """Draw the signals of trials over time, side by side; each must have at least one segment."""
     names = trials[0].segments[0].joint_names
     charts = []
     for one in trials:

@@ -2,10 +2,10 @@
 
 Where it is uncertain when torques were read, a common delay d of all torques relative to the angles
 is a parameter, too. To first order ``Z(ω) = Z_0(ω) (1 - jωd)``. Its part ``-jωd·(-Mω²) = jω³ M d``
-looks like no M, B and K, so the data determine d. They do not determine whether the whole torque is
+is unlike any M, B and K, so the data determine d. They do not determine whether the whole torque is
 late, or only the inertial part ``-Mω²``, which jumps with the commands. The two differ by
 ``jωd (K + jωB)``, which looks like viscosity and inertia. Half of that is corrected, half is the
-standard error of the correction, beside the prior uncertainty of the instant of the readings.
+standard error of the correction, in addition to the prior uncertainty of the reading instant.
 """
 
 from __future__ import annotations
@@ -184,7 +184,7 @@ _LIKELY, _SOFT = 0.3, 0.2
 """Assumption: prior probabilities that an element has a reflex of either kind or a spring that
 relaxes, and that a joint has a soft cuff."""
 _RARE = 0.01
-"""Probability of a reflex or a relaxing spring that changes no interval of 95 %, as it is rare."""
+"""Probability at which a reflex or a relaxing spring is too rare to change a 95 % interval."""
 _REFLEX = 0.5
 """Assumption: velocity gain that a reflex of an element may have, relative to its B."""
 _ARCS = ((0.04, 30.0), (0.03, 50.0), (0.06, 50.0))
@@ -204,7 +204,7 @@ _CREEP = (0.02, 0.06, 0.2, -0.02, -0.06)
 """Assumption: prior probability that a transducer of undeclared linearity creeps, time constants of
 that, s, and shares of the torque."""
 _LOW, _FEWEST = 1.0 / 3.0, 8
-"""Lowest share of the band, whose fit is compared with that of all of it, and its fewest bins."""
+"""Lowest part of the band that is fitted alone for comparison, as a share, and its fewest bins."""
 _ITERATIONS = 3
 _ORDERS = (2, 3, 4, 5)
 _SINGULAR = 1e-10
@@ -240,7 +240,7 @@ def lack_limit(correlation: FloatArray) -> float:
 
 
 def spread_of_mean(correlation: FloatArray) -> float:
-    """Standard deviation of the mean of F powers with such a ρ, relative to that of one power."""
+    """Standard deviation of the mean of F correlated powers, relative to that of one power."""
     frequencies = int(correlation.shape[1])
     return math.sqrt(frequencies + 2.0 * float(np.sum(correlation[1:] ** 2))) / frequencies
 
@@ -261,8 +261,8 @@ def fit_impedance(
     any weights its variance is the sandwich ``½ Re Σ_fg conj(b_f) b_g σ_f σ_g ρ_fg``, with half of
     the complex variance for either part, and the correlation ρ of the errors of neighbouring
     frequencies. The error of a correction, which is the same at all frequencies, adds the square of
-    ``Re Σ_f conj(b_f) δ_f`` with its standard error δ. Where terms with s³ and s⁴ (s = jω) would be
-    significant, the change of M, B and K that they cause is added, too.
+    ``Re Σ_f conj(b_f) δ_f`` with its standard error δ. The changes of M, B and K by further terms,
+    such as s³ (s = jω) or a soft cuff, are added, too, as far as the data allow for them.
 
     Parameters
     ----------
@@ -454,10 +454,10 @@ class _Elements:
     def covariance(self) -> FloatArray:
         """Covariance of all M, then B, then K, (3 elements, 3 elements).
 
-        Two elements have the sandwich of one, with their coherency κ: ``½ Re Σ_fg conj(b_f) c_g
-        σ_f ς_g ρ_fg (κ_f + κ_g)/2``. An estimate without covariances has independent elements. The
-        error of a correction is that of one transducer, so it is common to a row; one of the
-        calibration is common to all that it concerns.
+        That of two elements contains their coherency κ: ``½ Re Σ_fg conj(b_f) c_g σ_f ς_g ρ_fg
+        (κ_f + κ_g)/2``. Without covariances in the estimate, elements count as independent. The
+        error of a correction is that of one transducer, so it is common to a row; a calibration
+        error is common to all elements that it concerns.
         """
         (n, columns, _), estimate = self.estimate.Z.shape, self.estimate
         count = n * columns
@@ -566,7 +566,7 @@ class _Elements:
     def _change_by_hidden(self, values: FloatArray) -> FloatArray:
         """Squared change of M, B and K, (3, n²), by the hidden term that may change them most.
 
-        What acts across joints acts on its own joint, too, so that is evidence of its presence.
+        A term across joints also acts on its own joint, which shows whether the term is present.
         """
         change, columns = np.zeros_like(values), self.estimate.Z.shape[1]
         for likely, terms in self.hidden_terms(values):
@@ -583,7 +583,7 @@ class _Elements:
         """Squared change of M, B and K, (3, n²), by high-passes and creep of single channels.
 
         A first-order high-pass with the corner w takes ``w/(s + w) Z_ij`` off the row of a torque,
-        and adds ``w/s Z_ij`` to the column of an angle. A channel that shows what is slow passed
+        and adds ``w/s Z_ij`` to the column of an angle. A channel that shows slow signals passed
         none. A transducer that creeps adds ``c/(1 + sT) Z_ij`` to its row. Channels of one rig are
         alike, so each is evidence of whether the others have such an error.
         """
@@ -618,7 +618,7 @@ class _Elements:
         return np.asarray(terms - _of_mbk(np.moveaxis(alike, -1, 0), self.omega))
 
     def coefficients_of(self, terms: ComplexArray) -> FloatArray:
-        """Coefficient of each term (elements, n_freq) beside M, B and K of its element, and error.
+        """Coefficient of each element's term, fitted with its M, B and K, and its standard error.
 
         Returns
         -------
@@ -702,7 +702,7 @@ class _Elements:
         return covariance @ (expected + mixed / scatter), covariance
 
     def with_bounds_told(self) -> _Elements:
-        """Estimate the systematics that are bounds from the data, and return them corrected.
+        """Estimate the systematics that are bounds from the data; return corrected elements.
 
         Each has a known shape over frequency and an unknown size, 0 ± 1 before the data.
         """
@@ -771,7 +771,7 @@ def _spared(Z: ComplexArray, variance: FloatArray, freedom: float) -> FloatArray
     """Variance by which to judge the residual of a fit.
 
     It makes up for the mean of inverse variances with m complex degrees of freedom, which is too
-    large, and contains the estimator's own errors, lest they be lack of fit without any noise.
+    large, and includes the estimator's own errors, lest they count as lack of fit without noise.
     """
     spare = (freedom - 1.0) / freedom if 1.0 < freedom < math.inf else 1.0
     least = (_EXACT * np.abs(Z)) ** 2 + np.finfo(np.float64).tiny
@@ -848,7 +848,7 @@ def _with_delay(problem: _Elements) -> tuple[_Elements, CommonDelay | None]:
 
 
 def _root(covariance: FloatArray) -> FloatArray:
-    """R with ``RᵀR`` the covariance, which may be indefinite by rounding if terms are alike."""
+    """Matrix R such that ``RᵀR`` is the covariance, which rounding may have made indefinite."""
     sizes, directions = np.linalg.eigh(covariance)
     return np.asarray(np.sqrt(np.maximum(sizes, 0.0))[:, None] * directions.T)
 
@@ -882,9 +882,9 @@ def hidden_square(
     positive : bool
         Whether the effect cannot be negative.
     elsewhere : float
-        Logarithm of that ratio for other data, which tell whether it is present, not how large.
+        Logarithm of that ratio for other data, which show only whether the effect is present.
     rare : float
-        Probability after the data that does not count.
+        Posterior probability that is subtracted, so that a rarer effect does not count.
 
     Returns
     -------
@@ -911,7 +911,7 @@ def hidden_square(
 
 
 def _delay_of(problem: _Elements) -> tuple[float, float, float]:
-    """Common delay of all elements, its standard error, and how far theirs differ, s.
+    """Common delay of all elements, its standard error, and the spread between elements, s.
 
     For each element ``Z = fit - d·jω·fit`` is solved for d by weighted least squares.
     """
@@ -948,9 +948,9 @@ def _sums(functionals: ComplexArray, values: ComplexArray) -> FloatArray:
 
 
 def _noticed(value: float, error: float) -> float:
-    """Squared coefficient of a term as far as it exceeds what chance makes of none.
+    """Squared coefficient of a term, less the square that chance alone may give it.
 
-    A threshold alone would count all of it whenever chance exceeds the threshold.
+    With a mere threshold, all of it would count whenever chance exceeds the threshold.
     """
     return max(value**2 - (_NOTICED * error) ** 2, 0.0) if math.isfinite(error) else 0.0
 
@@ -976,7 +976,7 @@ def fit_weights(
         Frequencies, Hz, values, their variances, and the power of the perturbation behind each.
     weight_floor : float
         Standard deviation, relative to the impedance, that is added; less where power is above its
-        mean, as what it is for, such as harmonics of friction, is alike at all frequencies.
+        mean, as errors for which it stands, such as harmonics of friction, don't grow with power.
     reach : float
         Half width of the smoothing, Hz.
     """

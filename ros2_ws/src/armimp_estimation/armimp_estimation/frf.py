@@ -17,12 +17,12 @@ from armimp_estimation.spectra import CrossSpectra
 from armimp_estimation.trial import TrialData
 
 # Largest perturbation of another joint, relative to that of the perturbed one, that is accepted as
-# crosstalk. In proportion it does no harm, as T R⁻¹ stays the same; otherwise it is a disturbance.
+# crosstalk. A proportional one is harmless, as T R⁻¹ stays the same; any other is a disturbance.
 _BESIDE = 0.05
 # Power of a perturbation, relative to its largest, below which it is leakage of the window.
 _LEAKED = 1e-5
-# Least ratio of power to noise with which a response may be a divisor: noise then draws the ratio
-# of two normal values towards its own by a share of exp(-2). Where a person pushes and the
+# Least ratio of power to noise with which a response may be a divisor: the ratio of two responses
+# is then drawn towards that of their noise by a share of exp(-2). Where a person pushes and the
 # perturbation is weak, 4 would leave out bins with half of the information on the stiffness.
 _STANDS_OUT = 2.0
 # Hz on either side over which the power of a response is averaged.
@@ -84,8 +84,8 @@ def noise_gain(trial: TrialData) -> FloatArray:
 def stands_out(f: FloatArray, response: ComplexArray, variance: FloatArray) -> BoolArray:
     """Where a response exceeds its noise so far that it may be a divisor, mask of shape (n_freq,).
 
-    In a loop, torque and angle have a ratio by noise alone. Where the perturbation has hardly any
-    power, as between the lines of a few sines, the ratio of two responses is biased towards that,
+    In a loop, noise alone gives torque and angle some ratio. Where the perturbation has hardly any
+    power, as between the lines of a few sines, the ratio of two responses is biased towards it,
     at all such frequencies alike (weak instruments: Staiger & Stock, *Econometrica* 65, 1997).
 
     Parameters
@@ -138,7 +138,7 @@ def unexplained(spectra: CrossSpectra, source: int, first: int) -> ComplexArray:
 
 
 def order_trials(trials: Sequence[TrialData]) -> tuple[TrialData, ...]:
-    """Sort trials by perturbed joint, and check that they form a complete decomposition.
+    """Sort trials by perturbed joint, and check that they match: one for each joint.
 
     Frequencies at which one perturbation has no power, or no line, are dropped from all spectra.
 
@@ -164,7 +164,7 @@ def order_trials(trials: Sequence[TrialData]) -> tuple[TrialData, ...]:
 
 
 def _contradictions(trials: Sequence[TrialData]) -> Iterator[str]:
-    """Yield the reasons why trials do not form a complete decomposition."""
+    """Yield the reasons why trials cannot be combined into one matrix."""
     if not trials:
         yield "no trial to estimate from"
     for trial in trials:

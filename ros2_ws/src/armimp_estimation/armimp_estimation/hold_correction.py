@@ -33,19 +33,19 @@ _CHATTER_EXPLAINS = 0.9
 """Share of the torque's differences that the last steps must explain: noise, or friction that acts
 within the period, biases the value and slope that they give."""
 _OF_OTHERS, _CHATTER_SEEN = 0.95, 0.2
-"""Share of what all steps explain above which a single step of another sample shows that commands
-are misaligned, and share of the differences that all steps must explain to show that."""
+"""Commands are misaligned if a single step of another sample explains more than the first share of
+what all steps explain, and these more than the second share of the torque's differences."""
 _LEFT, _LEFT_BESIDE, _OFF = 1.0, 2.2, 0.15
 """Largest rms residual of a torque regressed on motion and jumps, relative to the part that jumps
-alone explain; the same if chatter gives D of another joint; relative standard error of D per it."""
+alone explain; the same if chatter gives another row of D; relative error of D over that ratio."""
 _SHOWN = 0.5
 """Least power of the changes of a torque, relative to that of the jumps that it should show."""
 _PARTS, _ENOUGH = 8, 16_384
 """Parts of each record, whose scatter gives the error of answers to rounding, and samples that
 suffice: the time goes with the square of the number of joints."""
 _EXPLAINED = 0.01
-"""Share of the changes of torques that steps recorded within one period of them must explain; with
-commands that are recorded late it is as by chance, 0.003 at most."""
+"""Share of the changes of torques that steps recorded within one period of them must explain; if
+commands are recorded later, they explain 0.003 at most, by chance."""
 _BESIDE = 3
 """Periods by which commands may be recorded too late or too early and are still found."""
 _QUICK = (2.0, 3.0, 15.0, 20.0)
@@ -63,7 +63,7 @@ class HoldCorrection:
     slope : ndarray, shape (n, n)
         S: their slopes jump by ``S Δu / L``, N·m per N·m.
     error : ndarray, shape (n,)
-        Relative standard error of the rows of both that errors of the angles cause.
+        Relative standard error of the rows of D and S because of errors of the angles.
     """
 
     torque: FloatArray
@@ -139,12 +139,12 @@ def update_jump(
 
     is fitted by least squares from 2 to 20 Hz, where a person does little, and the slope, which
     hardly matters then, is taken as 0. Errors of the angles would bias D, so the residual must not
-    be large beside what D alone explains. The row of each torque comes from chatter if that
+    be large compared with what D alone explains. The row of each torque comes from chatter if that
     determines it, else from the motion.
 
-    Readings that are late or have passed a low-pass show a step later, and more slowly. So they are
-    freed from the poles of the low-pass and regressed on its known answers to a step, a ramp and a
-    parabola of the torque. Only chatter is used then.
+    Readings that are late or have passed a low-pass show a step later, and more slowly. So the
+    poles of the low-pass are removed from them, and its known responses to a step, a ramp and a
+    parabola of the torque are fitted. Only chatter is used then.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def update_jump(
     Returns
     -------
     HoldCorrection or None
-        None if readings do not miss the jumps, or nothing tells them: a trial has no commands,
+        None if readings do not miss the jumps, or they are not identified: a trial has no commands,
         neither way explains a torque, commands seem to be those of other samples, or the
         eigenvalues of D do not lie between 0 and 1, as they do for any two inertias.
     """
@@ -191,7 +191,7 @@ def update_jump(
 
 
 def answers_to_rounding(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]:
-    """Estimate the share of a step of its command that each torque shows at once.
+    """Estimate the share of a step of a joint's command that its torque shows at once.
 
     A law may feed back torques with their noise, and commands that follow this noise are no cause
     of it. But only the law acts on the rounding of angles. So the changes of torques are regressed
@@ -361,7 +361,7 @@ def _from_motion(records: Sequence[TrialRecord]) -> HoldCorrection:
 
 
 def _quick(signals: FloatArray, rate: float) -> FloatArray:
-    """Signals (p, N) within the band above voluntary motion, without a second at either end."""
+    """Filter signals (p, N) to the band `_QUICK`, and cut off a second at either end."""
     f = np.fft.rfftfreq(signals.shape[1], 1.0 / rate)
     foot, top, shoulder, end = _QUICK
     rise = np.clip((f - foot) / (top - foot), 0.0, 1.0)

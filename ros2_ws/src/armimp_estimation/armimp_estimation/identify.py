@@ -51,14 +51,14 @@ class EstimatorResult:
     coherence: scores.Coherences
     """Coherences over frequency."""
     models: dict[str, ModelFit]
-    """Models of the arm that were fitted beside M, B and K, by name."""
+    """Models of the arm that were fitted in addition to M, B and K, by name."""
 
     def with_doubts(self, shifts: Sequence[FloatArray]) -> EstimatorResult:
-        """Return the same with changes of M, B and K, (3, n, n), as further standard errors."""
+        """Return the result with changes of M, B and K, (3, n, n), as further standard errors."""
         return replace(self, fit=reduce(MBKFit.with_doubt, shifts, self.fit))
 
     def with_gains_in_doubt(self, doubts: FloatArray) -> EstimatorResult:
-        """Return the same with relative standard errors of gains and cross-talk in all errors.
+        """Return the result with relative standard errors of gains and cross-talk in its errors.
 
         Row i of `doubts`, (n, n), is the transducer, column l the joint whose torque it may show.
         """
@@ -108,7 +108,7 @@ class Identification:
     truth: MBK | None
     """True matrices, if known."""
     balance: RobotBalance | None = None
-    """Robot that the commands move, if commands are known."""
+    """Identified dynamics of the robot itself, if commands are known."""
 
     @property
     def deciding(self) -> tuple[str, ...]:

@@ -45,10 +45,10 @@ READING_KEYS = {
     "torque_order": "order",
     "actuator_lag": "actuator_lag",
 }
-"""Attribute of :class:`TorqueReading`, except for the timing, by its metadata key."""
+"""Attribute of :class:`TorqueReading`, except for the timing, by the key that declares it."""
 
 _LARGEST_TRUTH = 1e12
-"""Limit of elements: far beyond any arm, far below overflow of squares and products; SI units."""
+"""Limit of the elements of true matrices, SI units: beyond any arm, but squares don't overflow."""
 RECORD_KEY = "timing"
 """Metadata key of the timing up to the end of a bag's trial, as JSON."""
 
@@ -164,7 +164,7 @@ class Metadata(BaseModel):
         Raises
         ------
         DataError
-            If an entry makes no sense.
+            If an entry is invalid, or the truth has another number of joints.
         """
         try:
             found = cls.model_validate(
@@ -246,7 +246,7 @@ def _parsed(metadata: Mapping[str, str], key: str) -> Any:
 
 
 def latest_metadata(metadata: Sequence[Mapping[str, str]]) -> dict[str, str]:
-    """Return the metadata of the first of several bags, with the timing that counts for them all.
+    """Return the metadata of the first of several bags, with one timing that counts for them all.
 
     For bags of one run, that is the timing that covers most of the run. For bags of several runs,
     as when a trial was repeated, it is the timing of the run with the most problems.
@@ -254,7 +254,7 @@ def latest_metadata(metadata: Sequence[Mapping[str, str]]) -> dict[str, str]:
     Raises
     ------
     DataError
-        If the timing of a bag makes no sense.
+        If the metadata of a bag are invalid.
     """
     known = [timing for one in metadata if (timing := Metadata.of(one).timing) is not None]
     if not known:

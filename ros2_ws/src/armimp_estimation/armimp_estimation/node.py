@@ -60,7 +60,7 @@ from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.trial import TrialData
 
 _POLL_PERIOD = 0.001
-"""Period of fetching messages (s). On a fast machine, twenty samples of lockstep take as long."""
+"""Period at which messages are fetched (s); on a fast machine, that of 20 samples in lockstep."""
 _STRAGGLERS = 5.0
 """Time after the end of the last trial in which its samples may still arrive (s)."""
 _SHOWN = 16
@@ -79,7 +79,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         self._active = False
         self._rig = HeartbeatMonitor(self, topics.SIM_NODE, lambda _: None)
         self._controller = HeartbeatMonitor(self, topics.CONTROLLER_NODE, self._on_controller)
-        # Not at configuration: a new subscription gets the last experiment's statuses again.
+        # Created only once: a new subscription would get the last experiment's statuses again.
         self._trial = self.create_subscription(
             DiagnosticStatus, topics.TRIAL, self._on_trial, qos.LATCHED
         )
@@ -93,7 +93,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Load the parameters and create publishers, subscriptions and timers."""
         self._settings = self._declared.load()
-        # The stopping rule sees only recorded samples.
+        # The stopping rule sees only recorded samples, so they are recorded in smaller groups.
         self._together = topics.RECEIVED_EVERY if self._settings.target_error else TOGETHER
         self._metadata = self._settings.bag_metadata()
         try:
@@ -203,12 +203,12 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
     def _stop(self) -> None:
         self._end_recording()
         if self.result is None:
-            # First, as finishing the trial concludes if that is the last one.
+            # Noted first, as finishing the last trial computes the result.
             self._note(problem(ProblemCode.RECORDING_STOPPED))
         self._finish()
 
     def _end_recording(self) -> None:
-        """Accept no more messages, and tell those who wait for the recorder."""
+        """Accept no more messages, and tell the nodes that wait for the recorder."""
         self._active = False
         self._synchronizer.close()
         self._received.send(encode_count(topics.RECORDER_GONE))
@@ -228,7 +228,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             self._recorded = samples
             self._record()
         if self._active:
-            # First, so that in lockstep the decision arrives before more samples are taken.
+            # Sent first, so that in lockstep the decision arrives before more samples are taken.
             if (decision := self._recording.decide()) is not None:
                 self._announced.note(decision)
                 self._stopping.publish(status_message(decision))
@@ -236,14 +236,14 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
 
     @contextmanager
     def _giving_up(self) -> Iterator[None]:
-        """Stop recording if it fails: note the problem, close the bag and conclude."""
+        """If recording fails in this context, note the problem, close the bag and conclude."""
         try:
             yield
         except ArmimpError as error:
             self._note(Problem.of(error, ProblemCode.RECORDING_FAILED))
             self._end_recording()
             with suppress(ArmimpError):
-                # Closing the bag writes these, if it can.
+                # Closing the bag writes these messages, if that is still possible.
                 self._recording.add(self._synchronizer.take())
             try:
                 self._recording.close()
@@ -370,7 +370,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
 def column_message(
     trial: Trial, reading: TorqueReading, *, allow_gaps: bool = False
 ) -> DiagnosticStatus:
-    """Make the status with column k of T, R and ``Z = T/R_kk`` of a trial, or why there is none.
+    """Make the status with column k of T, R and ``Z = T/R_kk``, or the reason why there is none.
 
     Parameters
     ----------

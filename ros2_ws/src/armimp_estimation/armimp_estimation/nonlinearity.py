@@ -1,4 +1,4 @@
-"""Nonlinear arms and transducers: changing stiffness, friction, hysteresis in the fit's residual.
+"""Nonlinearity of arms and transducers, found in the residual torque of the fitted linear arm.
 
 The residual torque of each joint in the band, ``e_i = τ_i - Σ_j Z_ij θ_j`` with the fitted
 impedance Z, is regressed on one term of the perturbed joint's motion at a time. Terms of the arm
@@ -8,21 +8,21 @@ damping with the angle), ``θ̇ |θ̇|/(1 + |θ̇|)`` (damping that changes with
 as force-velocity curves of muscles flatten), a play operator of the angle (a short-range spring
 that yields: Brokate & Sprekels, *Hysteresis and Phase Transitions*, ch. 2), the sign of ``θ̇``
 (friction), ``θ t`` or an abrupt change (a stiffness that changes over the trial) and ``θ exp(-t)``
-(one that is larger at the start). Terms of the transducer follow the torque τ̂ over
-all perturbed frequencies: ``|τ̂|`` (it shows more in one direction), ``τ̂³`` (its gain changes with
-the torque), the sign of τ̂ (it does not show small torques), ``τ̂ t`` or an abrupt change (its gain
-drifts) and a play operator of τ̂ (hysteresis).
+(one that is larger at the start). Terms of the transducer depend on the torque τ̂ over all
+perturbed frequencies: ``|τ̂|`` (its gain depends on the direction), ``|τ̂|`` times the sign of ``θ̇``
+(losses of a transmission), ``τ̂³`` (its gain changes with the torque), the sign of τ̂ (it does not
+show small torques), ``τ̂ t`` or an abrupt change (its gain drifts) and a play operator (hysteresis).
 
-Everything that a linear filter makes of angle and perturbation is projected out of the terms and e.
+All linear responses to the angle and to the perturbation are projected out of the terms and of e.
 The instrument (Söderström & Stoica, *Instrumental Variable Methods for System Identification*) is
-the part of the term that changes sign with the perturbation, or the same term of the motion that
-the perturbation alone causes. So a linear arm gives zero on average, whatever the person does,
-although that moves the arm, too. Voluntary torque is slow and masks a changing stiffness at low
-frequencies, so e is also regressed on the excess of the angle over its rms, whose spectrum lies
-where the noise is lowest. The component of a term that looks like M, B and K, times the
-coefficient, is what the term does to them; a change of a transducer's gain is an uncertainty of all
-that it measures. What readings lack because torques jump with the commands is corrected first:
-commands that overcome friction would make it look like a nonlinear spring.
+the part of the term that changes sign with the perturbation; for even terms and changes of a gain,
+the same term of the motion that the perturbation alone causes is added. So a linear arm gives zero
+on average, even while voluntary torque moves it. Voluntary torque is slow and masks a changing
+stiffness at low frequencies, so e is also regressed on the excess of the angle over its rms, whose
+spectrum lies where the noise is lowest. The M, B and K that look most like a term, times its
+coefficient, are the change that it causes in them; a change of a transducer's gain is an
+uncertainty of all that it measures. Readings that miss jumps of the torque with the commands are
+corrected first: where commands overcome friction, the error would look like a nonlinear spring.
 
 The standard error is the scatter between parts of the trial, with no assumption about the spectrum
 of e. Influential parts pull the coefficient towards themselves, which is compensated (MacKinnon &
@@ -75,7 +75,7 @@ SLACK = 0.05
 DEAD = 0.1
 """Half width of a transducer's dead zone, beyond which its loss is constant, in rms torques."""
 _OWN_ZONE = 1.4
-"""Half width of a dead zone per coefficient found from readings that lack it, at low noise."""
+"""Half width of a dead zone per coefficient found from readings with that zone, at low noise."""
 _OWN_LAG = 2.0
 """Half of a transducer's play per coefficient found from its own readings: 1.3 to 2 at perturbed
 joints for 1 to 15 % of the rms torque, up to 8 where torques are small."""
@@ -91,7 +91,7 @@ _WIDTH = 1.0
 """Width of the bands of the linear filters, Hz."""
 _SMOOTHING = 0.2
 """Standard deviation of the Gaussian that smooths weights, Hz: a voluntary rhythm is as narrow."""
-_RATE = 200.0
+_RATE = 200.0  # largest sampling rate of the analysed signals, Hz
 _MOST_ENDS = 0.2
 _PART = 1.5
 """Length of a part, s: after it, voluntary motion and torque are hardly correlated."""
@@ -102,11 +102,11 @@ _SHORT = 0.75
 _FLIPS, _ALIKE, _RARE = 400, 4, 0.05
 """Wild bootstrap: number of draws, successive parts with one sign, compared tail probability."""
 _BEYOND_CHANCE = 4.0
-_NEGLIGIBLE = 0.003
-_UNFELT = 0.001
+_NEGLIGIBLE = 0.003  # share below which a significant deviation is not reported
+_UNFELT = 0.001  # standard error of a loss of torque that is ignored, relative to the rms torque
 _RUBBING = 0.03
-"""Relative change of M, B or K above which friction is the arm's: the robot's leaves less."""
-_GROUP = 8
+"""Relative change of M, B or K above which friction must be the arm's: the robot's causes less."""
+_GROUP = 8  # lines in a group of `_slope_at_lines`
 _JUMPING = 15.0
 """Friction of the robot that may be left in an arm's torque if jumps with the commands are unknown,
 relative to the control period, N·m/s: a quarter of 2 N·m (assumption) at 30 rad/s."""
@@ -114,12 +114,12 @@ _LEFT = 0.01
 """Share of the torque that a linear arm may leave, and least share of an abrupt change."""
 _BETWEEN = 0.05
 """Largest share of a linear residual that the linear filters leave between their frequencies."""
-_LEAST = 10.0
+_LEAST = 10.0  # duration of the shortest trial that is tested, s
 _INFORMATIVE = 0.1
-"""Share of a term, taken of the perturbed motion alone, that must be left once linear responses are
-projected out. Less is chance and effects of the ends, as under a periodic perturbation that has all
-lines: between them is nothing, and at them any motion is linear. A nonlinear arm leaves a lack of
-fit then; gains are as uncertain as those of any transducer."""
+"""Least share of a term of the perturbed motion alone that must remain once linear responses are
+projected out. Less is due to chance and the ends, as under a periodic perturbation with all lines:
+the motion has no power between them, and at them any motion looks linear. A nonlinear arm then
+leaves a lack of fit; gains are as uncertain as those of any transducer."""
 
 
 class Kind(Enum):
@@ -134,7 +134,7 @@ class Kind(Enum):
     GAIN = "gain"
     """The transducer, whose gain changes; relative to the gain."""
     DRAG = "drag"
-    """A transmission between transducer and arm, which takes torque off; share as of a force."""
+    """A transmission between transducer and arm, which loses torque; relative as for `FORCE`."""
     LOST = "lost"
     """The transducer, which shows too little torque, never too much; relative to the rms torque."""
 
@@ -153,25 +153,25 @@ class Term:
     at_once: int | None = None
     """Index of the signal whose coefficient may change abruptly, too."""
     lacks: Callable[[FloatArray, float], FloatArray] = lambda torque, _: 0.0 * torque
-    """Error, N·m, of a torque as a `Kind.LOST` transducer shows it, for a half width in N·m."""
+    """Error, N·m, of the torque that a `Kind.LOST` transducer shows, for a half width in N·m."""
     size: float = 1.0
     """That half width per coefficient found from readings, which contain the error themselves."""
     slope: float = 1.0
     """Change of the regressor's slope from rest to one rms, or between both directions; for the
     excess of the angle over its rms, the mean over a normal distribution of angles."""
     rest: float = 1.0
-    """Change of M, B and K from rest, relative to that which looks like the regressor. The excess
-    of a Gaussian angle takes 1/1.75 of the stiffness that ``θ |θ|`` takes, if fitted to that."""
+    """Ratio of the change of M, B and K from rest to the one that the regressor looks like. Fitted
+    to ``θ |θ|``, the excess of a Gaussian angle has 1/1.75 of the stiffness of that spring."""
     large: float = np.inf
     """Share beyond which stiffness, or M, B and K, hold for this motion or time alone; change of
     the gain beyond which a transducer is unusable. Smaller shares are part of the standard errors,
     and so is what friction of the robot leaves in torques whose jumps with the commands are not
     known well."""
     most: float = np.inf
-    """Share beyond which it is not the arm's: voluntary changes in time look like it."""
+    """Share beyond which it is not attributed to the arm: voluntary torque may look like it."""
     likely: float = 0.0
     sizes: tuple[float, ...] = (0.0,)
-    """Assumptions: prior probability of the term, and its possible shares, each as likely."""
+    """Assumptions: prior probability of the term, and its possible shares, all equally likely."""
     lines_alone: bool = False
     """Whether this prior counts only where the lines of a multisine determine the term, as no
     other term reveals it then."""
@@ -185,13 +185,13 @@ class Term:
     couples: bool = False
     """Whether it may be in the torque of a locked joint, too."""
     couples_alone: bool = False
-    """Whether it may be in what couples joints where the joints themselves have none."""
+    """Whether it may be in the coupling of two joints that do not have it themselves."""
     explained_by: str = ""
-    """Term that explains this one, but for its odds, where it is found more clearly at the
-    perturbed joint."""
+    """Term that explains this one where that term is found more clearly at the perturbed joint; it
+    then lowers the odds of this one."""
     shared: bool = False
-    """Whether joints of one arm all have it or not, so that evidence of some that have not lowers
-    its odds at the others."""
+    """Whether either all joints of an arm have it or none, so that evidence against it at some
+    joints lowers its odds at the others."""
 
 
 TERMS: Mapping[str, Term] = {
@@ -357,7 +357,7 @@ class Deviation:
     name: str
     share: float
     error: float
-    """Size of the term relative to what its `Kind` names, and its standard error. That of a
+    """Size of the term relative to what its `Kind` names, and its standard error. The size of a
     stiffness or gain is the change from rest to the rms, between directions, or over the trial."""
     freedom: float
     """Degrees of freedom of that error."""
@@ -434,7 +434,7 @@ class Deviation:
 
     @property
     def errors(self) -> float:
-        """Equally unlikely number of standard errors of a normal distribution."""
+        """Number of standard errors of a normal distribution that is as unlikely as this one."""
         return self._errors(self.looks)
 
     def _errors(self, looks: int) -> float:
@@ -488,8 +488,8 @@ class _Band:
 
         Under a periodic perturbation each line is a band. What lies between the lines, distortion
         and voluntary motion, belongs to none: a filter of voluntary motion would follow voluntary
-        torque. Nor can anything remain at the lines of the residual of a slightly wrong fit, which
-        the scatter between parts of the trial would not show.
+        torque. Nothing of the residual can remain at the lines, either: a slightly wrong fit leaves
+        errors there that do not show in the scatter between parts of the trial.
         """
         values = self.of(signal)
         parts = np.unique(self._parts[self._parts >= 0])
@@ -520,7 +520,7 @@ class _Band:
         return np.asarray(np.sqrt(of_white / np.maximum(of_noise, tiny)))
 
     def means(self, values: FloatArray) -> FloatArray:
-        """Mean of values at each frequency within each band of 1 Hz."""
+        """Mean within each band of 1 Hz of values that are given at each frequency."""
         return np.bincount(self._which, weights=values) / np.bincount(self._which)
 
     def inner(self, signal: FloatArray) -> FloatArray:
@@ -540,7 +540,7 @@ class _Band:
 def play(angle: FloatArray, half: float) -> FloatArray:
     """Play operator: stretch, (N,), in units of `half`, of a spring that yields beyond `half`."""
     # Each angle clips the rest position of the spring. Two clips in succession are one clip, so
-    # those of all angles up to each follow from joining runs of 1, 2, 4 ... angles.
+    # the clips by all angles up to a sample follow from joining runs of 1, 2, 4 ... angles.
     least, most = angle - half, angle + half
     run = 1
     while run < angle.size:
@@ -600,20 +600,20 @@ def deviations(
     reading : TorqueReading, optional
         How torques were read.
     late : float
-        Fitted delay of the torques beyond that, s.
+        Fitted delay of the torques beyond that of `reading`, s.
 
     Returns
     -------
     list of dict of str to Deviation
-        For the torque of each joint, by name in `TERMS`; for locked joints those that couple
-        joints. Empty for trials of less than 10 s, or if a signal, or M, B or K, is zero.
+        Deviations in the torque of each joint, by name in `TERMS`; at locked joints only terms that
+        couple joints. Empty for trials of less than 10 s, or if a signal, or M, B or K, is zero.
     """
     if record.duration < _LEAST:
         return [{} for _ in record.joint_names]
     record = record.whole_periods
     motion, residuals = _residuals(record, arm, jump, reading or TorqueReading(), late)
     moved = _Motion(record, motion)
-    # An element between joints may be small: its size is the geometric mean with those beside it.
+    # An element between joints may be small, so its size is its geometric mean with √(M_ii M_kk).
     elements = np.abs(np.stack((arm.M, arm.B, arm.K), axis=-1))
     own = np.sqrt(np.diagonal(elements).T)
     column = np.sqrt(elements[:, record.perturbed_joint] * own * own[record.perturbed_joint])
@@ -658,7 +658,7 @@ class _Motion:
             self._smooth = _Linear(record, _Band(record, by_lines=False))
 
     def _bend(self, term: Term) -> ComplexArray:
-        """Spectra, (3, n_freq), of a term's cause, of the term, and of it without the person.
+        """Spectra, (3, n_freq), of a term's instrument, of the term, and of it without the person.
 
         The part that changes sign with the perturbation is as independent of the person as the term
         of the perturbed motion alone, and larger where the person moves the joint.
@@ -916,7 +916,7 @@ def _step(
     """Find the abrupt change of a coefficient that is largest relative to its standard error.
 
     The error follows from the scatter within both sides, as if that were the same everywhere
-    (two-sample t test). It is not where voluntary torque comes and goes. How large the largest
+    (two-sample t test), which fails where voluntary torque comes and goes. How large the largest
     ratio may be by chance is therefore found by flipping the signs of the residuals, a few parts at
     a time (wild bootstrap: Wu, *Annals of Statistics* 14, 1986), and the error enlarged to match.
 

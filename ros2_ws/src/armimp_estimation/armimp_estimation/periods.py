@@ -21,7 +21,7 @@ from armimp_common.arrays import BoolArray, FloatArray
 
 _SAME = 1e-9
 """Power of the difference between two periods, relative to that of the signal, below which rounding
-explains it; so it does for perturbations that are recorded with six digits."""
+explains it; this also holds for perturbations that are recorded with six digits."""
 _FADES_IN = 0.25
 """Largest share of a record in which a perturbation may fade in."""
 _LINE = 1e-3
@@ -106,7 +106,7 @@ def _period(signal: FloatArray) -> int:
     squares = np.concatenate(([0.0], np.cumsum(signal**2)))
     lags = np.arange(size // 2 + 1)
     common = (squares[-1] - squares[lags]) + squares[size - lags]
-    # A smooth signal hardly changes within a sample or two.
+    # A smooth signal hardly changes within a few samples, so such lags are no periods.
     differs = np.flatnonzero(common - 2.0 * correlation > 0.01 * total)
     same = np.flatnonzero(common - 2.0 * correlation < _SAME * total)
     same = same[same > differs[0]] if differs.size else same[:0]
@@ -147,7 +147,7 @@ def common_lines(
 
 
 def among(f: FloatArray, others: FloatArray) -> BoolArray:
-    """Mask of frequencies that are among others, up to rounding, as of lines of other periods."""
+    """Mask of the frequencies `f` that are among `others`, up to rounding errors; both in Hz."""
     return np.asarray(np.isin(np.round(f, 9), np.round(others, 9)))
 
 

@@ -1,4 +1,4 @@
-"""Whether matrices and angles can be those of anybody's arm.
+"""Checks whether matrices and angles can be those of a human arm.
 
 A passive arm has a kinetic energy ``½ q̇ᵀ M q̇ > 0`` for any motion, so the symmetric part of M has
 positive eigenvalues. Torques or angles in the wrong order make the elements off the diagonal
@@ -114,7 +114,7 @@ def judge_matrices(
 
 
 def _quick_inertia(estimate: ImpedanceEstimate) -> tuple[FloatArray, FloatArray]:
-    """Largest inertia that joints may have at the upper end of the band, and its noise, each (n,).
+    """Apparent inertia of each joint at the upper end of the band, and its standard error, (n,).
 
     It is ``|Z|/ω²``, or the upper limit of `RANGES` if stiffness makes that larger. A torque behind
     a low-pass shows no inertia there, whatever else may be wrong with it.

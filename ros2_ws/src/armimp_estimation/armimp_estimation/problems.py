@@ -68,7 +68,7 @@ class ProblemCode(str, Enum):
     SAMPLES_LATE = "samples_late"
     COMMANDS_LATE = "commands_late"
     LATENCY = "latency"
-    # of what there is to estimate from
+    # of the data for an estimate
     NOT_ESTIMATED = "not_estimated"
     RECORD_TOO_SHORT = "record_too_short"
     TRIALS_INCOMPLETE = "trials_incomplete"

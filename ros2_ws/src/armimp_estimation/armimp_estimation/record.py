@@ -14,9 +14,9 @@ from armimp_estimation.spectra import BAND
 EXACT = 1e-9
 """Differences of a signal, relative to its peak-to-peak range, that are floating-point rounding."""
 _BY_CHANCE = 10.0
-"""Least gap, in units of ``r/n²``, that is not random: chance exceeds it once in e¹⁰ times."""
+"""Least gap that is not random, in ``r/n²`` of `resolution_of`: chance exceeds it in 1 of e¹⁰."""
 _ONCE = 0.4
-"""How often a genuine value is read at least, as a share of the median count of all values."""
+"""Least count of a genuine value, as a share of the median count of all values."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -118,7 +118,7 @@ class TrialRecord:
 
     @cached_property
     def resolution(self) -> dict[str, FloatArray]:
-        """Resolutions of angles, rad, and torques, N·m, by the same topics; shapes (n,)."""
+        """Resolutions of angles, rad, and torques, N·m, by topic as `readings`; shapes (n,)."""
         return {
             topic: np.array([resolution_of(one) for one in signals])
             for topic, signals in self.readings.items()
@@ -133,7 +133,7 @@ class TrialRecord:
 
 
 def resolution_of(signal: FloatArray) -> float:
-    """Least difference between two genuine values of a signal; 0 if it rests.
+    """Least difference between two genuine values of a signal; 0 if it is constant.
 
     Linear interpolation onto other instants adds values between readings, but none where readings
     stay the same. So only values that last for at least two samples count, provided that their gaps

@@ -46,7 +46,7 @@ from armimp_estimation.trial import TrialData
 
 _RATE = NS_PER_S / PERIOD_NS
 _ROUND = 1000
-"""Samples to a multiple of which a running record is cut for an estimate."""
+"""A running record is cut to a multiple of this number of samples for an estimate."""
 _SEEN_EVERY = 1.0
 """Least wall time between estimates from a running trial, and from its start to the first (s)."""
 _SHARE = 30.0
@@ -61,7 +61,7 @@ _DRIFT, _MOST_DRIFT_NS = 2e-4, 250_000_000
 _STEP_BACK_NS = 1_000_000_000
 """Stamps that step back by more than this (ns) belong to another run."""
 _STRAY = 50
-"""Messages whose median stamp tells the present time, even if some of them are strays."""
+"""Number of messages whose median stamp is the present time, even if some are strays."""
 _DECIDED_EVERY = 2.0
 """Least time between decisions on an early end (s)."""
 _GROWTH = 10
@@ -378,7 +378,7 @@ class TrialRecorder:
                 self._writer.write(TRIAL, encode_trial_status(status), time_ns)
 
     def _is_past(self, beyond_ns: int, *topics: str) -> bool:
-        """Whether streams, by default the perturbation, are this far beyond the trial's end."""
+        """Whether streams, by default the perturbation, are `beyond_ns` beyond the trial's end."""
         if self._start_ns is None:
             return False
         end_ns = self._end_ns + beyond_ns
@@ -435,7 +435,7 @@ class TrialRecorder:
 def record_so_far(
     streams: Streams, statuses: Sequence[TrialStatus], samples: int
 ) -> TrialRecord | None:
-    """Return the first samples of a running trial; None if one is missing or can't be used."""
+    """Return the first `samples` samples of a running trial; None if any can't be used."""
     with suppress(DataError):
         for trial in assemble_trials(streams, statuses):
             begun = [one for one in trial.segments if one.start_ns == trial.window.start_ns]
@@ -457,7 +457,7 @@ class StoppingRule:
     trial : int
         Number of the trial, 1-based.
     planned : int
-        Planned number of samples, which is the largest.
+        Planned number of samples, which the trial never exceeds.
     rate : float
         Samples per second, Hz.
     """
@@ -487,7 +487,7 @@ class StoppingRule:
         Returns
         -------
         StoppingDecision or None
-            None if no decision is due. The first one only announces when the next is due.
+            None if no decision is due. The first decision only announces when the next is due.
         """
         if self._due is None or samples < self._due:
             return None

@@ -58,7 +58,7 @@ GAIN_TOLERANCE = 0.02
 ASYMMETRY = 0.25
 """Share of ``√(M_ii M_jj)`` by which M_ij and M_ji of the robot may differ, beside chance.
 
-Friction that holds a locked joint takes up to a fifth of its element.
+Friction that holds a locked joint may take up to a fifth of the element.
 """
 _FLOOR = 0.2
 """Relative error that the weights of the fit allow for beside the variance."""
@@ -79,7 +79,7 @@ _HELD = 0.8
 """Standard errors of the torque that friction takes from a locked joint, relative to that torque.
 
 Friction isn't as linear as the terms fitted to it, and may be less so if speeds aren't Gaussian.
-The second one is where friction that holds the joint would explain the residual.
+The second one applies where friction that holds the joint would explain the residual.
 """
 _HIDDEN = 0.2
 """Share of friction in an element from which on all of that share may be inertia."""
@@ -113,14 +113,14 @@ which most is rounding; rounding itself has half of that square."""
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RobotBalance:
-    """Robot that the commands less the transducer torques move."""
+    """Estimate of the robot that the commands less the transducer torques move."""
 
     values: FloatArray
     """Inertia, viscosity and stiffness of the robot, SI units; shape (3, n, n)."""
     covariance: FloatArray
     """Covariance of the three values of each element, with lack of fit; shape (3, 3, n, n)."""
     damped: FloatArray
-    """Inertia as if friction of locked joints were that of dampers, and its standard error, with
+    """Inertia as if friction of locked joints were viscous, and its standard error, which includes
     the difference from M; shape (2, n, n)."""
     friction: FloatArray
     """Share of what moves the robot that the friction of locked joints takes; shape (n, n)."""
@@ -184,9 +184,9 @@ class RobotBalance:
     def scales(self) -> tuple[FloatArray, FloatArray]:
         """Relative difference of M_ij and M_ji, and its standard error, (n, n).
 
-        As the inertia is symmetric, it is that of the scales of encoders j and i. It is 0 with an
-        infinite error where friction of locked joints takes a tenth of an element or more. Less
-        than that may be taken as that of dampers: as a spring it would be too much like inertia.
+        As the inertia is symmetric, it is that between the scales of encoders j and i. It is 0
+        with an infinite error where friction of locked joints takes a tenth of an element or more.
+        Less friction is taken as viscous: as a spring it would look too much like an inertia.
         """
         M, error = self.damped
         taken = np.maximum(self.friction, self.unseen)
@@ -200,7 +200,7 @@ class RobotBalance:
         )
 
     def scales_in_doubt(self, arm: MBKFit) -> list[FloatArray]:
-        """Changes of M, B and K, (3, n, n), by each of two scales that seem to differ."""
+        """Changes of M, B and K, (3, n, n), one for each scale of two that seem to differ."""
         ratio, error = self.scales
         matrices, changes = np.stack((arm.mbk.M, arm.mbk.B, arm.mbk.K)), []
         for i, j in np.argwhere(np.abs(ratio) > _NOTICED * error):
@@ -233,7 +233,7 @@ class RobotResponses:
     def of(cls, records: Sequence[TrialRecord]) -> RobotResponses | None:
         """Estimate the responses of trials; None without commands, or if R⁻¹ can't be found.
 
-        None, too, if no command responds to one of the perturbations: they are of other trials.
+        Also None if no command responds to one of the perturbations: they are of other trials.
         """
         channels = [
             np.concatenate([record.position, record.torque, record.command])
@@ -356,7 +356,7 @@ class RobotResponses:
         Parameters
         ----------
         impedance, variance, driven : ndarray, shape (n, n, n_freq)
-            Impedance that the commands move, its variance, and the part that commands have in it.
+            Impedance that the commands move, its variance, and the contribution of the commands.
 
         Returns
         -------
@@ -457,9 +457,9 @@ def imbalance(robot: RobotBalance, arm: MBKFit) -> tuple[FloatArray, FloatArray,
     from its K. What K has in common with the mirrored element may come from gravity and is a
     standard error, unless the remaining information agrees with ρ rather than with 0. Own shares
     must show in K on the diagonal, too, but for what gravity and friction may add there; otherwise
-    friction of the locked joint explains ρ, which is added to its own standard error. Returned are
-    the shares, their standard errors and, where a share from all of K is significant, but the
-    remaining information, which agrees with it, is not, that share; else 0.
+    friction of the locked joint explains ρ, which is added to its own standard error. Returns the
+    shares, their standard errors, and possible shares: those that are significant from all of K,
+    but not from the remaining information, which agrees with them; else 0.
     """
     K = robot.K
     potential = np.where(K * K.T > 0.0, np.minimum(np.abs(K), np.abs(K.T)), 0.0)
@@ -525,8 +525,8 @@ def _gains_above_one(
     gravity pulls the robot away. It is gravity if the off-diagonal elements determine the gain, and
     put it nearer to 1 than to the one that the stiffness suggests; where they don't, up to
     `_PULLED` may be gravity, and is in doubt. Friction may hide a part of each share. Shares and
-    their standard errors are 0 where none is beyond chance. Given are the diagonals of the shares
-    and errors of :func:`imbalance`.
+    their standard errors are 0 where none is beyond chance. `shares` and `errors` are the
+    diagonals of those of :func:`imbalance`.
     """
     own, own_error = (
         np.diagonal(one[1:], axis1=1, axis2=2) for one in (robot.values, robot.errors)
@@ -589,7 +589,7 @@ def _gains_in_doubt(
 
 
 def _may_be_spring(shares: FloatArray) -> BoolArray:
-    """Where shares may be springs or gravity of the robot, as no element off the diagonal tells."""
+    """Where a single joint's share may be a spring or gravity, as no other elements decide that."""
     return np.asarray((np.abs(shares) < 1.0) & (len(shares) == 1))
 
 

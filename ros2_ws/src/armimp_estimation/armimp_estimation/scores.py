@@ -57,7 +57,7 @@ def coherence(spectra: CrossSpectra, x: int, y: int) -> FloatArray:
 def derived_coherence(
     trial: TrialData, joint: int, f: FloatArray, impedance: ComplexArray
 ) -> FloatArray:
-    """Coherence of the angle of joint k with the torque of joint i, as if there were no loop.
+    """Coherence of the angle of joint k with the torque of joint i, as if without feedback.
 
     ``|Ẑ|² G_θθ / (|Ẑ|² G_θθ + G_nn)`` with ``G_nn = (1 - γ²(θ_k, τ_i)) G_ττ``. It is the share of
     the torque that the impedance explains, and stays near 1 even if other joints were not still.
@@ -199,7 +199,7 @@ def bias_bound(frf: FrfMatrix) -> FloatArray:
 
 
 def realisation(estimate: ImpedanceEstimate, target: MBK | None) -> FloatArray:
-    """Deviation of the robot from the target impedance of each joint while that is perturbed.
+    """Deviation of the robot from the target impedance of each joint while that joint is perturbed.
 
     The law aims at ``Z_rd θ_k = τΔ - τ_k``, so the robot realises ``Ẑ_r = (1 - T_kk)/R_kk``, which
     is ``1/R_kk - Ẑ_kk`` where locked joints are still. Its deviation, relative to the target, is
@@ -215,8 +215,8 @@ def realisation(estimate: ImpedanceEstimate, target: MBK | None) -> FloatArray:
     Returns
     -------
     ndarray, shape (n, 3)
-        Deviation by k, and the ends of its 95 % interval. The ends are NaN without a covariance,
-        and all values are without a target for these joints.
+        Deviation by k, and the ends of its 95 % interval. The ends are NaN without a covariance;
+        all values are NaN without a target for these joints.
     """
     if target is None or target.joints != estimate.joints:
         return np.full((estimate.joints, 3), np.nan)

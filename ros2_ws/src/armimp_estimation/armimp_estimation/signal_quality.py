@@ -102,7 +102,7 @@ def judge_signals(record: TrialRecord) -> list[Problem]:
     record : TrialRecord
         One trial, without gaps.
     """
-    # Interpolation that the perturbation underwent as well did the same to cause and effect.
+    # If the perturbation was interpolated as well, cause and effect have changed alike.
     resampled = repeating(record.perturbation[record.perturbed_joint]) > 0.0
     return [
         problem(code, trial=record.trial, stream=stream, name=name, **values)
@@ -483,7 +483,7 @@ def aliased(record: TrialRecord) -> float:
     its integral. So they seem to follow only a part of it, the same part at all frequencies, while
     encoders add noise at high frequencies, and a person at low ones. So if the perturbation has
     power near the Nyquist frequency, its coherence with the motion, less the power of rounding, has
-    to be below 0.85 at 3 to 8 Hz and at 15 to 40 Hz, and alike in both bands within a fifth.
+    to be below 0.85 at 3 to 8 Hz and at 15 to 40 Hz, and at most a fifth lower in the upper band.
     """
     k = record.perturbed_joint
     pushes = spectrum_by_bins(record.perturbation[k, 1:-1])
@@ -586,11 +586,11 @@ def dropouts(
 def zeros_beyond_chance(signal: FloatArray, step: float) -> int:
     """Number of samples in which a signal is 0 as it passes through 0; 0 if chance explains them.
 
-    A dead zone shows small torques as 0, and so does a bus with lost ones. A sound signal, most of
-    which is farther from 0, has the value 0 about as often as any of the 8 values, to its
-    resolution, on either side; more than 4 times as often is beyond chance. A rest counts for 20
-    samples at most, as a signal may rest at any value. Within 20 samples before and after it the
-    signal has to be farther from 0 than those 8: without perturbation a relaxed arm has no torque.
+    A dead zone shows small torques as 0, and a bus may show lost readings as 0. A sound signal,
+    most of which is farther from 0, has the value 0 about as often as any of the 8 values, to its
+    resolution, on either side; more than 4 times as often is beyond chance. A run of zeros counts
+    for 20 samples at most, as a signal may rest at any value. Within 20 samples before and after it
+    the signal has to leave the range of those values: a relaxed, unperturbed arm has no torque.
 
     Parameters
     ----------

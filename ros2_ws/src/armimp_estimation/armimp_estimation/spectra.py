@@ -15,8 +15,8 @@ from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.periods import among
 
 BAND: Final = (0.122, 15.0)
-"""Band of all estimates, Hz, both ends included. It excludes the zero-frequency bin, which only
-holds the rest of the mean. Its lower end is the first bin above zero of the default segment at
+"""Band of all estimates, Hz, both ends included. It excludes the zero-frequency bin, which holds
+only what is left of the mean. Its lower end is the first bin above zero of the default segment at
 1 kHz."""
 SEGMENT: Final = 8192
 """Samples in one segment by default (Hann window, periodic)."""

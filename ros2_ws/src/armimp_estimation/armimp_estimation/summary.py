@@ -303,7 +303,7 @@ _ARRAYS: Final = {
     "inverse": "inverse",
     "systematics": "systematics",
 }
-"""Attribute of a curve by the prefix of its name in ``frf.npz``; the estimator's name follows."""
+"""Attribute of a curve by the prefix of its array in ``frf.npz``; the estimator's name follows."""
 
 
 def write_frf(path: Path, curves: Mapping[str, ImpedanceCurve]) -> None:
@@ -339,7 +339,7 @@ def write_frf(path: Path, curves: Mapping[str, ImpedanceCurve]) -> None:
 
 
 def read_frf(path: Path) -> dict[str, ImpedanceCurve]:
-    """Read ``frf.npz``: curves by the name of their estimator.
+    """Read ``frf.npz`` and return its curves by the name of their estimator.
 
     Raises
     ------

@@ -1,12 +1,12 @@
 """How torque readings come about (instant, delay, anti-alias filter), and how that is undone.
 
 The torque on the arm, ``τ(ω)``, passes a low-pass H and is read at the control ticks with a delay
-D: ``G(ω) = H(ω) exp(-jωD)``. Division by G would undo that alone. But commands step at the ticks,
-so τ jumps there, and the spectrum of jumps does not end at half the sampling rate: sampling folds
-it back into the band, by an amount that is known in closed form. Let ``s(t)`` be the response of a
-reading to a step of 1 N·m at t = 0, ``r(t)`` its integral over t/L, and x = ωL. With jumps ``J``
-of the torque and jumps ``S/L`` of its slope at the ticks, whose spectra repeat at the sampling
-rate, the spectrum of the readings is
+D: ``G(ω) = H(ω) exp(-jωD)``. If τ were smooth, division by G would suffice. But commands step at
+the ticks, so τ jumps there, and the spectrum of jumps does not end at half the sampling rate:
+sampling folds it back into the band, by an amount that is known in closed form. Let L be the
+control period, x = ωL, ``s(t)`` the response of a reading to a step of 1 N·m at t = 0, and ``r(t)``
+its integral over t/L. With jumps ``J`` of the torque and ``S/L`` of its slope at the ticks, whose
+spectra repeat at the sampling rate, the spectrum of the readings is
 
     y(ω) = G τ(ω) - e(ω) J(ω) - b(ω) S(ω)
     e = G/jx - Σ_n s(nL) exp(-jxn),   b = G/(jx)² - Σ_n r(nL) exp(-jxn),   n > 0
@@ -29,7 +29,7 @@ from armimp_estimation.json_model import JsonModel
 
 _APART = 1e-5
 """Least relative distance of two poles, as the partial fractions allow no double ones."""
-HIGHEST_ORDER = 4
+HIGHEST_ORDER = 4  # of the low-pass
 LATEST = 1.0
 """Largest delay of readings that is accepted, s."""
 _AT_ONCE = 1e-6
@@ -139,7 +139,7 @@ class TorqueReading(JsonModel):
         return np.asarray(low_pass * late, dtype=np.complex128)
 
     def folded(self, f: FloatArray, rate: float) -> tuple[ComplexArray, ComplexArray]:
-        """What readings lack per jump of the torque, and of its slope: (e, b) of the module.
+        """What readings lack per jump of the torque, and of its slope: e and b as defined above.
 
         Parameters
         ----------

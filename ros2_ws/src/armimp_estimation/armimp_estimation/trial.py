@@ -33,8 +33,8 @@ from armimp_estimation.torque_timing import TorqueReading
 HIGHEST = 2.0
 """Frequency up to which the bins may reach, Hz: beyond it lies the arm's resonance.
 
-In a short record, the part of that which the polynomials miss would be mistaken for drift. Within
-such a record, drift does little anyway.
+In a short record, the part of the resonance that the polynomials miss would be mistaken for drift.
+Drift has little effect on such a record anyway.
 """
 _ABSURD = 1e50
 """Values from this size on are refused, as they are neither angles nor torques."""
@@ -147,9 +147,9 @@ class TrialData:
     record: TrialRecord
     """Samples without a gap: the longest stretch if the trial has gaps."""
     spectra: CrossSpectra
-    """Of ``[tau_delta_k, theta_1..theta_n, tau_1..tau_n]`` over all stretches, N·m and rad."""
+    """Those of ``[tau_delta_k, theta_1..theta_n, tau_1..tau_n]``, all stretches; N·m and rad."""
     problems: tuple[Problem, ...] = ()
-    """Readings of all stretches that were mended."""
+    """Problems of readings that were lost and interpolated, in all stretches."""
     at_lines: bool = False
     """Whether the spectra are only at the lines of a periodic perturbation."""
 

@@ -1,6 +1,6 @@
 """Verdict on an identification, from what a rig can measure (never from the truth).
 
-Noise is no problem, as the intervals include it; whatever would make a number wrong is one. A
+Noise is not a problem, as the intervals include it; anything that makes a number wrong is one. A
 result is valid if it has no errors: :meth:`Verdict.of`. The problems are found by the functions
 below, and by `plausibility`, `signal_quality`, `nonlinearity`, `robot_balance` and, in a recording,
 `alignment`. `names` are those of the n joints; comparisons are written so that NaN is a problem.
@@ -47,7 +47,7 @@ _CLEARLY = 2.0
 """Ratio of the motion of another joint to that of the perturbed one that is clearly too large."""
 _AS_MUCH, _FOLLOWS = 0.1, 0.5
 """Motion or torque of a joint relative to that in its own trial, and coherence with the
-perturbation of its own trial, from which on a channel belongs to the latter."""
+perturbation of its own trial, from which on a channel belongs to that trial."""
 
 
 def faults(problems: Iterable[Problem], *estimators: str) -> list[Problem]:

@@ -67,7 +67,7 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
         self.destroy_subscription(self._states)
         self._states = self._listen()
         self.active = True
-        # A forward controller holds the last command that it got, from whomever.
+        # A forward controller holds the last command that it got, whoever sent it.
         self.torque_was_taken()
         return super().on_activate(state)
 
@@ -106,7 +106,7 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
         self._efforts.publish(self._readings.commands(torque))
 
     def obey_again(self) -> None:
-        """Clear a fault; stamps may have jumped meanwhile."""
+        """Clear a fault, and check stamps afresh, as they may have jumped meanwhile."""
         super().obey_again()
         if self.active:
             self._stamps = Stamps()
@@ -120,7 +120,7 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
                 self.latch(f"{STATES}: nothing for {1e3 * _SILENCE_PERIOD:g} ms")
             self._heard_before = self._heard
         if self.active and self.limiter.fault:
-            # The forward controller listens by best effort: once might be too seldom.
+            # The forward controller subscribes as best effort, so a single message may be lost.
             self.drive(self.limiter.applied)
         if self._checks % _REPORT_CHECKS == 0:
             self.report()
@@ -140,7 +140,7 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
         return super().on_cleanup(state)
 
     def rest(self) -> None:
-        """Stop commanding torque."""
+        """Command zero torque, and obey no further commands."""
         if not self.active:
             return
         self.active = False

@@ -11,11 +11,11 @@ from armimp_common.topics import PERIOD_NS, clock_step
 from armimp_ros2_control.parameters import BridgeParameters
 
 _CROWD, _THIN = 5.0, 50.0
-"""Limits of two counts, of surplus and of missing samples; each normal one takes 0.1 off them."""
+"""Limits of two counts, of surplus and of missing samples; each normal one lowers them by 0.1."""
 _LONGEST = 10
-"""Most periods from one sample to the next; a clock that was set can make it any number."""
+"""Most periods from one sample to the next; if the clock is set, stamps can jump by any number."""
 _SLACK, _TOLERANCE = 5, 1e-3
-"""Deviation of stamps from one period per sample: some periods, plus a share of all of them."""
+"""Allowed deviation of stamps from one period per sample: in periods, plus a share of all."""
 
 
 class Readings:
@@ -58,10 +58,10 @@ class Readings:
 
 
 class Stamps:
-    """Checks that stamps are what the contract asks for, and leaves out samples that are too many.
+    """Checks that samples are stamped once in every period, and leaves out surplus ones.
 
     Samples keep their stamps, jitter included. Only a sample stamped at most half a period after
-    the last one is left out: rounded to whole periods, as all nodes do it, it would be the same
+    the last one is left out: rounded to whole periods, as all nodes do, it would be the same
     sample again. If that leaves a gap, it shows as a lost sample.
 
     Attributes

@@ -97,7 +97,7 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
         return self.limiter.stamp_ns
 
     def values(self) -> dict[str, Any]:
-        """The number of the sample."""
+        """Number of the sample, for reports on ``/diagnostics``."""
         self._told_tick = self.limiter.tick
         return {"tick": self._told_tick}
 
@@ -158,7 +158,7 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
         self._step((0.0,) * self.limiter.position.size)
 
     def _on_recorder(self, recorder: HeartbeatMonitor) -> None:
-        """Wait for a silent recorder, which may only be stopped; a lost one ends the trial."""
+        """Wait for a silent recorder, which may only be suspended; a lost one ends the trial."""
         self._flow.silent = recorder.presence.silent
         if recorder.presence.gone and self._flow.recorded:
             self.latch(f"{recorder.sentence}, and a trial without recorder is of no use")

@@ -135,7 +135,7 @@ class SimulatorParameters(Schema):
 
         Parameters
         ----------
-        period : between samples, s
+        period : time between samples, s
 
         Raises
         ------

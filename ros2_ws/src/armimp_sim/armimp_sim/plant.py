@@ -52,7 +52,7 @@ class Plant:
     Parameters
     ----------
     configs : one rig per lane
-    period : between samples, s; commands are held over it
+    period : time between samples, over which commands are held, s
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""The arms, robots and levels of the study: Tables I and II of the paper, and assumptions."""
+"""Arms, robots, friction and sensors of the study: Tables I, II of the paper, and assumptions."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ Rig = Literal["paper", "realistic"]
 
 TRANSDUCER_NOISE = 0.005
 """Rms noise of the realistic rig's transducers (N·m). Assumption: 0.01 % of a range of 50 N·m."""
-# Assumptions on the even chain, see _rods.
+# Assumptions on the chain of equal links, see _rods.
 _REACH = 0.65  # m
 _FIRST, _BEND = 62.708, 77.260  # degrees
 _INERTIA, _DAMPING, _STIFFNESS = 0.187, 0.651, 7.967  # of the shoulder
@@ -90,22 +90,22 @@ _LINK_SHARE = 0.125  # of M_r,ii
 def human_arm(joints: int) -> HumanArm:
     """Return the arm: Table I of the paper for two joints, its elbow alone for one.
 
-    Assumptions: for three joints a wrist is added; four to seven are an even chain, see
+    Assumptions: for three joints a wrist is added; four to seven are a chain of equal links, see
     :func:`_rods`.
     """
     return _ARMS[joints] if joints in _ARMS else _even_arm(joints)
 
 
 def robot(joints: int) -> PlanarChain:
-    """Return the exoskeleton. Assumption, constrained by an endpoint mass of about 1 kg.
+    """Return the exoskeleton: an assumption, constrained by an endpoint mass of about 1 kg.
 
-    A single joint is the second of two; four to seven are an even chain, see :func:`_rods`.
+    A single joint is the second of two; four to seven joints have equal links, see :func:`_rods`.
     """
     return _ROBOTS[joints] if joints in _ROBOTS else _even_robot(joints)
 
 
 def friction(level: int, joints: int) -> LuGre:
-    """Return the LuGre friction of every joint at a level from 0 (none) to 3. Assumption.
+    """Return the LuGre friction of every joint at a level from 0 (none) to 3, an assumption.
 
     Shoulder and elbow have the same. The friction of any other joint is proportional to its size,
     as drives are: see :data:`armimp_common.sizes.JOINT_SIZES`.

@@ -67,7 +67,7 @@ class RealRig(NamedTuple):
     mix: FloatArray
     """(L, 2, n, n) gain with cross-talk of the readings of angles and torques."""
     added: FloatArray
-    """(L, 2, n, 2) offset, rad or N·m, and drift, that per second."""
+    """(L, 2, n, 2) offset, rad or N·m, and drift, rad/s or N·m/s."""
     chain: FloatArray
     """(L, 2, 5) amplitude and angular frequency of hum, half the hysteresis, limit, resolution."""
     played: FloatArray
@@ -75,7 +75,7 @@ class RealRig(NamedTuple):
 
 
 def real_rig(configs: Sequence[SimulatorParameters], step: float) -> RealRig | None:
-    """Return all lanes, without any torque, for integration steps of this length, s.
+    """Return all lanes, without any torque, for integration steps of `step` seconds.
 
     None if all of them are ideal rigs.
     """
@@ -257,7 +257,7 @@ def _signal(w: FloatArray, lane: int, kind: int, i: int, joints: Tag, rows: Floa
 
 @compiled
 def _pass(row: FloatArray, past: FloatArray, kind: int, at: int, signal: float, mean: bool) -> None:
-    """Advance a channel by a step that ends with `signal`; store the output, or its mean over it.
+    """Advance a channel by a step ending with `signal`; store its output, or the mean in the step.
 
     `past` is that of the joint, (3, steps).
     """
@@ -300,7 +300,7 @@ def settle(w: FloatArray, joints: Tag, width: Tag, rig: RealRig) -> None:
     angle, row = w[quantity(dynamics.THETA)], np.moveaxis(rig.rows, 2, 0)
     w[quantity(dynamics.COMMAND)] = row[_COGGING] * np.sin(row[_COGGING_CYCLES] * angle)
     dynamics.sample_now(w, joints, width)
-    # Reflexes are at rest as they are.
+    # The channels of reflexes start at zero, which is their state of rest.
     for kind, signal in ((ANGLE, angle), (TORQUE, w[quantity(dynamics.TORQUE)])):
         of = _CHANNELS + kind * _CHANNEL
         row[of + _LAST] = row[of + _FILTERED] = signal

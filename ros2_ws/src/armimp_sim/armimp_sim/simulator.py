@@ -22,7 +22,7 @@ from armimp_sim.plant import IntegrationError, Plant
 from armimp_sim.voluntary import reading_noise, voluntary_torque
 
 HEARD_TICKS = 100
-"""Periods after which, without any command, the samples sent so far count as not heard."""
+"""Periods without any command after which all samples but the newest count as not received."""
 _PATIENCE = 2.0
 """How long to wait for the thread to end (s)."""
 
@@ -69,8 +69,8 @@ class SimulatedRig(TorqueLatch):
     def step(self, command: Sequence[float]) -> None:
         """Hold ``command`` (n,), N·m, for one period and sample again.
 
-        A command that is not finite never reaches the plant: it latches the fault, and this and
-        all further steps run with zero torque. After :meth:`fade` they run with a torque on its way
+        A command that is not finite never reaches the plant: it latches a fault, and this and all
+        further steps run with zero torque. After :meth:`fade` they run with a torque on its way
         to zero.
 
         Raises
@@ -88,7 +88,7 @@ class SimulatedRig(TorqueLatch):
 
 
 class RealtimeSimulator:
-    """Runs a rig in a thread of its own: sample k at its deadline, under the latest command.
+    """Runs a rig in a thread of its own, and sends each sample at its deadline.
 
     The command that answers sample k acts from sample k to sample k + 1, as in lockstep. The step
     between them is taken as soon as the command comes, so that at the deadline of k + 1 there is
@@ -108,7 +108,7 @@ class RealtimeSimulator:
 
     Attributes
     ----------
-    lock : held while the rig or the figures are used
+    lock : held while the rig or the timing figures are used
     error : exception that ended the thread; None if none did
     """
 

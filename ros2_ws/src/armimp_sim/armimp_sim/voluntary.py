@@ -87,8 +87,8 @@ class Noise:
 
     Parameters
     ----------
-    sources : blocks of each noise, with a column for each value of the array; without any, zero
-    shape : of the array
+    sources : blocks of each noise, a column for each value of the array; if empty, values are 0
+    shape : shape of the array
     """
 
     def __init__(self, sources: Sequence[Iterator[FloatArray]], shape: tuple[int, ...]) -> None:
@@ -96,7 +96,7 @@ class Noise:
         self._left = np.zeros((0, *shape))
 
     def take(self, ticks: int) -> FloatArray:
-        """Return the values (ticks, *shape) of the next ticks, however the stream is cut."""
+        """Return the values (ticks, *shape) of the next ticks, the same for calls of any size."""
         if not self._sources:
             return np.zeros((ticks, *self._shape))
         while len(self._left) < ticks:
@@ -113,7 +113,7 @@ def voluntary_torque(config: VoluntaryParameters, *, joints: int, seed: int) -> 
     ----------
     config : VoluntaryParameters
     joints : number of joints n
-    seed : of the experiment, not negative
+    seed : seed of the experiment, not negative
     """
     sources = [
         _blocks([rms] * joints, seed=seed, stream=stream, edges=edges)
@@ -123,7 +123,7 @@ def voluntary_torque(config: VoluntaryParameters, *, joints: int, seed: int) -> 
 
 
 def reading_noise(sensors: SensorParameters, *, joints: int, seed: int) -> Noise:
-    """Return noise (2, n) on readings of angles and torques, rad, N·m; arguments as above."""
+    """Return noise (2, n) on readings of angles, rad, and torques, N·m; see `voluntary_torque`."""
     rms = [sensors.position.noise] * joints + [sensors.torque.noise] * joints
     sources = [_blocks(rms, seed=seed, stream=_READINGS)] if any(rms) else []
     return Noise(sources, (2, joints))

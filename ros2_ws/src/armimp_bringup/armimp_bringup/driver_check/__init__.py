@@ -17,7 +17,7 @@ Role = Literal["publisher", "subscriber"]
 _BASELINE = 50
 """Samples at rest that a push is compared with."""
 _GOING = 60
-"""Samples after a push by which its torque has gone: 5 periods, 50 ms, and 5 periods more."""
+"""Samples after a push until its torque has gone: 5 periods, 50 ms, and 5 periods more."""
 _SIGMAS = 5.0
 
 
@@ -135,7 +135,7 @@ class Record:
 def readings(joints: Sequence[str], topic: str, messages: Sequence[Message | None]) -> FloatArray:
     """Return the readings (n, N) of a stream in the order of the expected joints.
 
-    Only whole messages count: those with the expected joints, in any order, and as many values.
+    Only complete messages count: with the expected joints, in any order, and as many values.
     """
     columns: list[list[float]] = []
     for message in messages:
@@ -179,7 +179,7 @@ def measure(
 
 
 def _noise(values: FloatArray, rest: slice) -> FloatArray:
-    """Largest change (n,) of readings (n, N) taken for noise: 5 sigma at rest, or 1.5 counts."""
+    """Return what change (n,) of readings (n, N) may be noise: 5 sigma at rest, or 1.5 counts."""
     changes = np.abs(np.diff(np.sort(values, axis=1), axis=1))
     count = np.array([np.min(row[row > 1e-9], initial=np.inf) for row in changes])
     # Unquantised readings have steps of any size; those due to noise are below five sigma anyway.

@@ -217,7 +217,7 @@ class Checker:
         return roles >= {*wanted, (topics.COMMANDS, "subscriber")}
 
     def _trouble(self, streams: dict[str, list[Message]]) -> str:
-        """Return why no torque may be commanded; empty if nothing speaks against it."""
+        """Return why no torque may be commanded; empty if torque may be."""
         for topic, kept in streams.items():
             values = readings(self._joints, topic, kept)
             if None in self._node.kept[topic] or not kept or values.shape[1] != len(kept):
@@ -227,7 +227,7 @@ class Checker:
         return ""
 
     def _begin_to_answer(self, state: str | None) -> None:
-        """Answer every sample from now on; if the driver can be reactivated, from its first one."""
+        """Answer every sample from now on, after reactivating the driver if that is possible."""
         node, name = self._node, self._options.node
         again = state in ("unconfigured", "inactive")
         if again:
@@ -321,7 +321,7 @@ class Checker:
         return measure(joint, self._amount, angles, torques, _REST, end - start)
 
     def _keep_silent(self) -> tuple[Ending, float]:
-        """Stop commanding under torque; command it again; reset."""
+        """Stop sending commands while torque acts; command torque again; reset."""
         self._settle()
         ended = self._pushed(0, _HOLD, (_SILENT, None))
         since = self._node.silent_since
@@ -377,7 +377,7 @@ class Checker:
                 return
 
     def _whole(self, topic: str, first: int, end: int) -> FloatArray:
-        """Return the readings (n, N) of these samples; all their messages have to be whole."""
+        """Return the readings (n, N) of these samples; all their messages have to be complete."""
         part = self._node.kept[topic][first:end]
         values = readings(self._joints, topic, part)
         if values.shape[1] != len(part):

@@ -66,7 +66,7 @@ class MotionGuard:
         self.objection = ""  # why there must not be any torque any more
 
     def allows(self, message: Message | None) -> bool:
-        """Look at a message of ``joint_states``; return whether torque may be commanded."""
+        """Check a message of ``joint_states``; return whether torque may be commanded."""
         angles = readings(self._joints, JOINT_STATES, [message])
         if not angles.size:
             self.objection = self.objection or f"the angles cannot be read: {_TAKEN}"
@@ -194,7 +194,7 @@ class Conversation(Node, Answering):
         self.spinner = Spinner([self], context=graph.context)
 
     def listen(self) -> None:
-        """Subscribe to the sensor streams, with the reliability that is offered, and command."""
+        """Subscribe to the sensor streams, as reliably as offered; create the command publisher."""
         # Not earlier: a driver that is in use takes a second publisher for a fault.
         self._commands = CommandPublisher(self, topics.COMMANDS, len(self.zero))
         for topic in SENSOR_TOPICS:
@@ -277,7 +277,7 @@ class Conversation(Node, Answering):
     def check(self) -> None:
         """Raise an InterruptionError if the user wants to end.
 
-        It is raised between two callbacks, and once only, since torque must still be ended then.
+        It is raised between two callbacks, and only once, as torque has to be removed afterwards.
         """
         if self._stopped():
             self._interrupted = None

@@ -23,7 +23,7 @@ from armimp_common.arrays import FloatArray
 from armimp_common.realtime import LATE_NS
 from armimp_common.topics import COMMANDS, JOINT_STATES, NS_PER_S, PERIOD_NS, RATE, VALUE_FIELD
 
-# Limits that the interfaces page does not state are chosen.
+# Limits marked as chosen are ours; the interfaces page does not state them.
 _LEAST = 100  # fewest samples that a stream must have
 _JUMP = 0.1  # rad in one period, so 100 rad/s: chosen
 _CLOCK = 2e-4  # relative error of the mean step of stamps, which the estimator allows
@@ -296,8 +296,8 @@ def _judge_pushes(record: Record) -> Iterator[Finding]:
 def _mixed_up(record: Record, ways: FloatArray) -> tuple[list[str], list[str]]:
     """Return sentences about joints that are mixed up, and the joints whose push moved no joint.
 
-    On a passive rig torques do work, so the responses of two joints to both their pushes have a
-    positive determinant. `ways` are −1 for joints that turn against their torque.
+    On a passive rig torques do positive work, so the 2×2 matrix of the responses of two joints to
+    their pushes has a positive determinant. `ways` are −1 for joints that turn the wrong way.
     """
     pushes = record.moves.pushes
     order = [push.joint for push in pushes]

@@ -56,7 +56,7 @@ class Condition:
 
 
 def select_conditions(only: Sequence[str], seeds: str) -> tuple[Condition, ...]:
-    """Conditions of a study, in order and each once.
+    """Return the conditions of a study, in order and each once.
 
     Parameters
     ----------
@@ -100,12 +100,12 @@ def _parse_only(text: str) -> dict[str, tuple[int, ...]]:
 
 
 def parse_seeds(text: str) -> tuple[int, ...]:
-    """Seeds from numbers and half-open ranges, joined by commas: ``77``, ``0:10``, ``1,5,10:20``.
+    """Return the seeds of comma-separated numbers and half-open ranges: ``77``, ``1,5,10:20``.
 
     Raises
     ------
     ConfigurationError
-        If it is something else, holds no seed or more than `MOST_SEEDS`, or one twice.
+        If the text is something else, holds no seed or more than `MOST_SEEDS`, or one twice.
     """
     found: list[int] = []
     for part in text.split(","):
@@ -141,7 +141,7 @@ _ENTRIES = TypeAdapter(list[StudyEntry])
 
 
 def study_text(entries: Sequence[StudyEntry]) -> str:
-    """Content of ``study.json``: a list of entries."""
+    """Return the content of ``study.json``: a list of entries."""
     return _ENTRIES.dump_json(list(entries), indent=1, by_alias=True).decode() + "\n"
 
 
@@ -159,7 +159,7 @@ def save_result(directory: Path, entry: StudyEntry, curves: Mapping[str, Impedan
 
 
 def saved_curves(directory: Path, condition: Condition) -> dict[str, ImpedanceCurve]:
-    """Curves of one condition by name of the estimator.
+    """Read the curves of one condition, by name of the estimator.
 
     Raises
     ------

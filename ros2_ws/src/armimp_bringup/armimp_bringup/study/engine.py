@@ -1,4 +1,4 @@
-"""Batches of conditions: each side by side in a compiled loop, in processes or on a cluster."""
+"""Runs batches of conditions in processes or on a cluster; those of a batch run side by side."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def run_batch(
     base : ExperimentConfig
         Everything but levels and seed.
     made_with : mapping
-        `software` of the process that runs the study, which may be another one.
+        `software` of the process that runs the study, usually not this one.
     conditions : sequence of Condition
         One for each lane.
 
@@ -88,7 +88,7 @@ def run_batch(
 
 
 def condition_config(base: ExperimentConfig, condition: Condition) -> ExperimentConfig:
-    """Configuration of one condition: that of the study with its levels and seed."""
+    """Return the configuration of one condition: that of the study with its levels and seed."""
     return base.model_copy(update={**condition.levels, "seed": condition.seed})
 
 

@@ -38,7 +38,7 @@ _Drawing = Callable[[Any, Any], Figure]
 
 _LEAST_PANEL: Final = 2.3  # inches, least width; with many joints Figure 2 is a poster
 _WORTH_A_PROCESS: Final = 3
-"""Figures that take longer to draw than another process takes to start."""
+"""Number of figures that take longer to draw than another process takes to start."""
 
 _TRUE: Final = replace(TRUE, width=2.0)
 _TARGET: Final = Stroke(name="target", colour="--soft", dash="dash", width=1.2)
@@ -67,9 +67,9 @@ def level_marks(table: Table, scores: Sequence[Score]) -> list[Stroke]:
 
 
 def levels_chart(table: Table, scores: Sequence[Score]) -> Chart:
-    """Scores of one estimator by level of each factor, as Figures 3 and 4 of the paper.
+    """Return a chart of scores by level of each factor, as in Figures 3 and 4 of the paper.
 
-    Marks are means over all conditions with that level, bars reach from the worst to the best.
+    Marks are means over all conditions with that level; bars reach from the worst to the best.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ def overlay_chart(
 
 
 def level_stroke(friction: int | None = None, resolution: int | None = None) -> Stroke:
-    """Stroke of one level or both: friction shows by the colour, resolution by the dashes."""
+    """Return the stroke of one level or both: colour shows friction, dashes show resolution."""
     return Stroke(
         name=f"resolution {resolution}" if friction is None else f"friction {friction}",
         colour="--soft" if friction is None else f"--level-{friction}",
@@ -264,8 +264,8 @@ def impedance_figure(curves: Mapping[Condition, ImpedanceCurve], truth: MBK) -> 
     Returns
     -------
     matplotlib.figure.Figure
-        For each element magnitude (N·m/rad), phase (degrees) and relative error (%); in the first
-        two, all curves look like one.
+        For each element magnitude (N·m/rad), phase (degrees) and relative error (%); magnitudes and
+        phases of all conditions nearly coincide.
     """
     n = len(truth.M)
     by_friction = [level_stroke(friction=one) for one in sorted({c.friction for c in curves})]

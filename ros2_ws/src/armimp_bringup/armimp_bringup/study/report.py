@@ -76,7 +76,7 @@ class StudyReport:
         return self.table[:, self._estimators.index(estimator)]
 
     def page(self) -> str:
-        """HTML document."""
+        """Return the report as an HTML document."""
         first = self.entries[0]
         friction = f"levels {_present(self.entries, 'friction')}"
         scores = self._by_level("scores", FIT_SCORES)

@@ -50,7 +50,7 @@ _TYPE: Final = np.dtype(
 
 
 def results_table(entries: Sequence[StudyEntry]) -> Table:
-    """Table of the results of a study.
+    """Return the results of a study as a table.
 
     Errors are those of an element of M, B or K relative to its true value.
 
@@ -128,7 +128,7 @@ def torque_in_counts(entry: StudyEntry, truth: MBK, f: FloatArray) -> FloatArray
 
 
 def resolved(entry: StudyEntry, truth: MBK) -> BoolArray:
-    """Which elements are judged: with more than three joints, those of more than five counts."""
+    """Return which elements are judged: with more than three joints, those above five counts."""
     counts = torque_in_counts(entry, truth, FREQUENCIES) if entry.joints > 3 else None
     if counts is None:
         return np.ones(truth.M.shape, dtype=np.bool_)
@@ -153,7 +153,7 @@ def results_csv(table: Table) -> str:
 def statistics(
     table: Table, factor: str, values: FloatArray
 ) -> tuple[list[int], FloatArray, FloatArray, FloatArray]:
-    """Levels of a factor; mean, least and largest of (n_conditions, n_elements) values at each."""
+    """Return levels; mean, least, largest of values (n_conditions, n_elements) at each level."""
     levels = table[factor][:, 0, 0]
     present = np.unique(levels)
     groups = [values[levels == level] for level in present]
@@ -384,7 +384,7 @@ def judge(entries: Sequence[StudyEntry], table: Table) -> StudyVerdict:
 
 
 def _worst(table: Table, score: Score) -> WorstValue:
-    """Worst value of a score of one estimator."""
+    """Return the worst value of a score of one estimator."""
     estimator = str(table["estimator"].flat[0])
     limit = score.limit(table.shape[-1], estimator) if table["resolved"].any() else None
     values, elements = score.worst(table, judged=limit is not None)

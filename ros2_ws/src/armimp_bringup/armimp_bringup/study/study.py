@@ -89,7 +89,7 @@ def run_study(
     Raises
     ------
     ConfigurationError
-        If something is set wrongly, or the directory holds something else.
+        If a setting is wrong, or the directory is not empty.
     DataError
         If the study cannot be run or stored.
     """
@@ -166,7 +166,7 @@ def present_verdict(verdict: StudyVerdict, directory: Path, *, as_json: bool) ->
 
 
 def print_verdict(verdict: StudyVerdict, console: Console) -> None:
-    """Print the worst value of each quantity, rather wider than the terminal than truncated."""
+    """Print the worst value of each quantity; nothing is truncated, even if lines get too wide."""
     many = "s" if verdict.conditions > 1 else ""
     caption = "F, R, P: levels of friction, resolution and perturbation"
     if verdict.unresolved:

@@ -22,7 +22,7 @@ ANGLE, VELOCITY, DISTURBANCE = 6, 7, 8
 """Rows of the observer's memory: angle (rad), velocity (rad/s), and acceleration that no known
 torque explains (rad/s²)."""
 COMMAND = 9
-"""Row of the command sent; those after it hold what the observer knows to be still under way."""
+"""Row of the last command sent; the rows after it hold earlier commands, which are yet to act."""
 MEMORY_ROWS = COMMAND + 1 + MOST_DELAY
 
 SENSED, INERTIA, DAMPING, STIFFNESS, APPROACH, DITHER, DITHER_ANGLE, TARE, LATE = range(9)
@@ -47,7 +47,7 @@ SECOND_TONE = 1.55
 """Frequency of the second sine of the dither, over that of the first.
 
 Rounding mixes the two: slow motion of the joint also shows around each ``m f_1 - n f_2``. With 1.3
-the strongest of these, ``f_2 - f_1``, lies at the end of the band, and the errors of a heavy locked
+the strongest of these, ``f_2 - f_1``, lies within the band, and the errors of a heavy locked
 joint hide the response of a light one; with ratios of small whole numbers many of them coincide.
 """
 
@@ -129,17 +129,17 @@ class Law(ABC):
         return np.array(self.target.posture)
 
     def locked(self, perturbed: int | None) -> BoolArray:
-        """Which joints (n,) are locked, see :meth:`role`."""
+        """Return which joints are locked (n,); ``perturbed`` as for :meth:`role`."""
         every = np.arange(self.joints)
         return np.asarray(every != (every if perturbed is None else perturbed))
 
     @abstractmethod
     def role(self, perturbed: int | None) -> FloatArray:
-        """Return the roles (ROLE_ROWS, n) while joint ``perturbed`` (0-based) yields, others lock.
+        """Return the roles (ROLE_ROWS, n): joint ``perturbed`` (0-based) yields, others are locked.
 
         With None all joints yield, with NO_JOINT all are locked.
         """
 
     def model(self, _perturbed: int | None) -> FloatArray:
-        """Return the internal model (MODEL_ROWS, n, n) in that trial; zeros if the law has none."""
+        """Return the internal model (MODEL_ROWS, n, n) for this role; zeros if the law has none."""
         return np.zeros((MODEL_ROWS, self.joints, self.joints))

@@ -12,9 +12,9 @@ estimation,
     τ_t  = τ_{t−L} + M̄ [u + Γ (v_id − θ̇) − θ̈_{t−L}]
 
 with θ̇ = (θ_k − θ_{k−1})/L and θ̈_{t−L} = (θ_k − 2θ_{k−1} + θ_{k−2})/L², where τ_{t−L} is the command
-actually sent, after saturation. With it, one encoder count δ makes a torque of M̄ δ/L². Or, with an
-observer of angles θ̂, velocities v̂, and accelerations d̂ that no known torque explains, whose
-estimates also replace θ and the differences in u,
+actually sent, after saturation. Here one encoder count δ makes a torque of M̄ δ/L². The alternative
+is an observer of angles θ̂, velocities v̂, and accelerations d̂ that no known torque explains. Its
+estimates also replace θ and the differences in u, and the law is
 
     τ_t  = M̄ [u + Γ (v_id − v̂) − d̂] + τ_h .
 
@@ -83,7 +83,7 @@ from armimp_control.laws import (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Imbic(Law):
-    """Target impedance and internal model: an observer, or time-delay estimation."""
+    """Target impedance with an internal model: an observer, or time-delay estimation."""
 
     _models: dict[int | None, FloatArray] = field(default_factory=dict, init=False, repr=False)
 
@@ -221,7 +221,7 @@ def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     memory: FloatArray,
     command: FloatArray,
 ) -> None:
-    """One tick of the law, before the safety limiter.
+    """Compute the command of one tick, before the safety limiter.
 
     Parameters
     ----------
@@ -283,7 +283,7 @@ def forgo(command: FloatArray, model: FloatArray, period: float, memory: FloatAr
     """Subtract from the ideal velocity what a clipped command can't bring about (anti-windup).
 
     Otherwise it would grow without limit while commands are clipped, and throw the joint about once
-    they no longer are. With this it approaches the observed velocity, as fast as Γ.
+    they no longer are. With the subtraction it approaches the observed velocity, at the rate Γ.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The chosen law, between the two steps of the safety limiter."""
+"""One tick of the chosen law, between the two steps of the safety limiter."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def packed_tick(law: int, n: int, w: FloatArray) -> int:
     return clipped
 
 
-# For Python; one array, as passing each takes as long as the law.
+# For calls from Python: one array, as passing its parts one by one takes as long as the law.
 _tick = compiled_entry(packed_tick)
 
 
@@ -173,7 +173,7 @@ class Controller:
         scalars[:] = law.law.gamma, PERIOD
         self.rules[:] = safety.rules(law.target_posture, PERIOD)
         self._tare = np.zeros(n)
-        # Computed beforehand, so that none has to be between two samples.
+        # Models are computed and kept now, as there is no time for that between two samples.
         for joint in (NO_JOINT, *range(n)):
             law.model(joint)
         self.perturb_joint(0)
@@ -226,12 +226,12 @@ class Controller:
         self.command[:] = 0.0
 
     def release(self) -> None:
-        """Stop at the end, without a fault: to zero as fast as the rate limit allows."""
+        """Stop at the end, without a fault: torque falls as fast as the rate limit allows."""
         ticks = np.ceil(np.max(np.abs(self._limiter[SENT]) / self.rules[RATE]))
         stop_commands(max(int(ticks), 1), False, self._limiter, self._journal)
 
     def continue_ramp(self, ticks: int) -> None:
-        """Advance the ramp after a stop by some ticks, where no samples come."""
+        """Advance the ramp after a stop by some ticks, while no samples come."""
         continue_ramp(ticks, self.command, self.rules, self._limiter, self._journal)
 
     def tick(self, theta: FloatArray, tau_h: FloatArray, tau_delta: FloatArray) -> int:

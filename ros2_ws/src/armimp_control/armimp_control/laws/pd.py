@@ -62,7 +62,7 @@ def pd(
     memory: FloatArray,
     command: FloatArray,
 ) -> None:
-    """One tick of the law, before the safety limiter.
+    """Compute the command of one tick, before the safety limiter.
 
     Parameters
     ----------

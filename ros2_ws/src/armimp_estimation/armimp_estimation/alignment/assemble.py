@@ -4,7 +4,7 @@ The live node, replay and offline estimation all pass their decoded streams thro
 they get bit-identical arrays from the same messages.
 
 A sample belongs to the control period that its stamp names. Positions, torque readings and
-perturbation of one period carry the same stamp, or nearly; commands carry none and are counted.
+perturbation of one period carry equal or nearly equal stamps; commands carry none and are counted.
 The expected periods are counted from the stamps of all streams together, so a sample that only one
 stream lost is detected as well as one that all of them lost. While a trial runs, the controller
 also counts the samples that it misses (`armimp_control.trial_sequencer`).
@@ -78,10 +78,10 @@ class Trial:
     window: TrialWindow
     """What the trial was meant to be."""
     segments: tuple[TrialRecord, ...]
-    """The longest runs of usable periods, in order. Samples are in the order of their stamps, and
+    """All runs of at least two usable periods, in order. Samples are sorted by stamp, and
     duplicates are dropped (if equal, the first one stays). A period is not usable if a stream with
     stamps has no sample of it, one that is not finite, or several that contradict each other, or
-    if the controller clipped its command."""
+    if the controller clipped its command or the one before."""
     statistics: StreamStatistics
     """The counts of the samples."""
     problems: tuple[Problem, ...] = ()
@@ -112,14 +112,14 @@ class Trial:
         Parameters
         ----------
         allow_gaps : bool
-            Estimate from the intact parts of a trial that was aborted or lost samples, or that has
-            samples which are repeated, out of order or not finite.
+            Whether to estimate from the intact parts of a trial that was aborted or lost samples,
+            or that has samples which are repeated, out of order or not finite.
         """
         refused = _REFUSED if allow_gaps and self.segments else _ANY_REFUSED
         return [one for one in self.problems if one.code in refused]
 
     def judged(self, *, allow_gaps: bool, most_excluded: float) -> list[Problem]:
-        """Return all problems of the trial, with those that spare its intact parts as notes.
+        """Return all problems; with `allow_gaps`, those that spare the intact parts are notes.
 
         Parameters
         ----------
@@ -143,7 +143,7 @@ class Trial:
     def intact(self, *, allow_gaps: bool = False) -> tuple[TrialRecord, ...]:
         """Return the parts of the trial that an estimate may use, in order.
 
-        A trial without gaps has one part; intervals of clipped commands divide it.
+        A trial without gaps has one part, unless intervals of clipped commands divide it.
 
         Raises
         ------
@@ -207,7 +207,7 @@ def assemble_trials(
 
 
 def _assemble(window: TrialWindow, streams: Streams, bag: str | None, period: float) -> Trial:
-    """Join the streams of one trial, at a sampling period in ns; they may hold others, too."""
+    """Join the streams of one trial; they may hold other trials, too. `period` is in ns."""
     aligned, last_ns = _align(window, streams.stamped, period)
     leading, names = aligned[PERTURBATION], streams.joint_names
     counts, wrong = account_for(window, streams, aligned, last_ns)

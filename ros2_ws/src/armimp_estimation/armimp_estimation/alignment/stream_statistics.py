@@ -21,7 +21,7 @@ from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
 
 _STILL = 0.02
-"""Motion of a joint that is never perturbed, relative to the perturbed one, that is neglected."""
+"""Largest motion of a never perturbed joint that is neglected, relative to the perturbed one's."""
 _LATE = 0.25
 """Periods by which a step between stamps may be too long."""
 _APART, _SCATTER = 0.4, 0.15
@@ -108,7 +108,7 @@ class AlignedStream:
         self.numbers: IntArray = np.empty(0, np.int64)
 
     def number(self, stamps: IntArray, numbers: IntArray) -> None:
-        """Look up the period number of each message, and keep one message for each period."""
+        """Look up each message's period in the `numbers` of `stamps`; keep one for each period."""
         self.numbers = numbers[np.searchsorted(stamps, self.stamps)]
         self._keep((self.numbers >= 0) & (np.diff(self.numbers, prepend=-1) > 0))
 
@@ -267,7 +267,7 @@ def _count_commands(streams: Streams, leading: AlignedStream) -> tuple[StreamCou
 
 
 def begins_anew(numbers: IntArray) -> BoolArray:
-    """Mask of the commands after the first at which a controller counts from 1 again."""
+    """Mask, (N - 1,), of all commands but the first: where a controller counts from 1 again."""
     return np.asarray((numbers[1:] == 1) & (np.append(numbers[2:], 0) == 2))
 
 
@@ -277,7 +277,7 @@ def _judge_commands(
     """Report problems of the commands; there are none if no command was recorded."""
     if not count.received:
         return
-    cut = not window.ended or window.fault is not None  # may be between messages of one tick
+    cut = not window.ended or window.fault is not None  # the last command may be missing
     if foreign:
         yield problem(ProblemCode.COMMANDS_FOREIGN, count=foreign)
     elif count.lost > cut:

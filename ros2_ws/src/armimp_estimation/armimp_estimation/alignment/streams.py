@@ -54,7 +54,7 @@ class Stream:
             others, field = topic != PERTURBATION, VALUE_FIELD[topic]
             self._decoder = JointStateDecoder(joint_names, field, others=others)
         self.further: dict[str, Stream] = {}
-        """Angles of further joints by name, rad; never perturbed, these must not move."""
+        """Angles of further joints by name, rad. These are not perturbed, so they must not move."""
         self.count = 0
         """Number N of messages decoded so far."""
         self.malformed = 0
@@ -96,7 +96,7 @@ class Stream:
             self._follow_further(messages)
 
     def _follow_further(self, messages: Sequence[bytes]) -> None:
-        """Decode the angles of further joints, if all messages have those of the first."""
+        """Decode the angles of further joints, if every message has those of the first message."""
         with suppress(MalformedMessageError):
             others = set(joint_names_of(messages[0])).difference(self._joint_names)
             for name in filter(None, others):
@@ -105,7 +105,7 @@ class Stream:
 
     @property
     def stamps(self) -> IntArray:
-        """Stamps (ns), (N,); for commands, which have none, their numbers, or 0 without one."""
+        """Stamps (ns), (N,); of commands, which have none, the sequence numbers (0: no number)."""
         return self._stamps[: self.count]
 
     @property
@@ -197,10 +197,10 @@ def decode_streams(joint_names: Sequence[str], messages: Mapping[str, Sequence[b
 def stamps_in_step(messages: Mapping[str, Sequence[bytes]], after_ns: int = -1) -> list[int]:
     """Stamps (ns) of the ticks of messages, if the four streams are in step.
 
-    Each then has one message for each tick, all of one length, with equal stamps in a tick.
+    They are in step if each has one message per tick, all of one length, with one stamp per tick.
 
-    This is plain Python on purpose: it is called once in fifty ticks, when the code of numpy has
-    left the caches of the processor, and a few of its operations take longer than this loop.
+    Plain Python, as this is called once in fifty ticks, when the code of numpy has left the caches
+    of the processor: a few numpy operations would take longer than this loop.
 
     Returns
     -------

@@ -20,7 +20,7 @@ PAUSE_NS: Final = 250_000_000
 
 
 MOST_TICKS: Final = 10_000_000
-"""Most samples of a trial that are believed: almost three hours at 1 kHz."""
+"""Largest plausible number of samples of a trial: almost three hours at 1 kHz."""
 
 _LATEST_NS: Final = 1 << 61  # the stamp of a message has 32 bits of seconds
 
@@ -273,10 +273,10 @@ def require_few_trials(trials: int) -> None:
 
 
 def sampling_period(streams: Mapping[str, IntArray]) -> float:
-    """Mean time between samples, ns, or the period of the contract if it is within `TOLERANCE`.
+    """Mean time between samples, ns; `PERIOD_NS` if it differs from that by `TOLERANCE` at most.
 
     Each step is rounded to a whole number of median steps, so that missing, late and repeated
-    samples don't matter: ``L = Σ steps / Σ periods``. Several streams give the median of theirs.
+    samples don't matter: ``L = Σ steps / Σ periods``. The result is the median over all streams.
 
     Parameters
     ----------

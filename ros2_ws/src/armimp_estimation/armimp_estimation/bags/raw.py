@@ -14,7 +14,7 @@ RECORD_COST: Final = 200
 """Approximate bytes of memory that a message takes in addition to its content. Other small records,
 and a byte of YAML, take the time in which as many bytes could be read."""
 
-# Allowed cost of a bag: a fixed part and a multiple of its size. Experiments cost up to 12 times.
+# A bag may cost a fixed part plus a multiple of its size; experiments cost up to 12 times theirs.
 _FREE: Final = 128 << 20
 _RATIO: Final = 20
 _LARGEST: Final = 64 << 20
@@ -40,7 +40,7 @@ def absolute(topic: str) -> str:
 
 
 def namespace_of(name: str, topic: str) -> str | None:
-    """Namespace of a topic of the contract; None if the name is not one of this topic."""
+    """Namespace, with its last slash, before a topic in a name; None if it names another topic."""
     if name == topic:
         return ""
     tail = absolute(topic)

@@ -204,7 +204,7 @@ def _candidates(recorded: Sequence[tuple[str, str]], topic: str) -> dict[int, st
 def read_storage(path: Path) -> RawMessages:
     """Read all messages of a bag under names of the contract, in the order of log times.
 
-    Raises BagError if the path is not a readable bag, or exceeds the limits.
+    Raises BagError if the path is not a readable bag, or reading the bag exceeds the limits.
     """
     custom: dict[str, str] = {}
     try:

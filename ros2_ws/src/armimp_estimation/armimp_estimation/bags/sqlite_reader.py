@@ -1,5 +1,6 @@
 """Reading of the SQLite3 files of rosbag2, with all versions of its schema."""
 
+import os
 import shutil
 import sqlite3
 import tempfile
@@ -50,6 +51,7 @@ def read_sqlite(file: BinaryIO, log: Path, into: RawMessages) -> None:
             shutil.copyfileobj(file, copy)
         if log.is_file():
             with open_regular(log) as source, Path(f"{path}-wal").open("xb") as copy:
+                into.spend(os.fstat(source.fileno()).st_size)
                 shutil.copyfileobj(source, copy)
         _read(path, into)
 

@@ -438,7 +438,7 @@ def finish_bag(path: Path) -> str:
     Its messages are written into a new bag, whose storage file replaces the old one atomically,
     before ``metadata.yaml`` is added. A bag that is still being recorded is recognised by its lock,
     a complete one by its metadata. A bag behind a link stays as it is, since the link may lead
-    anywhere. Returns one line that says what was done or why it failed; empty if nothing was to do.
+    anywhere. Returns one line that says what was done or why it failed; empty if it was left alone.
     """
     if path.is_symlink() or path.parent.is_symlink() or (path / FILE_NAME).exists():
         return ""
@@ -459,7 +459,7 @@ def finish_bag(path: Path) -> str:
 
 
 def finish_bags(directory: Path) -> list[str]:
-    """Finish the bags below ``bags/`` of a result; return a line for each of them."""
+    """Finish the bags below ``bags/`` of a result; return a line for each unfinished one."""
     return [note for bag in sorted((directory / BAGS).glob("*")) if (note := finish_bag(bag))]
 
 

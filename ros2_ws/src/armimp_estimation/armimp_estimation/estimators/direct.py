@@ -1,10 +1,10 @@
 """Baseline that ignores the feedback loop and regresses measured torque on measured angle.
 
 In the trial that perturbs joint k, ``Z_ik = G_{θk τi}/G_{θk θk}``. That would be right if the angle
-were an exogenous input. But a voluntary torque d moves the joints through the loop, so the angle is
-correlated with the disturbance of the torque that it is to explain: ``G_{θk d}`` is not zero. Where
-d outweighs the perturbation, the estimate tends to the impedance of the controller with opposite
-sign, and averaging does not help. Encoder noise biases it, too. It serves for comparison only.
+were an exogenous input. But a voluntary torque d is part of the measured torque and, through the
+loop, also moves the joints, so ``G_{θk d}`` is not zero. Where d outweighs the perturbation, the
+estimate tends to the impedance of the controller with opposite sign, and averaging does not help.
+Encoder noise biases it, too. This estimator serves for comparison only.
 """
 
 from collections.abc import Sequence
@@ -29,8 +29,8 @@ class Direct:
         """Estimate the whole matrix from n trials, one for each joint, in any order.
 
         The random error of a column has the variance ``G_ee / ((n_d - 1) G_θθ)`` with
-        ``e = τ_i - Z_ik θ_k``. The bias shows in the difference from `welch_siso`, which vanishes
-        where the perturbation is the angle itself; it is added as a systematic standard error.
+        ``e = τ_i - Z_ik θ_k``. The difference from `welch_siso` shows the bias, and is added as a
+        systematic standard error; it vanishes if the perturbation is the angle itself.
 
         Raises
         ------

@@ -132,8 +132,8 @@ class ImpedanceEstimate:
     """Relative standard deviation that the M-B-K fit adds, in quadrature, to that of each value
     before it serves as a weight. The variance does not cover errors proportional to the impedance
     itself, such as leakage bias and time skew of the sensors; without a floor, the frequencies with
-    tiny random errors would dominate and bring in those errors. With 0, a skew of half a
-    millisecond biases B by up to 55 % on a quiet simulated rig; with 0.2, by 7 %."""
+    tiny random errors would dominate and bring in those errors. With a floor of 0, a skew
+    of 0.5 ms biases B by up to 55 % on a quiet simulated rig; with 0.2, by 7 %."""
     friction_skew: ComplexArray | None = None
     """Part of the skew correction in Z that concerns friction torques, which jump with the
     commands, N·m/rad; shape (n, n, n_freq)."""
@@ -149,8 +149,8 @@ class ImpedanceEstimate:
     """For each perturbed joint, the share of its torque's power at the lines of a multisine that is
     neither noise nor smooth over frequency, as the response of a linear arm would be."""
     without_slow: tuple[BoolArray, ...] = ()
-    """Torques, then angles, with so little power at low frequencies that they may have been
-    high-pass filtered; two arrays of shape (n,). Empty if this was not checked."""
+    """Whether each torque, then each angle, has so little power at low frequencies that it may have
+    been high-pass filtered; two arrays of shape (n,). Empty if this was not checked."""
     hold: HoldCorrection | None = None
     """How torques jump with each update of the commands, if that was identified and corrected."""
 
@@ -186,7 +186,7 @@ class ImpedanceEstimate:
 
 
 class Estimator(Protocol):
-    """Estimator of the impedance matrix from the trials of one decomposition."""
+    """Estimator of the impedance matrix from one trial for each joint."""
 
     @property
     def name(self) -> str:

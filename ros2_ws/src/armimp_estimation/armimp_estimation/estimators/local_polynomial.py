@@ -21,7 +21,7 @@ from armimp_estimation.periods import Periods, has_power
 from armimp_estimation.spectra import bins_in_band
 
 Mix = Callable[[FloatArray], ComplexArray]
-"""Gives, at frequencies (n,) in Hz, the coefficients (m, C, n) that combine C outputs to m."""
+"""Function of frequencies (n,), Hz: the coefficients (m, C, n) of m combinations of C outputs."""
 
 ORDER = 2
 """Degree of the polynomials in frequency, for response and leakage alike."""
@@ -154,7 +154,7 @@ def local_response(
     periods: Periods | None = None,
     mix: Mix | None = None,
 ) -> LocalResponse:
-    """Estimate the responses of outputs to one input at all bins of a band where that has power.
+    """Estimate the responses of outputs to one input at bins of a band that have input power.
 
     Parameters
     ----------
@@ -244,7 +244,7 @@ def _periodic_response(
     """Estimate as :func:`local_response` does, at the lines of a periodic input.
 
     Between the harmonics, the spectrum of whole periods holds leakage, a polynomial in frequency,
-    and noise, by which periods differ. Less the leakage, the response is output over input.
+    and noise, by which periods differ. At a line, the response is (output - leakage)/input.
     """
     window, used = 2 * half_width + 1, periods.used
     centres = periods.lines_in(rate, band) * periods.count

@@ -1,4 +1,4 @@
-"""Impedance by local polynomials: the whole record at once, free of leakage and of torque skew."""
+"""Impedance from the whole record by local polynomials, free of leakage and of torque skew."""
 
 import math
 from collections.abc import Sequence
@@ -52,14 +52,14 @@ In shorter records, whose bins are wider, fewer bins take part."""
 _FLOOR = 0.0003
 """Relative error that the M-B-K fit adds in quadrature to that of each value for its weight."""
 _BY_CHANCE, _SCATTER = 1.1, 2.5
-"""Ratio of the variance by the scatter of F lines to that by noise that arises by chance: its mean,
-and the excess over it that is hardly ever reached, times √F."""
+"""Ratio of the variance from the scatter of F lines to that from noise, if there is only chance:
+its mean, and √F times the excess over this mean that is hardly ever reached."""
 _SKEW = 0.002
-"""Relative standard error of the jump correction, which no residual shows, for its part of inertial
-torque. In simulation D is within 0.7 % of the truth, and half of the time within 0.2 %."""
+"""Relative standard error, which no residual shows, of the jump correction of inertial torque. In
+simulation its matrix D is within 0.7 % of the truth, and half of the time within 0.2 %."""
 _RUBBING = 0.3
-"""The same for its part of torque that overcomes friction, while chattering commands reverse the
-motion within a control period, so that friction responds within the period."""
+"""The same for the torque that overcomes friction, while chattering commands reverse the motion
+within a control period, so that friction responds within the period."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,8 +71,8 @@ class LpmConfig:
     :mod:`armimp_estimation.hold_correction` identifies the part of the torques that jumps with the
     commands. Without commands in the records, the M-B-K fit estimates a common delay instead."""
     timing_uncertainty: float = 20e-6
-    """Standard error of the instant of torque readings where it was declared, s. Half a period
-    takes its place where it was not, or where the records contradict the jumps that it implies."""
+    """Standard error of the instant of torque readings where that was declared, s. It is half a
+    period where it was not, or where the jumps that it implies were not identified."""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.timing_uncertainty < np.inf:
@@ -91,7 +91,7 @@ class FittedColumn:
     """M (kg·m²), B (N·m·s/rad) and K (N·m/rad) from the angle of joint k to each torque; shape
     (3, n)."""
     errors: FloatArray
-    """Their standard errors, in the same units, which cover random errors only; shape (3, n)."""
+    """Their standard errors, without those of the calibration, in the same units; shape (3, n)."""
     preliminary: bool
     """Whether the motion of a locked joint is not accounted for, as that joint had no trial yet.
     The values may then be off by many standard errors."""
@@ -110,7 +110,7 @@ class LpmFull:
 
         The estimated response is not T, but the response E of ``e = τ - Z_0 θ``, where Z_0 is a
         reference arm with M, B and K close to those sought: ``Z = Z_0 + E R⁻¹``. The torques τ
-        include the steps of the command that they lack because of skew. Motion that the
+        include the jumps with the commands that their readings lack. Motion that the
         perturbation does not cause, as by friction, adds to T, bin by bin, about what Z_0 predicts,
         so E is almost free of it, and of the resonance, which polynomials follow worst. The
         estimate is right for any Z_0. Its variance is that of ``(δE - (Z - Z_0) δR) R⁻¹``, from the
@@ -196,8 +196,8 @@ class LpmFull:
         """Fit column k of M, B and K to the trial of joint k so far, and to finished trials.
 
         With a trial of every other joint, the column is that of :meth:`estimate`. Otherwise it is
-        preliminary: motion of joints without a trial biases the values. The standard errors are
-        those of the whole estimate, provided that these joints do not move.
+        preliminary: motion of joints without a trial biases the values, and the standard errors
+        do not include this bias.
 
         Parameters
         ----------
@@ -240,9 +240,9 @@ class LpmFull:
         """Standard errors of the skew correction of an impedance.
 
         The correction is ``jωL/2`` times the torque that jumps: imaginary for inertial torque,
-        proportional to s², and real for friction torque, proportional to s, which is uncertain
-        where motion reverses. It does not cover the curvature of friction within a period, whose
-        effect looks like viscosity and is the third of the errors that are returned.
+        proportional to s², and real for friction torque, proportional to s. The real part is
+        uncertain where motion reverses. The correction does not cover the curvature of friction
+        within a period, which looks like viscosity: its effect is the third returned error.
         """
         error = np.zeros(len(correction)) if jump is None else jump.error
         known = np.hypot(_SKEW, error)[:, None, None]
@@ -263,7 +263,7 @@ class LpmFull:
     def _residual_mix(self, reference: MBK, jump: HoldCorrection | None, rate: float) -> Mix:
         """Combinations of the channels from which the deviation from a reference arm is estimated.
 
-        Angles, torques less those of the reference arm, and skew corrections of torques, n each.
+        These are n angles, n torques less those of the reference arm, and their n skew corrections.
         """
         n = reference.joints
 
@@ -280,8 +280,8 @@ class LpmFull:
     def _reference_arm(self, records: Sequence[TrialRecord], jump: HoldCorrection | None) -> MBK:
         """Fit M, B and K by least squares of relative errors, at some frequencies.
 
-        The polynomials' error is proportional to the distance from the reference arm of the step
-        before, so little of it is left after the second step, however few the bins.
+        The error of the polynomials is proportional to the distance of the arm from the reference
+        arm of the previous step, so little is left after the second step, however few the bins.
         """
         n, rate = records[0].joints, records[0].rate
         joints = [record.perturbed_joint for record in records]
@@ -337,7 +337,7 @@ def responses(
     """Estimate the responses of trials to their perturbations, all at the same frequencies.
 
     These are the lines that periodic perturbations have in common, or the bins of the shortest
-    trial.
+    trial, less those at which a perturbation has no power.
 
     Parameters
     ----------
@@ -572,7 +572,7 @@ def _postures_apart(
     """Errors of the impedance where trials differ in posture, and so in inertia.
 
     The small motion R_jk of a joint j that is locked in trial k acts on the inertia at the posture
-    of that trial, not at that of its own. Between postures a distance apart, in rad, M_ij changes
+    of trial k, not at that of trial j. Between postures a distance apart, in rad, M_ij changes
     by at most that times ``√(M_ii M_jj)``, in proportion for all rows i. The data don't tell the
     size of this: where joints are held softly, the person causes most of R_jk.
     """

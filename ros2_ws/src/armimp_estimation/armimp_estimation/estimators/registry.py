@@ -26,8 +26,8 @@ class IdentifyConfig:
     lpm: LpmConfig = field(default_factory=LpmConfig)
     """Options of the estimator ``lpm_full``."""
     model: str = AUTO
-    """Model of the arm to fit in addition to M, B and K, see :mod:`armimp_estimation.arm_models`,
-    which by default chooses models where M, B and K don't fit."""
+    """Model of the arm to fit in addition to M, B and K, see :mod:`armimp_estimation.arm_models`.
+    By default, all models are tried where M, B and K don't fit."""
     calibration: Calibration = field(default_factory=Calibration)
     """Uncertainties of the torque transducers and encoders."""
     target: MBK | None = None

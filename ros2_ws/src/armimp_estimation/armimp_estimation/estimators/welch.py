@@ -3,7 +3,7 @@
 Both estimators use the frequency responses of :mod:`armimp_estimation.frf`. In the trial that
 perturbs joint k, the torque obeys ``τ_i = Σ_j Z_ij θ_j + v_i``, where the perturbation x does not
 cause the disturbance v. So ``T = Z R + V``, and ``V_ik = G_{x v_i}/G_xx`` has the variance
-``G_vv/(n_d G_xx)``. Motion that it causes through the loop only has an effect of second order.
+``G_vv/(n_d G_xx)``. Motion that v causes through the loop only has an effect of second order.
 """
 
 from collections.abc import Sequence
@@ -68,7 +68,7 @@ class WelchFull:
     def estimate(self, trials: Sequence[TrialData]) -> ImpedanceEstimate:
         """Estimate the whole matrix from n trials, one for each joint, in any order.
 
-        The error is ``V R⁻¹``. Columns of V come from different trials and are so independent:
+        The error is ``V R⁻¹``. Columns of V come from different trials, so they are independent:
         ``var(Z_ij) = Σ_k var(V_ik) |R⁻¹_kj|²``, with ``var(V_ik)`` from the residual
         ``e = τ_i - Σ_j Z_ij θ_j`` in trial k.
 
@@ -102,7 +102,7 @@ def known_biases(
     Z, R, inverse : ndarray, shape (n, n, n_freq)
         Estimated impedance, responses of those angles that the estimator uses, and their inverse.
     trial : TrialData
-        One of the trials. At the lines of a periodic perturbation, there is no leakage.
+        One of the trials. If its spectra are only at lines of the perturbation, nothing leaks.
     """
     if frf.f.size < 3:
         return ()
@@ -156,7 +156,7 @@ def matrix_estimate(
     inverse: ComplexArray,
     biases: tuple[ComplexArray, ...],
 ) -> ImpedanceEstimate:
-    """Assemble the estimate of an estimator by averaged spectra, from trials in order of k."""
+    """Assemble the result of an averaged-spectra estimator, from trials in order of joint k."""
     # Trials may differ in length: the shortest has the least certain variance.
     shortest = min(trials, key=lambda trial: trial.spectra.effective_averages).spectra
     return ImpedanceEstimate(

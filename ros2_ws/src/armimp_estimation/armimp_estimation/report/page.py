@@ -63,7 +63,7 @@ def render_page(
     packages: Mapping[str, str] | None = None,
     **content: Any,
 ) -> str:
-    """Render a page; all text that is not markup is escaped.
+    """Return the HTML of a page; all text that is not markup is escaped.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def render_page(
     sections : sequence of Section
         Sections in order.
     packages : mapping of str to str
-        Further packages with ``templates/``, by the prefix of the names of these.
+        Further packages with ``templates/``, by the prefix of the names of their templates.
     """
     loaders = {
         prefix: PackageLoader(name)

@@ -338,7 +338,7 @@ def element_plots(
     describe: Callable[[str, Chart], str],
     height: int,
 ) -> list[Plot]:
-    """Plots of all elements of Z, row by row; with many joints, one plot with an element to choose.
+    """Plots of all elements of Z, row by row; with many joints, one plot of a selectable element.
 
     `chart` takes the indices of an element (0-based), `describe` its name and chart; the height is
     in pixels.
@@ -630,7 +630,7 @@ def deviation_percent(truth: ComplexArray, z: ComplexArray) -> FloatArray:
 
 
 def reference_of(curves: Mapping[str, ImpedanceCurve], truth: MBK | None) -> str:
-    """Name the estimator with which others are compared; empty if they are with the truth."""
+    """Name the estimator with which others are compared; empty if that is the truth."""
     if truth is not None:
         return ""
     return _REFERENCE if _REFERENCE in curves else next(iter(curves))

@@ -262,7 +262,7 @@ def _locking(result: Result) -> Content | None:
 
 
 def _distortion(result: Result) -> Content | None:
-    """Distortion that periodic perturbations reveal in each trial, apart from the fitted arm."""
+    """Distortion in trials with a periodic perturbation, apart from the fitted arm's response."""
     summary = result.summary
     if not summary.estimators:
         return None

@@ -57,7 +57,7 @@ class HumanArm(Schema):
 
 
 class ReflexParameters(Schema):
-    """Stretch reflex: velocity and stretch after a delay, through a second-order muscle.
+    """Stretch reflex: velocity and stretch act after a delay, through a second-order muscle.
 
     The model, and 40 ms, are those of Kearney, Stein & Parameswaran (IEEE Trans. Biomed. Eng.
     44(6), 1997) for the ankle; the muscle's values are an assumption.
