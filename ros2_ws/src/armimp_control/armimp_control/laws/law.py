@@ -48,6 +48,7 @@ LAWS: Final[Mapping[str, type[Law]]] = {"imbic": Imbic, "pd": Pd}
 """The laws by the parameter ``law.kind``."""
 
 
+@compiled
 def _unpacked(w: FloatArray, n: int) -> tuple[FloatArray, ...]:
     """Return views of the array `w` on which a controller works.
 
@@ -81,9 +82,6 @@ def packed_size(n: int) -> int:
     return rows * n + JOURNAL + 2
 
 
-_views = compiled(_unpacked)
-
-
 @compiled
 def packed_tick(law: int, n: int, w: FloatArray) -> int:
     """Compute one tick of a law, with the safety limiter before and after it.
@@ -101,7 +99,7 @@ def packed_tick(law: int, n: int, w: FloatArray) -> int:
         Number of joints whose command was clipped. After a stop, which the journal records, the law
         is no longer computed and its memory is zero.
     """
-    sample, posture, role, rules, memory, limiter, model, journal, scalars = _views(w, n)
+    sample, posture, role, rules, memory, limiter, model, journal, scalars = _unpacked(w, n)
     theta, tau_h, tau_delta = sample[0], sample[1], sample[2]
     command, target, gamma, period = posture[0], posture[1], scalars[0], scalars[1]
     if check_sample(theta, tau_h, tau_delta, rules, period, limiter, journal):
