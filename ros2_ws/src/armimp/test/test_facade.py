@@ -178,11 +178,10 @@ def test_the_model_that_a_bag_was_recorded_with_is_fitted_unless_another_one_is_
 
 
 def test_the_declared_linearity_of_transducers_decides_the_errors_beside_a_person() -> None:
-    person = {"voluntary.rms": 0.3}
-    bent = armimp.simulate(
-        duration=2.0, arm_sim={**person, "sensors.torque.hysteresis": 0.05}
-    ).calibration
-    assert bent.linearity is None
+    person = {"voluntary.rms": 0.3, "substeps": 20}
+    bending = {**person, "sensors.torque.hysteresis": 0.05}
+    bent = armimp.simulate(duration=2.0, arm_sim=bending)
+    assert bent.calibration.linearity is None
     recording = armimp.simulate(duration=20.0, seed=1, arm_sim=person)
     known = recording.calibration
     assert known.linearity == 0.0
@@ -205,13 +204,8 @@ def test_torques_that_a_load_keeps_of_one_sign_are_no_fault(
 
 
 def test_a_transducer_that_shows_the_torque_of_another_joint_is_named_with_its_share() -> None:
-    crossed = armimp.simulate(
-        duration=20.0,
-        seed=1,
-        friction=0,
-        resolution=0,
-        arm_sim={"sensors.torque.cross_talk": 0.05},
-    )
+    sensors = {"sensors.torque.cross_talk": 0.05, "substeps": 20}
+    crossed = armimp.simulate(duration=20.0, friction=0, resolution=0, arm_sim=sensors)
     found = armimp.identify(crossed)
     assert not found.impedance_valid
     # A gain error of the shoulder would explain its share as well: this arm's rows are alike.
@@ -222,7 +216,8 @@ def test_a_transducer_that_shows_the_torque_of_another_joint_is_named_with_its_s
 
 
 def test_an_undeclared_delay_of_the_torques_is_not_taken_for_a_nonlinear_arm() -> None:
-    late = armimp.simulate(duration=20.0, seed=1, arm_sim={"sensors.torque.delay": 0.0015})
+    sensors = {"sensors.torque.delay": 0.0015, "substeps": 20}
+    late = armimp.simulate(duration=20.0, arm_sim=sensors)
     untold = dict.fromkeys(("torque_delay", "torque_uncertainty"))
     untold |= {"torque_timing": TorqueTiming.UNKNOWN}
     known = late.known.model_copy(update=untold)

@@ -67,7 +67,7 @@ class Driver(Answering):
     def __init__(self, **defects: Any) -> None:
         self.time_ns, self.tick = NS_PER_S, 0
         super().__init__(JOINTS, self.obey, now_ns=lambda: self.time_ns, sleep=lambda _: None)
-        self.rig = SimulatedRig(SimulatorParameters.preset())
+        self.rig = SimulatedRig(SimulatorParameters.preset().model_copy(update={"substeps": 20}))
         self.encoders = {
             topic: JointStateEncoder(JOINTS, VALUE_FIELD[topic]) for topic in SENSOR_TOPICS
         }

@@ -358,19 +358,32 @@ class JointStateDecoder(_Decoder):
         return [index[name] for name in self._names]
 
 
-def joint_names_of(data: Buffer) -> tuple[str, ...]:
-    """Return the joint names in the order in which a JointState message has them.
+def decode_joint_state(
+    data: Buffer,
+) -> tuple[int, tuple[str, ...], tuple[float, ...], tuple[float, ...]]:
+    """Decode any JointState message into its stamp (ns), joint names, positions and efforts.
+
+    Arrays are as sent, of whatever length.
 
     Raises
     ------
     MalformedMessageError
         If the bytes are not a JointState message.
     """
-    reader, names, _, _ = _joint_state(data)
+    reader, names, *spans = _joint_state(data)
     try:
-        return tuple(name.decode() for name in names)
+        texts = tuple(name.decode() for name in names)
     except UnicodeDecodeError:
         raise reader.error(f"has a joint name that is not UTF-8: {_joined(names)}") from None
+    position, effort = (
+        struct.unpack_from(f"<{(end - start) // 8}d", data, start) for start, end in spans
+    )
+    return stamp_of(data), texts, position, effort
+
+
+def joint_names_of(data: Buffer) -> tuple[str, ...]:
+    """Return the joint names of a JointState message, in its order; raises as above."""
+    return decode_joint_state(data)[1]
 
 
 def stamp_of(data: Buffer) -> int:

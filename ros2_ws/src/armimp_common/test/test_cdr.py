@@ -18,6 +18,7 @@ from armimp_common.cdr import (
     JointStateDecoder,
     JointStateEncoder,
     decode_count,
+    decode_joint_state,
     encode_count,
     joint_names_of,
     stamp_of,
@@ -79,7 +80,7 @@ def test_when_rclpy_serialised_with_all_fields_filled_expect_the_field_asked_for
 
         assert JointStateDecoder(names, "position").decode(data) == (STAMP, tuple(position))
         assert JointStateDecoder(names, "effort").decode(data) == (STAMP, tuple(effort))
-        assert joint_names_of(data) == tuple(names)
+        assert decode_joint_state(data) == (STAMP, tuple(names), tuple(position), tuple(effort))
         assert stamp_of(data) == STAMP
 
 

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullLocator
+from matplotlib.transforms import ScaledTranslation
 
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.atomic_write import write_atomically
@@ -121,6 +122,14 @@ def matrix_figure(
         _draw(chart, panels)
         # With y given, matplotlib spends no time on checking whether the title collides.
         panels[0].set_title(title, pad=3, y=1.0)
+        for panel in panels:
+            # With places given, it does not look for room beside the numbers at the ticks either.
+            below, beside = (
+                panel.transAxes + ScaledTranslation(*inches, figure.dpi_scale_trans)
+                for inches in ((0.0, -0.26), (-0.43, 0.0))
+            )
+            panel.xaxis.set_label_coords(0.5, 0.0, below)
+            panel.yaxis.set_label_coords(0.0, 0.5, beside)
         for panel in panels[:-1]:
             panel.tick_params(labelbottom=False)
         if k == 0:
@@ -128,7 +137,6 @@ def matrix_figure(
                 panel.set_ylabel(axis.title.replace("<br>", "\n"))
         if i == rows - 1:
             panels[-1].set_xlabel(chart.abscissa.title)
-    figure.align_ylabels()
     return figure
 
 

@@ -1,4 +1,5 @@
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
@@ -159,6 +160,7 @@ def test_a_gain_above_one_of_a_single_joint_leaves_the_robot_a_negative_viscosit
     assert 0.0 < float(found.values["error"]) < 0.1
 
 
+@functools.cache
 def simulated(law: str = "tde", noise: float = 0.05) -> TrialRecord:
     """Trial of one joint whose law feeds back rounded torques, whose errors have that noise."""
     sensors = {"sensors.torque.resolution": noise * 12.0**0.5}

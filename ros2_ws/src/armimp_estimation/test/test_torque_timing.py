@@ -44,6 +44,7 @@ def rig_records(reading: TorqueReading = PROMPT, law: str = "tde") -> list[Trial
         arm_sim={
             "sensors": {"torque": torque},
             "actuators": {"bandwidth": 0.5 / np.pi / lag if lag else 0.0},
+            "substeps": 20,
         },
     )
     return list(recording.trials)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from copy import copy
 from functools import partial
 from typing import Any, NamedTuple, TypeAlias
@@ -17,7 +17,6 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
-from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
@@ -27,10 +26,11 @@ from armimp_bringup.driver_check import SENSOR_TOPICS, Call, Endpoint, Message, 
 from armimp_bringup.graph import GraphContext
 from armimp_common import qos, topics
 from armimp_common.arrays import FloatArray
-from armimp_common.errors import InterruptionError
+from armimp_common.cdr import decode_joint_state
+from armimp_common.errors import InterruptionError, MalformedMessageError
 from armimp_common.executor import Spinner
 from armimp_common.pubsub import CommandPublisher, subscribe_raw
-from armimp_common.status import Level, to_ns
+from armimp_common.status import Level
 from armimp_common.topics import JOINT_STATES, NS_PER_S
 
 _NODE = "armimp_check_driver"
@@ -151,7 +151,9 @@ class Answering:
 
     def hear(self, topic: str, data: bytes) -> None:
         """Take a message of a sensor stream; answer if it makes a sample complete."""
-        message = _message(self.now_ns(), data)
+        message = None
+        with suppress(MalformedMessageError):
+            message = Message(self.now_ns(), *decode_joint_state(data))
         self.kept[topic].append(message)
         guard = self.guard
         if guard is not None and topic == JOINT_STATES and not guard.allows(message):
@@ -298,13 +300,3 @@ class Conversation(Node, Answering):
         for status in array.status:
             if status.level == bytes([Level.ERROR]):
                 self.errors.append(Error(self.now(), status.name, status.message))
-
-
-def _message(arrival_ns: int, data: bytes) -> Message | None:
-    try:
-        message: Any = deserialize_message(data, JointState)
-        names = tuple(str(name) for name in message.name)
-    except Exception:  # noqa: BLE001 (of whatever kind: foreign bytes are the finding)
-        return None
-    position, effort = (tuple(map(float, field)) for field in (message.position, message.effort))
-    return Message(arrival_ns, to_ns(message.header.stamp), names, position, effort)
