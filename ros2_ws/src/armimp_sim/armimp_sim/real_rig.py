@@ -392,11 +392,10 @@ def _end(
     _load(w, joints, width, rows, past, now, h)
     for lane in range(rows.shape[0]):
         for i in range(n):
-            row = rows[lane, i]
-            signal = _signal(w, lane, ANGLE, i, joints, rows)
-            _pass(row, past[lane, i], ANGLE, at, signal, False)
-            signal = _signal(w, lane, TORQUE, i, joints, rows)
-            _pass(row, past[lane, i], TORQUE, at, signal, mean)
+            for kind in range(2):
+                signal = _signal(w, lane, kind, i, joints, rows)
+                averaged = mean and kind == TORQUE
+                _pass(rows[lane, i], past[lane, i], kind, at, signal, averaged)
 
 
 @compiled_entry
