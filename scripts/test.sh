@@ -22,9 +22,9 @@ run() {
     fi
 }
 
-# One more than there are processors, as tests of the graph wait for one another now and then, and as
+# Two more than there are processors, as tests of the graph wait for one another now and then, and as
 # other programs may take their share. They come first, so that what is left at the end is short.
-run --numprocesses "$(($(nproc) + 1))" --dist loadfile --no-loadscope-reorder \
+run --numprocesses "$(($(nproc) + 2))" --dist loadfile --no-loadscope-reorder \
     -m "($chosen) and not alone" "$@"
 # None of the quick ones is alone.
 [ "$chosen" = 'not slow' ] || run -m alone "$@"
