@@ -382,7 +382,10 @@ def decode_joint_state(
 
 
 def joint_names_of(data: Buffer) -> tuple[str, ...]:
-    """Return the joint names of a JointState message, in its order; raises as above."""
+    """Return the joint names of a JointState message, in its order.
+
+    Raises as `decode_joint_state`.
+    """
     return decode_joint_state(data)[1]
 
 

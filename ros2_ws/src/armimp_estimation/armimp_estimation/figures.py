@@ -126,7 +126,7 @@ def matrix_figure(
             # With places given, it does not look for room beside the numbers at the ticks either.
             below, beside = (
                 panel.transAxes + ScaledTranslation(*inches, figure.dpi_scale_trans)
-                for inches in ((0.0, -0.26), (-0.43, 0.0))
+                for inches in ((0.0, -0.26), (0.03 - left, 0.0))
             )
             panel.xaxis.set_label_coords(0.5, 0.0, below)
             panel.yaxis.set_label_coords(0.0, 0.5, beside)
@@ -134,7 +134,7 @@ def matrix_figure(
             panel.tick_params(labelbottom=False)
         if k == 0:
             for panel, (_, axis) in zip(panels, chart.rows, strict=True):
-                panel.set_ylabel(axis.title.replace("<br>", "\n"))
+                panel.set_ylabel(axis.title.replace("<br>", "\n"), va="top")  # from the left
         if i == rows - 1:
             panels[-1].set_xlabel(chart.abscissa.title)
     return figure
