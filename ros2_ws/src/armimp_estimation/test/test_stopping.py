@@ -112,6 +112,7 @@ def ended(record: TrialRecord, others: Sequence[TrialRecord]) -> TrialRecord:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1200)
 def test_intervals_of_trials_that_end_early_hold_the_truth_and_estimates_are_not_biased() -> None:
     """With a voluntary torque, which makes lengths differ by chance."""
     loop = SyntheticConfig(rate=200.0, samples=20_000, voluntary=0.3, torque_noise=0.005)
