@@ -337,7 +337,7 @@ class JointStateDecoder(_Decoder):
         return first * NS_PER_S + second
 
     def _parse(self, data: Buffer) -> _Layout:
-        reader, names, position, effort = _joint_state(data)
+        reader, _, names, position, effort = _joint_state(data)
         order = self._order(names, reader)
         numbers = position if self._field == "position" else effort
         count = (numbers[1] - numbers[0]) // 8
@@ -370,15 +370,11 @@ def decode_joint_state(
     MalformedMessageError
         If the bytes are not a JointState message.
     """
-    reader, names, *spans = _joint_state(data)
-    try:
-        texts = tuple(name.decode() for name in names)
-    except UnicodeDecodeError:
-        raise reader.error(f"has a joint name that is not UTF-8: {_joined(names)}") from None
+    reader, stamp_ns, names, *spans = _joint_state(data)
     position, effort = (
         struct.unpack_from(f"<{(end - start) // 8}d", data, start) for start, end in spans
     )
-    return stamp_of(data), texts, position, effort
+    return stamp_ns, _texts(reader, names), position, effort
 
 
 def joint_names_of(data: Buffer) -> tuple[str, ...]:
@@ -386,7 +382,8 @@ def joint_names_of(data: Buffer) -> tuple[str, ...]:
 
     Raises as `decode_joint_state`.
     """
-    return decode_joint_state(data)[1]
+    reader, _, names, *_ = _joint_state(data)
+    return _texts(reader, names)
 
 
 def stamp_of(data: Buffer) -> int:
@@ -529,15 +526,22 @@ def encode_trial_status(status: TrialStatus) -> bytes:
     return _LITTLE + data[: len(data) - padding]
 
 
-def _joint_state(data: Buffer) -> tuple[CdrReader, list[bytes], Span, Span]:
-    """Parse a JointState: its reader, its joint names, and the spans of positions and efforts."""
+def _joint_state(data: Buffer) -> tuple[CdrReader, int, list[bytes], Span, Span]:
+    """Parse a JointState: reader, stamp (ns), joint names, and spans of positions and efforts."""
     reader = CdrReader(data, "JointState")
-    reader.stamp_ns()
+    stamp_ns = reader.stamp_ns()
     reader.string()
     names = [reader.string() for _ in range(reader.count(4))]
     position, _, effort = reader.float64s(), reader.float64s(), reader.float64s()
     reader.finish()
-    return reader, names, position, effort
+    return reader, stamp_ns, names, position, effort
+
+
+def _texts(reader: CdrReader, names: Sequence[bytes]) -> tuple[str, ...]:
+    try:
+        return tuple(name.decode() for name in names)
+    except UnicodeDecodeError:
+        raise reader.error(f"has a joint name that is not UTF-8: {_joined(names)}") from None
 
 
 def _check(names: Sequence[str]) -> None:
