@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import inspect
 import math
 import os
 import random
@@ -194,6 +195,8 @@ class RealtimeScheduling:
                     text = f"parameter 'realtime.priority' = {priority}: {_REFUSAL}"
                     raise GraphError(text) from None
                 self._undo.callback(_reschedule, thread, *before)
+        # The first message that rclpy logs looks up the file of each module, which takes 0.1 s.
+        inspect.getmodule(inspect.currentframe())
         gc.collect()
         gc.freeze()
         self._undo.callback(gc.unfreeze)

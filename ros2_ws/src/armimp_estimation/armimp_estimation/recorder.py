@@ -37,6 +37,7 @@ from armimp_estimation.alignment.assemble import Trial, assemble_trials
 from armimp_estimation.alignment.streams import Streams, stamps_in_step
 from armimp_estimation.bags import BagWriter, require_free_space
 from armimp_estimation.bags.reader import BAGS
+from armimp_estimation.bags.writer import definitions
 from armimp_estimation.estimators.lpm import FittedColumn, LpmConfig, LpmFull
 from armimp_estimation.metadata import RECORD_KEY, Timing
 from armimp_estimation.problems import Problem, ProblemCode
@@ -113,6 +114,8 @@ class TrialRecorder:
         self._lpm = LpmFull() if lpm is None else LpmFull(config=lpm)
         self._target_error, self._least_duration = target_error, least_duration
         self._writer: BagWriter | None = None
+        if directory is not None:
+            definitions()  # no trial should wait for the first call
         self._bag = ""
         self._past: list[TrialRecord] = []
         self._between = {topic: deque[bytes](maxlen=_KEPT_BETWEEN) for topic in DATA_STREAMS}
