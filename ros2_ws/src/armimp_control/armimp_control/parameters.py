@@ -159,7 +159,7 @@ class ControllerParameters(Schema):
                 f"known.arm_inertia has {inertia}"
             )
         law = self.control_law()
-        self.safety.rules(law.target_posture, PERIOD)
+        self.safety.rules(law.target_posture)
         return check_stability(law)
 
 

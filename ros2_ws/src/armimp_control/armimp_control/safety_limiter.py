@@ -43,6 +43,7 @@ from armimp_common.compiled import compiled, compiled_entry
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import PositiveVector, Schema, each
 from armimp_common.status import Cause
+from armimp_common.topics import PERIOD
 
 WINDOW = 5
 """Ticks over which a velocity is taken."""
@@ -74,8 +75,8 @@ STOPPED, REMAINING, SAMPLES, FAULT, PRESENT, CLIPPED = 0, 1, 2, 3, 6, 9
 JOURNAL = CLIPPED + LIMITS
 
 # Causes of a fault; those from LIMIT_CAUSE on are limits.
-NO_CAUSE, OTHER_CAUSE, BAD_POSITION, BAD_TORQUE, BAD_PERTURBATION, BAD_COMMAND = range(6)
-LIMIT_CAUSE = 6
+NO_CAUSE, BAD_POSITION, BAD_TORQUE, BAD_PERTURBATION, BAD_COMMAND = range(5)
+LIMIT_CAUSE = 5
 
 _NOT_FINITE = {
     BAD_POSITION: "position of",
@@ -142,17 +143,17 @@ class SafetyParameters(Schema):
     """Time within which a stop brings the torque to zero (s); short, as the ramp begins at the last
     command, which may be a peak of chatter."""
 
-    def ramp_ticks(self, period: float) -> int:
-        """Return the ticks in which a stop brings the torque to zero, for a control period L, s."""
-        return max(math.floor(self.ramp_time / period + 1e-9), 1)
+    @property
+    def ramp_ticks(self) -> int:
+        """Ticks in which a stop brings the torque to zero."""
+        return max(math.floor(self.ramp_time / PERIOD + 1e-9), 1)
 
-    def rules(self, posture: FloatArray, period: float) -> FloatArray:
+    def rules(self, posture: FloatArray) -> FloatArray:
         """Return the limits as compiled code takes them, (RULE_ROWS, n).
 
         Parameters
         ----------
         posture : (n,) θ_rd, from which positions are counted, rad
-        period : L, s
 
         Raises
         ------
@@ -160,19 +161,19 @@ class SafetyParameters(Schema):
             If the number of values does not fit the number of joints, or a stop could not bring the
             torque to zero in time without a step beyond the rate limit.
         """
-        n, ticks = posture.size, self.ramp_ticks(period)
+        n, ticks = posture.size, self.ramp_ticks
         rows = np.empty((RULE_ROWS, n))
         for i, limit in enumerate(Limit):
             name = f"{limit.value}_limit"
             rows[i] = each(f"safety.{name}", np.atleast_1d(getattr(self, name)).tolist(), n)
             rows[STOPS + i] = getattr(self, f"{limit.value}_action") is Action.STOP
-        rows[RATE] *= period
+        rows[RATE] *= PERIOD
         rows[CENTRE] = posture
         rows[RAMP] = ticks
-        if not self.rate_limit * period * ticks >= self.torque_limit:
+        if not self.rate_limit * PERIOD * ticks >= self.torque_limit:
             raise ConfigurationError(
                 f"safety: with rate_limit {self.rate_limit} N·m/s a stop can't bring torque_limit "
-                f"{self.torque_limit} N·m to zero within {ticks * period:g} s"
+                f"{self.torque_limit} N·m to zero within {ticks * PERIOD:g} s"
             )
         return rows
 
@@ -191,7 +192,7 @@ def fault_of(journal: FloatArray, place: int, rules: FloatArray) -> tuple[Cause,
         NONE and empty if there is none, or if the caller reported it itself.
     """
     cause, joint, value = int(journal[place]), int(journal[place + 1]), float(journal[place + 2])
-    if cause in {NO_CAUSE, OTHER_CAUSE}:
+    if cause == NO_CAUSE:
         return Cause.NONE, ""
     if cause < LIMIT_CAUSE:
         return (
@@ -275,7 +276,7 @@ def _first_bad(values: FloatArray) -> int:
 
 @compiled
 def _remember(
-    theta: FloatArray, rules: FloatArray, period: float, memory: FloatArray, journal: FloatArray
+    theta: FloatArray, rules: FloatArray, memory: FloatArray, journal: FloatArray
 ) -> None:
     """Compute excursions and velocities of a finite sample, and remember it."""
     samples = int(journal[SAMPLES])
@@ -283,7 +284,7 @@ def _remember(
     span, oldest = (WINDOW, slot) if samples >= WINDOW else (samples, HISTORY)
     for i in range(theta.size):
         memory[EXCURSION, i] = theta[i] - rules[CENTRE, i]
-        memory[SPEED, i] = (theta[i] - memory[oldest, i]) / (span * period) if span > 0 else 0.0
+        memory[SPEED, i] = (theta[i] - memory[oldest, i]) / (span * PERIOD) if span > 0 else 0.0
         memory[slot, i] = theta[i]
     journal[SAMPLES] = samples + 1
 
@@ -294,7 +295,6 @@ def check_sample(
     tau_h: FloatArray,
     tau_delta: FloatArray,
     rules: FloatArray,
-    period: float,
     memory: FloatArray,
     journal: FloatArray,
 ) -> bool:
@@ -304,7 +304,6 @@ def check_sample(
     ----------
     theta, tau_h, tau_delta : (n,) rad, N·m, N·m: encoders, torque transducers, perturbation
     rules : (RULE_ROWS, n) from :meth:`SafetyParameters.rules`
-    period : L, s
     memory, journal : (LIMITER_ROWS, n) and (JOURNAL,), updated
 
     Returns
@@ -318,7 +317,7 @@ def check_sample(
         if i >= 0 and cause == NO_CAUSE:
             cause, joint, value = bad, i, values[i]
     if cause == NO_CAUSE:
-        _remember(theta, rules, period, memory, journal)
+        _remember(theta, rules, memory, journal)
         for i in range(theta.size):
             for number, row in ((POSITION, EXCURSION), (VELOCITY, SPEED)):
                 within = abs(memory[row, i]) <= rules[number, i]
@@ -447,19 +446,15 @@ def limit_command(
 
 
 @compiled_entry
-def stop_commands(ticks: int, fault: bool, memory: FloatArray, journal: FloatArray) -> None:
+def stop_commands(ticks: int, memory: FloatArray, journal: FloatArray) -> None:
     """Let no command through any more, for a reason that the caller knows.
 
     Parameters
     ----------
     ticks : length of the ramp to zero; with 0, the last command counts as zero from now on
-    fault : whether this is a fault, or just the end
     memory, journal : as of :func:`check_sample`
     """
-    if fault:
-        _stop(journal, ticks, OTHER_CAUSE, 0, 0.0)
-    else:
-        _stop(journal, ticks, NO_CAUSE, 0, 0.0)
+    _stop(journal, ticks, NO_CAUSE, 0, 0.0)
     if ticks == 0:
         memory[SENT] = 0.0
 

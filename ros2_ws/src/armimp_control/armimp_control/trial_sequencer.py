@@ -305,7 +305,7 @@ class Watchdog:
 
     def __init__(self, safety: SafetyParameters, *, slowest_tick: float) -> None:
         self._patience = safety.watchdog_ticks * slowest_tick
-        self._longest = safety.ramp_ticks(PERIOD)
+        self._longest = safety.ramp_ticks
         self._last: float | None = None
         self._given = 0
 

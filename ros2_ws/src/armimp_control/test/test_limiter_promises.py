@@ -8,11 +8,9 @@ from armimp_common.compiled import compiled, compiled_entry
 from armimp_common.topics import PERIOD
 from armimp_control.safety_limiter import (
     CENTRE,
-    FAULT,
     JOURNAL,
     LIMITER_ROWS,
     LIMITS,
-    NO_CAUSE,
     POSITION,
     POWER,
     RAMP,
@@ -121,11 +119,12 @@ def _run_sequence(
     limiter, journal = np.zeros((LIMITER_ROWS, n)), np.zeros(JOURNAL)
     command, before, kept = np.zeros(n), np.zeros(n), np.zeros((ticks, n))
     speed, excursion = np.zeros(n), np.zeros(n)
-    count, closed_at = 0, -1
+    count, closed_at, released = 0, -1, False
     for k in range(ticks):
         cut = event == _CUT and k == event_tick
         if event != _NONE and k == event_tick:
-            stop_commands(0 if cut else int(rules[RAMP, 0]), event != _RELEASED, limiter, journal)
+            released = event == _RELEASED and journal[STOPPED] == 0.0
+            stop_commands(0 if cut else int(rules[RAMP, 0]), limiter, journal)
         poisoned = not (finite[0, k] and finite[1, k] and finite[2, k])
         if not poisoned:
             span = min(count, WINDOW)
@@ -135,7 +134,7 @@ def _run_sequence(
                 excursion[i] = theta[k, i] - rules[CENTRE, i]
                 kept[count, i] = theta[k, i]
             count += 1
-        used = check_sample(theta[k], tau_h[k], tau_delta[k], rules, PERIOD, limiter, journal)
+        used = check_sample(theta[k], tau_h[k], tau_delta[k], rules, limiter, journal)
         copy_values(asked[k], command)
         clipped = limit_command(command, rules, limiter, journal)
         poisoned = poisoned or (used and not finite[3, k])
@@ -151,7 +150,7 @@ def _run_sequence(
         copy_values(command, before)
         counts[1] += poisoned
         counts[2] += clipped
-    counts[0] += journal[FAULT] != NO_CAUSE
+    counts[0] += journal[STOPPED] != 0.0 and not released
 
 
 def _rules(rng: np.random.Generator, m: int, n: int) -> FloatArray:

@@ -7,7 +7,6 @@ import pytest
 
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import build, flatten
-from armimp_common.topics import PERIOD
 from armimp_control import presets
 from armimp_control.laws import INERTIA_MODEL
 from armimp_control.parameters import ControllerParameters
@@ -55,9 +54,9 @@ def test_a_value_that_makes_no_sense_is_refused_and_named(name: str, values: lis
 
 def test_the_slowest_rate_limit_brings_the_torque_down_just_in_time() -> None:
     slow = SafetyParameters(torque_limit=80.0, rate_limit=1600.0, ramp_time=0.05)
-    assert slow.rules(np.zeros(2), PERIOD).shape[1] == 2
+    assert slow.rules(np.zeros(2)).shape[1] == 2
     with pytest.raises(ConfigurationError, match=r"rate_limit 1599\.0 .* 80\.0 .* within 0\.05 s"):
-        slow.model_copy(update={"rate_limit": 1599.0}).rules(np.zeros(2), PERIOD)
+        slow.model_copy(update={"rate_limit": 1599.0}).rules(np.zeros(2))
 
 
 @pytest.mark.parametrize(("law", "share"), [("tde", 0.7), ("observer", 0.35), ("paper", 0.0)])

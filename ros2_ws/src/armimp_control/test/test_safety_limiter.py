@@ -41,7 +41,7 @@ class SafetyLimiter:
     """A limiter of its own, fed tick by tick."""
 
     def __init__(self, joints: int = 2, **limits: Any) -> None:
-        self.rules = WIDE.model_copy(update=limits).rules(np.zeros(joints), PERIOD)
+        self.rules = WIDE.model_copy(update=limits).rules(np.zeros(joints))
         self.memory = np.zeros((LIMITER_ROWS, joints))
         self.journal = np.zeros(JOURNAL)
         self.command = np.zeros(joints)
@@ -58,7 +58,7 @@ class SafetyLimiter:
         sample, torque, perturbation = (
             np.array(still if values is None else values) for values in (theta, tau_h, tau_delta)
         )
-        _check(sample, torque, perturbation, self.rules, PERIOD, self.memory, self.journal)
+        _check(sample, torque, perturbation, self.rules, self.memory, self.journal)
         self.command = np.array(command)
         self.clipped = _limit(self.command, self.rules, self.memory, self.journal)
         return self.command
@@ -203,7 +203,7 @@ def test_power_beyond_its_limit_is_clipped_joint_by_joint() -> None:
 def test_after_a_stop_the_torque_falls_in_a_straight_line(ramp_time: float, ticks: int) -> None:
     limiter = SafetyLimiter(ramp_time=ramp_time)
     limiter.tick((50.0, -20.0))
-    stop_commands(ticks, True, limiter.memory, limiter.journal)
+    stop_commands(ticks, limiter.memory, limiter.journal)
     outputs = np.array([limiter.tick((50.0, -20.0)) for _ in range(ticks + 20)])
     line = np.clip(1.0 - np.arange(1, ticks + 21) / ticks, 0.0, None)
     assert outputs == pytest.approx(line[:, None] * [50.0, -20.0], abs=1e-9)
@@ -213,7 +213,7 @@ def test_after_a_stop_the_torque_falls_in_a_straight_line(ramp_time: float, tick
 def test_when_no_samples_come_the_ramp_goes_on_by_the_ticks_that_have_passed() -> None:
     limiter = SafetyLimiter(ramp_time=0.05)
     limiter.tick((50.0, -50.0))
-    stop_commands(50, True, limiter.memory, limiter.journal)
+    stop_commands(50, limiter.memory, limiter.journal)
     for ticks, left in ((10, 40.0), (0, 40.0), (39, 1.0), (100, 0.0)):
         continue_ramp(ticks, limiter.command, limiter.rules, limiter.memory, limiter.journal)
         assert limiter.command == pytest.approx([left, -left])

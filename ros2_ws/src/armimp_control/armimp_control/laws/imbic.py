@@ -113,11 +113,6 @@ class Imbic(Law):
         Rounding of encoders is modelled as white noise of variance δ²/12, and unknown torques,
         mostly friction, as random walks. They act on all joints through M̄⁻¹, so friction that shows
         in the motion of the perturbed joint is known at the locked joints before they move.
-
-        Parameters
-        ----------
-        inverse : (n, n) M̄⁻¹, 1/(kg·m²)
-        locked : (n,) which joints are locked
         """
         # Imported here, so that other laws need not wait for it.
         from scipy.linalg import solve_discrete_are
@@ -182,7 +177,6 @@ def _observe(
     tau_h: FloatArray,
     role: FloatArray,
     model: FloatArray,
-    period: float,
     memory: FloatArray,
     command: FloatArray,
 ) -> None:
@@ -196,8 +190,8 @@ def _observe(
         acceleration = memory[DISTURBANCE, i]
         for j in range(n):
             acceleration += model[INVERSE, i, j] * command[j]
-        memory[ANGLE, i] += period * (memory[VELOCITY, i] + 0.5 * period * acceleration)
-        memory[VELOCITY, i] += period * acceleration
+        memory[ANGLE, i] += PERIOD * (memory[VELOCITY, i] + 0.5 * PERIOD * acceleration)
+        memory[VELOCITY, i] += PERIOD * acceleration
     for i in range(n):
         command[i] = theta[i] - memory[ANGLE, i]
     for i in range(n):
@@ -217,7 +211,6 @@ def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     target: FloatArray,
     model: FloatArray,
     gamma: float,
-    period: float,
     memory: FloatArray,
     command: FloatArray,
 ) -> None:
@@ -230,7 +223,7 @@ def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     role : (ROLE_ROWS, n) from :meth:`Imbic.role`
     target : (n,) θ_rd, rad
     model : (MODEL_ROWS, n, n) from :meth:`Imbic.model`
-    gamma, period : rad/s, s
+    gamma : rad/s
     memory : (MEMORY_ROWS, n), updated; zeros before the first tick; COMMAND holds what was sent
     command : (n,) N·m, written
     """
@@ -240,7 +233,7 @@ def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
         for i in range(n):
             memory[THETA_1, i] = memory[THETA_2, i] = memory[ANGLE, i] = theta[i]
     elif observer:
-        _observe(theta, tau_h, role, model, period, memory, command)
+        _observe(theta, tau_h, role, model, memory, command)
     memory[TICKS, 0] = ticks + 1.0
     for i in range(n):
         goal = target[i]
@@ -257,8 +250,8 @@ def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
             angle, velocity = memory[ANGLE, i], memory[VELOCITY, i]
             known = memory[DISTURBANCE, i]
         else:
-            angle, velocity = theta[i], (theta[i] - memory[THETA_1, i]) / period
-            known = (theta[i] - 2.0 * memory[THETA_1, i] + memory[THETA_2, i]) / (period * period)
+            angle, velocity = theta[i], (theta[i] - memory[THETA_1, i]) / PERIOD
+            known = (theta[i] - 2.0 * memory[THETA_1, i] + memory[THETA_2, i]) / (PERIOD * PERIOD)
             memory[THETA_2, i] = memory[THETA_1, i]
             memory[THETA_1, i] = theta[i]
         u = (
@@ -267,7 +260,7 @@ def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
             - role[DAMPING, i] * velocity
             - role[STIFFNESS, i] * (angle - goal)
         ) / role[INERTIA, i]
-        memory[IDEAL_VELOCITY, i] += period * u
+        memory[IDEAL_VELOCITY, i] += PERIOD * u
         command[i] = u + gamma * (memory[IDEAL_VELOCITY, i] - velocity) - known
     for i in range(n):
         total = tau_h[i] - role[TARE, i] if observer else memory[COMMAND, i]
@@ -279,7 +272,7 @@ def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
 
 
 @compiled
-def forgo(command: FloatArray, model: FloatArray, period: float, memory: FloatArray) -> None:
+def forgo(command: FloatArray, model: FloatArray, memory: FloatArray) -> None:
     """Subtract from the ideal velocity what a clipped command can't bring about (anti-windup).
 
     Otherwise it would grow without limit while commands are clipped, and throw the joint about once
@@ -288,10 +281,10 @@ def forgo(command: FloatArray, model: FloatArray, period: float, memory: FloatAr
     Parameters
     ----------
     command : (n,) what is sent, N·m; the memory still holds what the law asked for
-    model, period, memory : as of :func:`imbic`
+    model, memory : as of :func:`imbic`
     """
     n = command.size
     for i in range(n):
         for j in range(n):
             missing = command[j] - memory[COMMAND, j]
-            memory[IDEAL_VELOCITY, i] += period * model[INVERSE, i, j] * missing
+            memory[IDEAL_VELOCITY, i] += PERIOD * model[INVERSE, i, j] * missing

@@ -10,7 +10,6 @@ import numpy as np
 from armimp_common.arrays import FloatArray
 from armimp_common.compiled import compiled, compiled_entry
 from armimp_common.status import Cause
-from armimp_common.topics import PERIOD
 from armimp_control.laws import (
     COMMAND,
     IMBIC_OBSERVER,
@@ -53,7 +52,7 @@ def _unpacked(w: FloatArray, n: int) -> tuple[FloatArray, ...]:
     """Return views of the array `w` on which a controller works.
 
     They are sample; command and target posture; role; rules, memory of the law and of the limiter;
-    internal model; journal; Γ (rad/s) and L (s).
+    internal model; journal; Γ (rad/s).
     """
     a = 3 * n
     b = a + 2 * n
@@ -79,7 +78,7 @@ def _unpacked(w: FloatArray, n: int) -> tuple[FloatArray, ...]:
 def packed_size(n: int) -> int:
     """Return the length of the array on which a controller of n joints works."""
     rows = 5 + ROLE_ROWS + RULE_ROWS + MEMORY_ROWS + LIMITER_ROWS + MODEL_ROWS * n
-    return rows * n + JOURNAL + 2
+    return rows * n + JOURNAL + 1
 
 
 @compiled
@@ -99,12 +98,12 @@ def packed_tick(law: int, n: int, w: FloatArray) -> int:
         Number of joints whose command was clipped. After a stop, which the journal records, the law
         is no longer computed and its memory is zero.
     """
-    sample, posture, role, rules, memory, limiter, model, journal, scalars = _unpacked(w, n)
+    sample, posture, role, rules, memory, limiter, model, journal, gain = _unpacked(w, n)
     theta, tau_h, tau_delta = sample[0], sample[1], sample[2]
-    command, target, gamma, period = posture[0], posture[1], scalars[0], scalars[1]
-    if check_sample(theta, tau_h, tau_delta, rules, period, limiter, journal):
+    command, target, gamma = posture[0], posture[1], gain[0]
+    if check_sample(theta, tau_h, tau_delta, rules, limiter, journal):
         if law == PD:
-            pd(theta, tau_delta, role, target, period, memory, command)
+            pd(theta, tau_delta, role, target, memory, command)
         else:
             observer = law == IMBIC_OBSERVER
             imbic(
@@ -116,7 +115,6 @@ def packed_tick(law: int, n: int, w: FloatArray) -> int:
                 target,
                 model,
                 gamma,
-                period,
                 memory,
                 command,
             )
@@ -125,7 +123,7 @@ def packed_tick(law: int, n: int, w: FloatArray) -> int:
         memory[:] = 0.0
     else:
         if law == IMBIC_OBSERVER and clipped > 0:
-            forgo(command, model, period, memory)
+            forgo(command, model, memory)
         copy_values(command, memory[COMMAND])
     return clipped
 
@@ -165,17 +163,17 @@ class Controller:
         self._all = np.zeros(packed_size(n)) if storage is None else storage
         views = _unpacked(self._all, n)
         self.sample, posture, self.role, self.rules, self.memory, self._limiter = views[:6]
-        self.model, self._journal, scalars = views[6:]
+        self.model, self._journal, gain = views[6:]
         self.command = posture[0]
         posture[1] = law.target_posture
-        scalars[:] = law.law.gamma, PERIOD
-        self.rules[:] = safety.rules(law.target_posture, PERIOD)
+        gain[:] = law.law.gamma
+        self.rules[:] = safety.rules(law.target_posture)
         self._tare = np.zeros(n)
         # Models are computed and kept now, as there is no time for that between two samples.
         for joint in (NO_JOINT, *range(n)):
             law.model(joint)
         self.perturb_joint(0)
-        self._ramp_ticks = safety.ramp_ticks(PERIOD)
+        self._ramp_ticks = safety.ramp_ticks
         self._notes = self._journal.data  # a memoryview, read in half the time
 
     @property
@@ -216,17 +214,17 @@ class Controller:
 
     def stop(self) -> None:
         """Stop for a fault that the caller knows; the torque ramps down to zero."""
-        stop_commands(self._ramp_ticks, True, self._limiter, self._journal)
+        stop_commands(self._ramp_ticks, self._limiter, self._journal)
 
     def cut(self) -> None:
         """Stop for a fault that the caller knows; zero torque at once."""
-        stop_commands(0, True, self._limiter, self._journal)
+        stop_commands(0, self._limiter, self._journal)
         self.command[:] = 0.0
 
     def release(self) -> None:
         """Stop at the end, without a fault: torque falls as fast as the rate limit allows."""
         ticks = np.ceil(np.max(np.abs(self._limiter[SENT]) / self.rules[RATE]))
-        stop_commands(max(int(ticks), 1), False, self._limiter, self._journal)
+        stop_commands(max(int(ticks), 1), self._limiter, self._journal)
 
     def continue_ramp(self, ticks: int) -> None:
         """Advance the ramp after a stop by some ticks, while no samples come."""

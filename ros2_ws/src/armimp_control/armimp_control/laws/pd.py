@@ -23,6 +23,7 @@ import numpy as np
 from armimp_common.arrays import FloatArray
 from armimp_common.compiled import compiled
 from armimp_common.schema import matrix
+from armimp_common.topics import PERIOD
 from armimp_control.laws import (
     DAMPING,
     INERTIA,
@@ -58,7 +59,6 @@ def pd(
     tau_delta: FloatArray,
     role: FloatArray,
     target: FloatArray,
-    period: float,
     memory: FloatArray,
     command: FloatArray,
 ) -> None:
@@ -69,7 +69,6 @@ def pd(
     theta, tau_delta : (n,) rad, N·m: encoders, perturbation
     role : (ROLE_ROWS, n) from :meth:`Pd.role`
     target : (n,) θ_rd, rad
-    period : s
     memory : (MEMORY_ROWS, n), updated; zeros before the first tick
     command : (n,) N·m, written
     """
@@ -79,7 +78,7 @@ def pd(
             memory[THETA_1, i] = theta[i]
         memory[TICKS, 0] = 1.0
     for i in range(n):
-        velocity = (theta[i] - memory[THETA_1, i]) / period
+        velocity = (theta[i] - memory[THETA_1, i]) / PERIOD
         memory[THETA_1, i] = theta[i]
         command[i] = (
             tau_delta[i] - role[DAMPING, i] * velocity - role[STIFFNESS, i] * (theta[i] - target[i])
