@@ -25,7 +25,7 @@ from armimp_common.cdr import CommandDecoder, JointStateDecoder
 from armimp_common.errors import GraphError
 from armimp_common.executor import run_node, steady_timer
 from armimp_common.heartbeat import HeartbeatMonitor
-from armimp_common.pubsub import publisher_count, subscribe_decoded, wait_for_partners
+from armimp_common.pubsub import subscribe_decoded, wait_for_partners
 from armimp_common.status import values_of
 from armimp_common.topics import SIM_NODE
 from support.graph import raised
@@ -67,7 +67,7 @@ class Witness(Node):
         _tell("listens")
 
     def _look_around(self) -> None:
-        if all(publisher_count(self, one.subscription) for one in self._monitors):
+        if all(one.subscription.get_publisher_count() for one in self._monitors):
             self._timer.cancel()
             with suppress(GraphError):  # who was killed before does not answer any more
                 wait_for_partners(self, monitors=self._monitors)

@@ -30,7 +30,6 @@ from armimp_common.protection import CommandSequence, Protection, TorqueLatch
 from armimp_common.pubsub import (
     JointStatePublisher,
     RawPublisher,
-    publisher_count,
     subscribe_decoded,
     wait_for_partners,
 )
@@ -207,7 +206,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
     def check(self) -> None:
         """Check for other publishers of commands, and report news of faults; called every 20 ms."""
         if self.active:
-            publishers = publisher_count(self, self.commands)
+            publishers = self.commands.get_publisher_count()
             if publishers > 1:
                 self.accuse(f"{publishers} publishers")
             elif not publishers:

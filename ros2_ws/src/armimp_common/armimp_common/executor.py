@@ -1,4 +1,4 @@
-"""Spin nodes with the fastest executor available; and the main function of node processes.
+"""Spin nodes with the fastest executor of rclpy; and the main function of node processes.
 
 The events executor of rclpy is several times faster than the single-threaded one, with traps:
 its ``spin()`` receives nothing from other processes; a timeout does not end a spin as long as
@@ -26,7 +26,8 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.context import Context
-from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException
+from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
@@ -130,7 +131,7 @@ class Spinner:
         nodes = list(nodes)
         if context is None and nodes:
             context = nodes[0].context
-        self.executor = _fastest(context)
+        self.executor = EventsExecutor(context=context)
         for node in nodes:
             self.add_node(node)
         threading.Thread(target=self._look_at_clock, name="wall clock", daemon=True).start()
@@ -227,15 +228,6 @@ class Spinner:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def _fastest(context: Context | None) -> Executor:
-    """Return an events executor, or the single-threaded one where this rclpy has no other."""
-    try:
-        from rclpy.experimental import EventsExecutor
-    except ImportError:
-        return SingleThreadedExecutor(context=context)
-    return EventsExecutor(context=context)
 
 
 def run_node(factory: Callable[..., Node], args: Sequence[str] | None = None) -> int:

@@ -203,14 +203,6 @@ def _nobody(message: bytes) -> None:
     raise AssertionError("nobody is to be told of this message")
 
 
-def publisher_count(node: Node, subscription: Subscription) -> int:
-    """Return the number of publishers that a subscription hears."""
-    # Older versions of rclpy do not count matched publishers; the graph's count may run ahead.
-    if hasattr(subscription, "get_publisher_count"):
-        return int(subscription.get_publisher_count())
-    return int(node.count_publishers(subscription.topic_name))
-
-
 def wait_for_partners(
     node: Node,
     *,
@@ -250,7 +242,7 @@ def wait_for_partners(
     def lonely() -> list[str]:
         return [
             *(one.topic_name for one in sending if not one.get_subscription_count()),
-            *(one.topic_name for one in listening if not publisher_count(node, one)),
+            *(one.topic_name for one in listening if not one.get_publisher_count()),
         ]
 
     _wait_until_none(lonely, "nobody at the other end of")
