@@ -17,7 +17,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from pydantic import BaseModel
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.subscription import Subscription
-from std_srvs.srv import Trigger
 
 from armimp_common import qos, topics
 from armimp_common.cdr import CommandDecoder
@@ -132,8 +131,8 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         self._commanders = 0
         self._names: list[str] = []
         self.controller = HeartbeatMonitor(self, topics.CONTROLLER_NODE, self._on_controller)
-        self.create_service(Trigger, topics.SIM_STOP_SERVICE, self._on_stop)
-        self.create_service(Trigger, topics.SIM_RESET_SERVICE, self._on_reset)
+        self.offer_trigger(topics.SIM_STOP_SERVICE, self._on_stop)
+        self.offer_trigger(topics.SIM_RESET_SERVICE, self._on_reset)
         self.declared = ParameterSet(
             self, type(parameters), parameters, locked=lambda: busy if self.active else None
         )
@@ -306,26 +305,22 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
             self.latch(controller.sentence)
             self.report_news()
 
-    def _on_stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_stop(self) -> tuple[bool, str]:
         self._stopped = True
         self.latch(_STOPPED)
         self.report()
-        response.success = True
-        response.message = f"no torque until {topics.SIM_RESET_SERVICE} is called"
-        return response
+        return True, f"no torque until {topics.SIM_RESET_SERVICE} is called"
 
-    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_reset(self) -> tuple[bool, str]:
         try:
             with self.locked:
                 self.obey_again()
         except GraphError as error:
-            response.success, response.message = False, str(error)
-            return response
+            return False, str(error)
         self._stopped = self._accused = False
         self._sequence.restart()
         self.report()
-        response.success, response.message = True, "commands are obeyed"
-        return response
+        return True, "commands are obeyed"
 
     # Transitions that end an experiment: none of them leaves torque behind.
 

@@ -18,6 +18,7 @@ from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.timer import Timer
+from std_srvs.srv import Trigger
 
 from armimp_common.errors import ArmimpError, GraphError
 from armimp_common.heartbeat import offer_heartbeat
@@ -195,6 +196,15 @@ class ManagedNode(LifecycleNode):
     def own(self, *things: Publisher | Subscription | Timer) -> None:
         """Register what :meth:`disown` is to destroy."""
         self._owned += things
+
+    def offer_trigger(self, name: str, act: Callable[[], tuple[bool, str]]) -> None:
+        """Offer a ``std_srvs/Trigger`` service; `act` returns its success and its message."""
+
+        def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            response.success, response.message = act()
+            return response
+
+        self.create_service(Trigger, name, answer)
 
     def disown(self) -> None:
         """Destroy what the node owns."""

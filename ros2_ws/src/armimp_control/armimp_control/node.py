@@ -11,7 +11,6 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
-from std_srvs.srv import Trigger
 
 from armimp_common import qos, topics
 from armimp_common.cdr import JointStateDecoder
@@ -80,8 +79,8 @@ class ImbicControllerNode(ManagedNode):
         self._reported_clips = 0
         self._stamp_ns = 0
         self._diagnostics: Publisher | None = None
-        self.create_service(Trigger, topics.CONTROLLER_STOP_SERVICE, self._on_emergency_stop)
-        self.create_service(Trigger, topics.CONTROLLER_RESET_SERVICE, self._on_reset)
+        self.offer_trigger(topics.CONTROLLER_STOP_SERVICE, self._on_emergency_stop)
+        self.offer_trigger(topics.CONTROLLER_RESET_SERVICE, self._on_reset)
         subscribe_counts(self, topics.RECEIVED, self._on_received)
         self.create_subscription(DiagnosticStatus, topics.STOPPING, self._on_decision, qos.LATCHED)
         self._declared = ParameterSet(
@@ -347,29 +346,21 @@ class ImbicControllerNode(ManagedNode):
         self._fault = self._fault or reason
         self._report()
 
-    def _on_emergency_stop(
-        self, request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
+    def _on_emergency_stop(self) -> tuple[bool, str]:
         """Zero torque at once, in whatever state the node is."""
         self._take_away(Cause.EMERGENCY_STOP, _STOPPED)
         self._latch(_STOPPED)
-        response.success = True
-        response.message = f"no torque until {topics.CONTROLLER_RESET_SERVICE} is called"
-        return response
+        return True, f"no torque until {topics.CONTROLLER_RESET_SERVICE} is called"
 
-    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_reset(self) -> tuple[bool, str]:
         """Forget the fault; an experiment that it ended stays over."""
-        refusal = self._reset_refusal()
-        response.success = not refusal
-        if refusal:
-            response.message = f"not reset: {refusal}"
-        elif self._fault:
-            response.message = f"reset: {self._fault}; the next activation begins a new experiment"
-            self._fault = ""
-            self._report()
-        else:
-            response.message = "there was no fault"
-        return response
+        if refusal := self._reset_refusal():
+            return False, f"not reset: {refusal}"
+        if not self._fault:
+            return True, "there was no fault"
+        fault, self._fault = self._fault, ""
+        self._report()
+        return True, f"reset: {fault}; the next activation begins a new experiment"
 
     def _reset_refusal(self) -> str:
         """Say why the fault must not be forgotten now; empty if it may."""
