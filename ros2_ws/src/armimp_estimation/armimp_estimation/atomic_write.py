@@ -17,7 +17,7 @@ _SPARSEST: Final = 20
 
 
 def write_atomically(path: Path, write: Callable[[Path], object], *, anew: bool = False) -> None:
-    """Write a file under a new random name in its directory, then rename it.
+    """Write a file under a new random name in its directory, then give it its own name.
 
     No existing file of that random name is opened, and no link is followed. If writing fails, an
     existing file at `path` stays as it is.
@@ -38,16 +38,29 @@ def write_atomically(path: Path, write: Callable[[Path], object], *, anew: bool 
     part = path.with_name(f".{secrets.token_hex(8)}{path.suffix}")
     exclusively = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     try:
-        if path.exists() and not anew:
-            raise DataError(f"{path}: exists already")
         os.close(os.open(part, exclusively, 0o666))
         try:
             write(part)
-            part.replace(path)
+            if anew:
+                part.replace(path)
+            else:
+                _name(part, path)
         finally:
             part.unlink(missing_ok=True)
+    except FileExistsError:
+        raise DataError(f"{path}: exists already") from None
     except OSError as error:
         raise DataError(f"{path}: cannot be written: {reason_of(error)}") from error
+
+
+def _name(part: Path, path: Path) -> None:
+    """Give a file the name that it is to have, unless another has it."""
+    try:
+        path.hardlink_to(part)  # fails if the name is taken; renaming would replace the other file
+    except OSError:
+        if os.path.lexists(path):
+            raise FileExistsError from None
+        part.replace(path)  # this file system has no links
 
 
 def reason_of(error: OSError) -> object:

@@ -6,6 +6,7 @@ import math
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from armimp_common.status import TimingFigures
 from armimp_common.topics import CONTROLLER_NODE, JOINT_STATES, PERIOD_NS, TRIAL
 from armimp_estimation.alignment.assemble import Trial, assemble_trials
 from armimp_estimation.alignment.streams import decode_streams
+from armimp_estimation.atomic_write import write_atomically
 from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.metadata import RECORD_KEY, Metadata, Timing, latest_metadata
@@ -320,6 +322,26 @@ def test_files_hold_the_result_and_are_never_overwritten(tmp_path: Path) -> None
     assert [path.name for path in (tmp_path / "bare").iterdir()] == ["summary.json"]
     with pytest.raises(DataError, match=r"nowhere/summary.json: cannot be written: No such file"):
         write_summary(tmp_path / "nowhere" / "summary.json", complete().summary)
+
+
+@pytest.mark.parametrize("links", [True, False])
+def test_a_file_that_appears_while_another_is_written_stays_as_it_is(
+    links: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "summary.json"
+    if not links:  # as on FAT
+        monkeypatch.setattr(Path, "hardlink_to", Mock(side_effect=PermissionError))
+
+    def write_late(part: Path) -> None:
+        part.write_text("late")
+        path.write_text("first")
+
+    with pytest.raises(DataError, match=r"summary.json: exists already"):
+        write_atomically(path, write_late)
+    assert path.read_text() == "first"
+    path.unlink()
+    write_atomically(path, lambda part: part.write_text("alone"))
+    assert [(one.name, one.read_text()) for one in tmp_path.iterdir()] == [(path.name, "alone")]
 
 
 def test_curves_come_back_bit_by_bit_each_with_its_own_frequencies(
