@@ -158,7 +158,7 @@ class TimingLimits(Schema):
     max_late_share: float = Field(default=0.01, ge=0.0, le=1.0)
     """Largest share of samples sent late."""
     max_missed_share: float = Field(default=0.01, ge=0.0, le=1.0)
-    """Largest share of commands that missed their tick."""
+    """Largest share of periods whose command did not come in time."""
     max_latency: float = Field(default=0.001, gt=0.0)
     """Largest 99 % quantile of the time from sample to command (s)."""
 

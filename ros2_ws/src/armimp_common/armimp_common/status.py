@@ -289,7 +289,7 @@ class TimingFigures(Record):
     late: _Count
     """Samples sent more than 0.25 ms after their deadline."""
     missed: _Count
-    """Periods for which the command did not come in time, so that the last one was held."""
+    """Periods whose command did not come in time, so that the last one was held."""
     period_p50: _Duration = math.nan
     """Median time from one sample to the next (s); quantiles are of up to 4096 drawn at random."""
     period_p99: _Duration = math.nan
