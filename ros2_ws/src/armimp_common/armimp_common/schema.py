@@ -261,6 +261,11 @@ def matrix(name: str, values: Vector, n: int) -> NDArray[np.float64]:
     return np.array(values).reshape(n, n)
 
 
+def row_by_row(values: NDArray[np.float64]) -> Vector:
+    """Return the values of a vector (n,), or of a matrix row by row, as parameters hold them."""
+    return tuple(values.ravel().tolist())
+
+
 def check_names(names: Iterable[str], known: Iterable[str]) -> None:
     """Check that every name is known.
 

@@ -10,7 +10,7 @@ from pydantic import Field
 from armimp_common.arrays import FloatArray
 from armimp_common.errors import ConfigurationError
 from armimp_common.realtime import SchedulingParameters
-from armimp_common.schema import Schema, Vector, each, matrix, require_length
+from armimp_common.schema import Schema, each, matrix, require_length, row_by_row
 from armimp_common.topics import PERIOD
 from armimp_control import presets
 from armimp_control.laws import Law, LawParameters, TargetParameters
@@ -84,24 +84,24 @@ class ControllerParameters(Schema):
             joints=joints,
             seed=seed,
             target=TargetParameters(
-                posture=_flat(posture),
-                inertia=_flat(inertia),
-                damping=_flat(damping),
-                stiffness=_flat(stiffness),
+                posture=row_by_row(posture),
+                inertia=row_by_row(inertia),
+                damping=row_by_row(damping),
+                stiffness=row_by_row(stiffness),
                 lock_frequency=preset.lock_frequency,
                 lock_approach=preset.lock_approach,
                 lock_dither=preset.dither * count,
             ),
             law=LawParameters(
                 internal_model=preset.internal_model,
-                model_inertia=_flat(preset.inertia * robot_inertia),
+                model_inertia=row_by_row(preset.inertia * robot_inertia),
                 gamma=preset.gamma,
                 encoder_resolution=max(count, preset.finest),
-                perturbed_walk=_flat(perturbed),
-                locked_walk=_flat(locked),
+                perturbed_walk=row_by_row(perturbed),
+                locked_walk=row_by_row(locked),
             ),
             known=KnownParameters(
-                robot_inertia=_flat(robot_inertia), arm_inertia=_flat(arm_inertia)
+                robot_inertia=row_by_row(robot_inertia), arm_inertia=row_by_row(arm_inertia)
             ),
             perturbation=perturbing,
             sequence=SequenceParameters(duration=duration),
@@ -161,7 +161,3 @@ class ControllerParameters(Schema):
         law = self.control_law()
         self.safety.rules(law.target_posture)
         return check_stability(law)
-
-
-def _flat(values: FloatArray) -> Vector:
-    return tuple(float(value) for value in values.ravel())

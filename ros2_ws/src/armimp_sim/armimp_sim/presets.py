@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from armimp_common.arrays import FloatArray
+from armimp_common.schema import row_by_row
 from armimp_common.sizes import JOINT_SIZES
 from armimp_sim.model.arm import CuffParameters, HumanArm
 from armimp_sim.model.friction import LuGre
@@ -15,12 +16,8 @@ from armimp_sim.model.sensors import ReadingParameters, SensorParameters
 from armimp_sim.voluntary import VoluntaryParameters
 
 
-def _flat(values: FloatArray) -> tuple[float, ...]:
-    return tuple(values.ravel().tolist())
-
-
 def _radians(*degrees: float) -> tuple[float, ...]:
-    return _flat(np.radians(degrees))
+    return row_by_row(np.radians(degrees))
 
 
 LEVELS = (0, 1, 2, 3)
@@ -150,10 +147,10 @@ def _even_arm(joints: int) -> HumanArm:
     distance = np.arange(joints) - np.arange(joints)[:, None]
     coupling = np.where(distance > 0, *_STIFFNESS_COUPLING)
     return HumanArm(
-        posture=_flat(posture),
-        inertia=_flat(_rods(joints).mass_matrix(posture)),
-        damping=_flat(_DAMPING * mean_size * _DAMPING_COUPLING ** np.abs(distance)),
-        stiffness=_flat(_STIFFNESS * mean_size * coupling ** np.abs(distance)),
+        posture=row_by_row(posture),
+        inertia=row_by_row(_rods(joints).mass_matrix(posture)),
+        damping=row_by_row(_DAMPING * mean_size * _DAMPING_COUPLING ** np.abs(distance)),
+        stiffness=row_by_row(_STIFFNESS * mean_size * coupling ** np.abs(distance)),
     )
 
 
@@ -166,7 +163,7 @@ def _even_robot(joints: int) -> PlanarChain:
     drives = (_ROBOT_SHARE - links) * (inertia - np.append(inertia[1:], 0.0))
     return PlanarChain(
         lengths=rods.lengths,
-        moments=_flat(links * np.array(rods.moments) + drives),
+        moments=row_by_row(links * np.array(rods.moments) + drives),
         masses=tuple(links * mass for mass in rods.masses),
         centres=rods.centres,
     )
