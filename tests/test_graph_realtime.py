@@ -14,12 +14,13 @@ from pathlib import Path
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.serialization import deserialize_message
+from rclpy.time import Time
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.nodes import MODULES
 from armimp_bringup.orchestrator import run_experiment
 from armimp_common.heartbeat import Presence
-from armimp_common.status import Progress, TimingFigures, to_ns, values_of
+from armimp_common.status import Progress, TimingFigures, values_of
 from armimp_common.topics import CONTROLLER_NODE, DIAGNOSTICS, PERIOD_NS, SIM_NODE
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.summary import Summary
@@ -55,7 +56,8 @@ def told_of_timing(bag: Path) -> Iterator[TimingFigures]:
             array = deserialize_message(raw, DiagnosticArray)
             figures = TimingFigures.from_values(values_of(array.status[0]))
             # All samples before this instant were sent; that of it was, or will be at its deadline.
-            assert figures.ticks - to_ns(array.header.stamp) // PERIOD_NS in (0, 1)
+            stamp_ns = Time.from_msg(array.header.stamp).nanoseconds
+            assert figures.ticks - stamp_ns // PERIOD_NS in (0, 1)
             yield figures
 
 

@@ -112,9 +112,9 @@ def endpoints(process: int | None = None) -> set[Any]:
     }
 
 
-def reachable_from_outside(process: int | None = None) -> set[Any]:
-    """Return the `endpoints` of a process that other machines can reach."""
-    return {one for one in endpoints(process) if not ip_address(one.ip).is_loopback}
+def reachable_from_outside() -> set[Any]:
+    """Return the `endpoints` of this process that other machines can reach."""
+    return {one for one in endpoints() if not ip_address(one.ip).is_loopback}
 
 
 class ParentWatchdog:

@@ -166,19 +166,18 @@ class PollingNode(Node):
         """The subscriptions that an executor attends to."""
         return (one for one in super().subscriptions if one not in self._unattended)
 
-    def subscribe_unattended(
-        self, topic: str, message_type: type[Any], profile: QoSProfile = qos.SAMPLE
-    ) -> Subscription:
+    def subscribe_unattended(self, topic: str, message_type: type[Any]) -> Subscription:
         """Return a subscription whose messages wait in the middleware for :func:`take_all`.
 
         Ordinarily the executor is notified of every message, wakes up, looks up its subscription
         and calls back: several times the cost of the message itself. A node that takes messages of
         several streams together, or many at once, need not be notified of each.
 
-        Beyond the depth of the profile, the oldest messages are lost. Call this in the thread of
-        the executor, which might otherwise attend to the subscription before it is hidden.
+        Beyond the depth of :data:`armimp_common.qos.SAMPLE`, the oldest messages are lost. Call
+        this in the thread of the executor, which might otherwise attend to the subscription before
+        it is hidden.
         """
-        made = subscribe_raw(self, topic, message_type, _nobody, profile)
+        made = subscribe_raw(self, topic, message_type, _nobody)
         self._unattended.add(made)
         return made
 

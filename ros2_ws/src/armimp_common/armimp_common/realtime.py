@@ -185,7 +185,8 @@ class RealtimeScheduling:
 
         Raises a GraphError if the system does not permit the priority.
         """
-        for thread in _threads() if priority else []:
+        for task in Path("/proc/self/task").iterdir() if priority else ():
+            thread = int(task.name)
             with suppress(ProcessLookupError):  # ended just now
                 before = os.sched_getscheduler(thread), os.sched_getparam(thread)
                 try:
@@ -262,10 +263,3 @@ def wake_up_exactly() -> None:
     """Let the kernel wake this thread at the time it asked for, not up to 50 µs later."""
     with suppress(OSError, AttributeError):  # elsewhere than on Linux
         ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, _SLACK_NS, 0, 0, 0)
-
-
-def _threads() -> list[int]:
-    try:
-        return [int(entry.name) for entry in Path("/proc/self/task").iterdir()]
-    except OSError:
-        return [0]

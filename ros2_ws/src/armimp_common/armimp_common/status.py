@@ -435,8 +435,3 @@ def to_time(stamp_ns: int) -> Time:
 
     sec, nanosec = divmod(stamp_ns, NS_PER_S)
     return Time(sec=sec, nanosec=nanosec)
-
-
-def to_ns(time: Time) -> int:
-    """Return the stamp (ns) of a message."""
-    return int(time.sec) * NS_PER_S + int(time.nanosec)

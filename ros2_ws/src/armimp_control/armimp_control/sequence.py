@@ -128,7 +128,7 @@ class Segment:
 
 
 def timetable(
-    sequence: SequenceParameters, *, joints: int, tare: TareParameters | None = None
+    sequence: SequenceParameters, *, joints: int, tare: TareParameters
 ) -> tuple[Segment, ...]:
     """Return the timetable of an experiment: one trial for each joint, in order, without gaps.
 
@@ -136,10 +136,10 @@ def timetable(
     ----------
     sequence : SequenceParameters
     joints : number of joints n, and so of trials
-    tare : TareParameters; by default there is no tare
+    tare : TareParameters
     """
     lengths = [
-        (Phase.SETTLE, 0 if tare is None else tare.ticks, True),
+        (Phase.SETTLE, tare.ticks, True),
         (Phase.SETTLE, round(sequence.settle / PERIOD), False),
         (Phase.PERTURB, round(sequence.duration / PERIOD), False),
         (Phase.REST, round(sequence.rest / PERIOD), False),

@@ -22,7 +22,7 @@ from pydantic import (
 from armimp_common.errors import ArmimpError, ConfigurationError, DataError
 from armimp_common.realtime import LATE_NS, TimingLimits
 from armimp_common.status import TimingFigures
-from armimp_common.topics import CONTROLLER_NODE, NS_PER_S, PERIOD_NS
+from armimp_common.topics import CONTROLLER_NODE, RATE
 from armimp_estimation.arm_models import AUTO, require_model
 from armimp_estimation.estimators.lpm import LpmConfig
 from armimp_estimation.estimators.registry import IdentifyConfig
@@ -193,7 +193,7 @@ class Metadata(BaseModel):
     def planned_rate(self) -> float | None:
         """Sampling rate that was planned for a recording, Hz, if it is known."""
         if self.sampling_rate is None and CONTROLLER_NODE in self.config:
-            return NS_PER_S / PERIOD_NS  # the only one at which that controller works
+            return RATE  # the only one at which that controller works
         return self.sampling_rate
 
     @property

@@ -26,9 +26,9 @@ from armimp_common.topics import (
     COMMANDS,
     DATA_STREAMS,
     JOINT_STATES,
-    NS_PER_S,
     PERIOD_NS,
     PERTURBATION,
+    RATE,
     TORQUE_SENSORS,
     TRIAL,
     VALUE_FIELD,
@@ -45,7 +45,6 @@ from armimp_estimation.record import TrialRecord
 from armimp_estimation.scores import coherence
 from armimp_estimation.trial import TrialData
 
-_RATE = NS_PER_S / PERIOD_NS
 _ROUND = 1000
 """A running record is cut to a multiple of this number of samples for an estimate."""
 _SEEN_EVERY = 1.0
@@ -260,7 +259,7 @@ class TrialRecorder:
                 self._least_duration,
                 trial=status.trial,
                 planned=status.ticks,
-                rate=_RATE,
+                rate=RATE,
             )
         return self._rule.decide(
             self.samples,
@@ -431,7 +430,7 @@ class TrialRecorder:
         (trial,) = trials
         if trial.record is not None:
             self._past.append(trial.record)
-        rtf = trial.statistics.span / _RATE / elapsed
+        rtf = trial.statistics.span / RATE / elapsed
         return replace(trial, bag=self._bag or None, rtf=rtf)
 
 

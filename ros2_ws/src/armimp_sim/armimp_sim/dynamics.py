@@ -48,11 +48,6 @@ def rows(n: int) -> int:
     return VECTORS * n + MATRICES * n * n
 
 
-def width_for(lanes: int) -> int:
-    """Return the width of the blocks of a batch."""
-    return 1 if lanes == 1 else WIDTH
-
-
 @compiled
 def _get(w: FloatArray, row: int, width: Tag) -> float:
     return load(w, row * len(width), width)

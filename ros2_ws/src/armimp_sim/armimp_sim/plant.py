@@ -79,7 +79,7 @@ class Plant:
                 )
         self.config = first
         n, lanes = first.arm.joints, len(configs)
-        width = dynamics.width_for(lanes)
+        width = 1 if lanes == 1 else dynamics.WIDTH
         blocks = -(-lanes // width)
         coordinates = n * (1 + first.soft)
         self.position, self.torque = np.zeros((lanes, n)), np.zeros((lanes, n))

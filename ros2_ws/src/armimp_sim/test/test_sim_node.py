@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import pytest
 from rclpy.node import Node
+from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import UInt64
 
@@ -14,7 +15,6 @@ from armimp_common.executor import Spinner
 from armimp_common.heartbeat import HeartbeatMonitor
 from armimp_common.pubsub import wait_for_partners
 from armimp_common.schema import Value
-from armimp_common.status import to_ns
 from armimp_common.topics import CLOCK, PERIOD_NS
 from armimp_sim.node import ArmSimNode
 from armimp_sim.parameters import SimulatorParameters
@@ -55,7 +55,7 @@ def test_clock_and_health_are_published_now_and_then(world: World) -> None:
     times: list[int] = []
 
     def hear(message: Clock) -> None:
-        times.append(to_ns(message.clock))
+        times.append(Time.from_msg(message.clock).nanoseconds)
 
     subscription = world.node.create_subscription(Clock, CLOCK, hear, qos.CLOCK)
     wait_for_partners(world.node, subscriptions=[subscription])
