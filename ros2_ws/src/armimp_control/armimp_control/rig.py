@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 
 from armimp_common.arrays import FloatArray
 from armimp_common.schema import PositiveVector, Schema, Vector
+from armimp_common.topics import PERIOD
 
 MOST_DELAY = 20
 """Largest delay of commands that can be declared to the controller (control periods)."""
@@ -51,8 +52,8 @@ class RigDynamics(Schema):
             f"(0: none) and drives that lag by {1e3 * self.actuator_lag:g} ms"
         )
 
-    def sampled(self, period: float) -> SampledDynamics:
-        """Return the dynamics from tick to tick, for a command that is held over the period (s)."""
+    def sampled(self) -> SampledDynamics:
+        """Return the dynamics from tick to tick, for a command that is held over the period."""
         # Imported here, as only the stability check and the observer need it.
         from scipy.linalg import expm
 
@@ -73,10 +74,10 @@ class RigDynamics(Schema):
             reads[low_pass] = c[0]
         else:
             reads[torque] = 1.0
-        whole = int(np.floor(self.torque_delay / period + 1e-9))
-        phase = 1.0 - min(max(self.torque_delay / period - whole, 0.0), 1.0)
-        reading = reads @ expm(system * (phase * period))
-        return SampledDynamics(expm(system * period)[:-1, 2:], reading[2:], whole)
+        whole = int(np.floor(self.torque_delay / PERIOD + 1e-9))
+        phase = 1.0 - min(max(self.torque_delay / PERIOD - whole, 0.0), 1.0)
+        reading = reads @ expm(system * (phase * PERIOD))
+        return SampledDynamics(expm(system * PERIOD)[:-1, 2:], reading[2:], whole)
 
 
 class KnownParameters(RigDynamics):

@@ -120,7 +120,7 @@ def spectral_radius(
     """
     n, period = law.joints, PERIOD
     robot_inertia, arm_inertia = _inertia(law, arm)
-    rig, delay = dynamics.sampled(period), dynamics.command_delay
+    rig, delay = dynamics.sampled(), dynamics.command_delay
     role, model = law.role(perturbed), law.model(perturbed)
     # Commands in the state: those yet to act, and the one that the observer takes to have acted.
     observed = int(role[LATE, 0])
