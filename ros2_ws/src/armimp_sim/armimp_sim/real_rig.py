@@ -40,14 +40,7 @@ _TARGET, _APPLIED, _VOLUNTARY, _YIELDED = 14, 15, 16, 17
 # of 1, the state and the next one. Last, the joint's row of the growth of K_h per second.
 _CHANNELS = 18
 _ORDER, _LATE, _LAST, _FILTERED, _LOW_PASS = 0, 1, 2, 3, 4
-_START, _END, _OUTPUT, _SETTLED, _STATE, _NEXT = (
-    ORDERS,
-    ORDERS + 1,
-    ORDERS + 2,
-    ORDERS + 3,
-    ORDERS + 4,
-    ORDERS + 5,
-)
+_START, _END, _OUTPUT, _SETTLED, _STATE, _NEXT = range(ORDERS, ORDERS + 6)
 _WIDE = ORDERS + 6
 _CHANNEL = _LOW_PASS + ORDERS * _WIDE
 _GROWTH = _CHANNELS + 3 * _CHANNEL

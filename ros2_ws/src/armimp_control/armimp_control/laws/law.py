@@ -106,18 +106,7 @@ def packed_tick(law: int, n: int, w: FloatArray) -> int:
             pd(theta, tau_delta, role, target, memory, command)
         else:
             observer = law == IMBIC_OBSERVER
-            imbic(
-                observer,
-                theta,
-                tau_h,
-                tau_delta,
-                role,
-                target,
-                model,
-                gamma,
-                memory,
-                command,
-            )
+            imbic(observer, theta, tau_h, tau_delta, role, target, model, gamma, memory, command)
     clipped = limit_command(command, rules, limiter, journal)
     if journal[STOPPED] != 0.0:
         memory[:] = 0.0
