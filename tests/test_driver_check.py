@@ -92,7 +92,7 @@ class Plain(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__(topics.SIM_NODE, **options)
         hasty = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-        angles = JointStatePublisher(self, topics.JOINT_STATES, JOINTS, "position")
+        angles = JointStatePublisher(self, topics.JOINT_STATES, JOINTS)
         torques = self.create_publisher(JointState, topics.TORQUE_SENSORS, hasty)
         encoder = JointStateEncoder(JOINTS, "effort")
         stamps = itertools.count(0, 2 * PERIOD_NS)

@@ -245,7 +245,7 @@ class ScriptedDriver:
         self.start_ns = start_ns
         self.tick = 0
         self.channels = {
-            topic: JointStatePublisher(node, topic, names, topics.VALUE_FIELD[topic])
+            topic: JointStatePublisher(node, topic, names)
             for topic in (topics.JOINT_STATES, topics.TORQUE_SENSORS)
         }
         self.commands: list[tuple[float, ...]] = []

@@ -142,8 +142,8 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         if self._stopped:
             limiter.latch(_STOPPED)
         self.limiter = limiter
-        self.joint_states = JointStatePublisher(self, topics.JOINT_STATES, joints, "position")
-        self.torque_sensors = JointStatePublisher(self, topics.TORQUE_SENSORS, joints, "effort")
+        self.joint_states = JointStatePublisher(self, topics.JOINT_STATES, joints)
+        self.torque_sensors = JointStatePublisher(self, topics.TORQUE_SENSORS, joints)
         self.diagnostics = self.create_publisher(
             DiagnosticArray, topics.DIAGNOSTICS, qos.DIAGNOSTICS
         )

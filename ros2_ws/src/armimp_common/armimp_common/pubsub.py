@@ -19,7 +19,6 @@ from armimp_common import cdr, qos, topics
 from armimp_common.arrays import FloatArray
 from armimp_common.errors import GraphError, MalformedMessageError
 from armimp_common.heartbeat import HeartbeatMonitor
-from armimp_common.topics import ValueField
 
 OnMalformed = Callable[[MalformedMessageError], None]
 _POLL = 0.005
@@ -53,11 +52,11 @@ class RawPublisher:
 
 
 class JointStatePublisher(RawPublisher):
-    """Publisher of JointState messages of one layout; see `armimp_common.cdr.JointStateEncoder`."""
+    """Publisher of a JointState topic of the contract, by `armimp_common.cdr.JointStateEncoder`."""
 
-    def __init__(self, node: Node, topic: str, names: Sequence[str], field: ValueField) -> None:
+    def __init__(self, node: Node, topic: str, names: Sequence[str]) -> None:
         super().__init__(node, topic, JointState)
-        self._encode = cdr.JointStateEncoder(names, field).encode
+        self._encode = cdr.JointStateEncoder(names, topics.VALUE_FIELD[topic]).encode
 
     def publish(self, stamp_ns: int, values: Sequence[float] | FloatArray) -> bytes:
         """Publish (n,) values with this stamp (ns), and return the bytes sent.

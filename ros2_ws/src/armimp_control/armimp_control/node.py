@@ -97,7 +97,7 @@ class ImbicControllerNode(ManagedNode):
         for warning in self._prepare().warnings:
             self.get_logger().warning(warning)
         self._commands = CommandPublisher(self, topics.COMMANDS, len(names))
-        self._perturbation = JointStatePublisher(self, topics.PERTURBATION, names, "effort")
+        self._perturbation = JointStatePublisher(self, topics.PERTURBATION, names)
         self._trial = self.create_publisher(DiagnosticStatus, topics.TRIAL, qos.LATCHED)
         self._diagnostics = self.create_publisher(
             DiagnosticArray, topics.DIAGNOSTICS, qos.DIAGNOSTICS
