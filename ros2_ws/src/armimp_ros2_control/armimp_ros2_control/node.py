@@ -36,7 +36,6 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
     """Splits joint states into angles and torques, and passes commands through its protection."""
 
     def __init__(self, **kwargs: Any) -> None:
-        self._listened = 0
         self._scheduling = RealtimeScheduling()
         super().__init__(BridgeParameters(), "the drives are on", **kwargs)
 
@@ -73,14 +72,13 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
 
     def _listen(self) -> Subscription:
         """Subscribe anew; what an older subscription still delivers is ignored."""
-        self._listened += 1
-        listened = self._listened
 
         def on_state(data: bytes) -> None:
-            if listened == self._listened:
+            if made is self._states:
                 self._on_state(data)
 
-        return subscribe_raw(self, STATES, JointState, on_state)
+        made = subscribe_raw(self, STATES, JointState, on_state)
+        return made
 
     def _on_state(self, data: bytes) -> None:
         if not self.active:
