@@ -143,6 +143,10 @@ class NodeGroup:
     def close(self) -> None:
         """Take the nodes down."""
 
+    def crashed(self) -> Sequence[str]:
+        """Say, once they are closed, which nodes did not end as they should."""
+        return ()
+
 
 class ComposedNodes(NodeGroup):
     """Nodes in this process, run by the given executor.
@@ -150,8 +154,7 @@ class ComposedNodes(NodeGroup):
     Parameters
     ----------
     context, spinner : where they live
-    parameters : Path
-        ROS parameter file for all of them.
+    parameters : ROS parameter file for all of them
     names : which nodes
     """
 
@@ -200,10 +203,8 @@ class SeparateNodes(NodeGroup):
 
     Parameters
     ----------
-    parameters : Path
-        ROS parameter file for all of them.
-    log_directory : Path
-        Where their output goes, one file for each.
+    parameters : ROS parameter file for all of them
+    log_directory : where their output goes, one file for each
     modules : module of each node, with the first arguments of its process
 
     Raises
@@ -221,7 +222,7 @@ class SeparateNodes(NodeGroup):
         self._logs = {name: log_directory / f"{name}.log" for name in modules}
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         self._forced: set[str] = set()
-        self._watchdog: ParentWatchdog | None = ParentWatchdog()
+        self._watchdog = ParentWatchdog()
         environment = self._watchdog.environment()
         try:
             log_directory.mkdir(parents=True, exist_ok=True)
@@ -271,12 +272,16 @@ class SeparateNodes(NodeGroup):
             Path(f"/proc/{number}/autogroup").write_text(str(niceness), encoding="ascii")
 
     def crashed(self) -> list[str]:
-        """Say which nodes were killed by a signal that was not ours, even at the very end."""
+        """Say which nodes were killed by a signal that was not ours, or are still there."""
         ours = -signal.SIGINT
         return [
             sentence
             for name, sentence in self.dead().items()
             if ours != self.processes[name].returncode < 0 and name not in self._forced
+        ] + [
+            f"node {name} could not be ended (process {process.pid})"
+            for name, process in self.processes.items()
+            if process.returncode is None
         ]
 
     def close(self) -> None:
@@ -293,12 +298,7 @@ class SeparateNodes(NodeGroup):
                     process.wait(max(deadline - time.monotonic(), 0.01))
                 except subprocess.TimeoutExpired:
                     continue
-        if self._watchdog is not None:
-            self._watchdog.close()
-            self._watchdog = None
-        for name, process in self.processes.items():
-            if process.poll() is None:
-                raise GraphError(f"node {name} could not be ended (process {process.pid})")
+        self._watchdog.close()
 
 
 class ExternalNodes(NodeGroup):
@@ -309,10 +309,8 @@ class ExternalNodes(NodeGroup):
 
     Parameters
     ----------
-    supervisor : Node
-        The node that asks and watches.
-    parameters : AskedParameters
-        Parameters that the nodes are given.
+    supervisor : the node that asks and watches
+    parameters : parameters that the nodes are given
     """
 
     def __init__(self, supervisor: Node, parameters: AskedParameters) -> None:

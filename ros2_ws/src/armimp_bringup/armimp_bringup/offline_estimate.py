@@ -57,22 +57,17 @@ def estimate_bags(
     DataError
         If the bags don't belong together, or a trial can't be estimated.
     """
-    contents = read_bags(bags, namespace=namespace)
-    names = contents[0].joint_names
-    notes = [note for content in contents for note in content.notes]
-    trials = [trial for content in contents for trial in content.trials]
-    for trial in trials:
-        trial.intact(allow_gaps=allow_gaps)
+    contents = read_bags(bags, namespace=namespace, allow_gaps=allow_gaps)
     metadata = latest_metadata([content.metadata for content in contents])
     metadata |= _metadata_of(declared or Declared())
     result = conclude(
-        trials,
+        [trial for content in contents for trial in content.trials],
         metadata=metadata,
-        joint_names=names,
+        joint_names=contents[0].joint_names,
         estimators=estimators or EstimatorParameters().estimators,
         allow_gaps=allow_gaps,
     )
-    return replace(result, notes=tuple(notes))
+    return replace(result, notes=tuple(note for content in contents for note in content.notes))
 
 
 def _metadata_of(declared: Declared) -> dict[str, str]:
@@ -89,12 +84,14 @@ def _metadata_of(declared: Declared) -> dict[str, str]:
     return {key: json.dumps(value) for key, value in told.items() if value is not None}
 
 
-def read_bags(bags: Sequence[Path], *, namespace: str | None = None) -> list[BagContent]:
+def read_bags(
+    bags: Sequence[Path], *, namespace: str | None = None, allow_gaps: bool = False
+) -> list[BagContent]:
     """Read bags that belong to one experiment; those that a killed recorder left are completed.
 
     `bags` is as for :func:`armimp_estimation.bags.reader.find_bags`. Raises a BagError if a bag
-    can't be read, or is given twice; a DataError if the joints differ between them, or the metadata
-    make no sense.
+    can't be read, or is given twice; a DataError if the joints differ between them, the metadata
+    make no sense, or a trial is refused, as one that lost samples is without `allow_gaps`.
     """
     contents = []
     for path in find_bags(bags):
@@ -112,4 +109,7 @@ def read_bags(bags: Sequence[Path], *, namespace: str | None = None) -> list[Bag
             Metadata.of(content.metadata, len(content.joint_names))
     except DataError as error:
         raise DataError(f"{content.path}: {error}") from None
+    for content in contents:
+        for trial in content.trials:
+            trial.intact(allow_gaps=allow_gaps)
     return contents

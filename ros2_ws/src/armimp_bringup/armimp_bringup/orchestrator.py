@@ -74,16 +74,11 @@ def run_experiment(
     Parameters
     ----------
     config : ExperimentConfig
-    directory : Path
-        New directory for bags and results.
-    domain_id : int, optional
-        ROS domain; by default a free one, or that of the environment if nodes are external.
-    on_progress : callable
-        Called a few times per second.
-    on_phase : callable
-        Called with each phase of each trial as it begins.
-    interrupted : callable
-        Called often; once it returns true, the experiment ends in good order, as invalid.
+    directory : new directory for bags and results
+    domain_id : ROS domain; by default a free one, or that of the environment if nodes are external
+    on_progress : called a few times per second
+    on_phase : called with each phase of each trial as it begins
+    interrupted : called often; once it returns true, the experiment ends in good order, as invalid
 
     Returns
     -------
@@ -126,16 +121,7 @@ def run_experiment(
             course = Course(
                 supervisor, spinner, nodes, interrupted=interrupted, confirm=asked.differences
             )
-            try:
-                problems = course.run()
-                result = nodes.result
-            finally:
-                nodes.close()
-                spinner.remove_node(supervisor)
-                supervisor.destroy_node()
-            if isinstance(nodes, SeparateNodes):
-                crashes = [problem(ProblemCode.NODE_FAILED, reason=how) for how in nodes.crashed()]
-                problems += [crash for crash in crashes if crash not in problems]
+            problems, result = course.run()
     problems += supervisor.faults
     timing = None
     if supervisor.timing is not None:
@@ -282,18 +268,31 @@ class Course:
         self._awaited: str | None = None  # during shutdown, the only node whose death matters
         self._problems: list[Problem] = []
 
-    def run(self, drive: Callable[[], None] = lambda: None) -> list[Problem]:
-        """Run the experiment, calling ``drive`` once all nodes are active; return the problems."""
+    def run(self, drive: Callable[[], None] = lambda: None) -> tuple[list[Problem], Result | None]:
+        """Run the experiment, calling ``drive`` once all nodes are active; then close the nodes.
+
+        Return the problems, and the result of an estimator in this process.
+        """
         try:
-            if self.startup():
-                drive()
-                self.watch()
-        except ArmimpError as error:
-            # From the graph itself or, where nodes live in this process, from a callback.
-            interrupted = error.code == ProblemCode.INTERRUPTED.value
-            self._problems += self._deaths() or [_INTERRUPTED if interrupted else _failure(error)]
-        self.shutdown()
-        return self._problems
+            try:
+                if self.startup():
+                    drive()
+                    self.watch()
+            except ArmimpError as error:
+                # From the graph itself or, where nodes live in this process, from a callback.
+                interrupted = error.code == ProblemCode.INTERRUPTED.value
+                cause = _INTERRUPTED if interrupted else _failure(error)
+                self._problems += self._deaths() or [cause]
+            self.shutdown()
+            result = self._nodes.result
+        finally:
+            self._nodes.close()
+            self._spinner.remove_node(self._supervisor)
+            self._supervisor.destroy_node()
+        reasons = self._nodes.crashed()
+        crashes = [problem(ProblemCode.NODE_FAILED, reason=how) for how in reasons]
+        self._problems += [crash for crash in crashes if crash not in self._problems]
+        return self._problems, result
 
     def startup(self) -> bool:
         """Configure and activate the nodes; return False if parameters are not as requested."""
@@ -376,16 +375,11 @@ def settle(
 
     Parameters
     ----------
-    directory : Path
-        Where the estimator stores its summary.
-    estimator : EstimatorParameters
-        Parameters of the estimator, needed if it has stored no summary.
-    found : Result or None
-        Result of an estimator in this process.
-    problems : sequence of Problem
-        Problems that the orchestrator observed.
-    timing : Timing, optional
-        Timing up to the end of the experiment; the estimator does not see its last samples.
+    directory : where the estimator stores its summary
+    estimator : parameters of the estimator, needed if it has stored no summary
+    found : result of an estimator in this process
+    problems : problems that the orchestrator observed
+    timing : timing up to the end of the experiment; the estimator does not see its last samples
     """
     finish_bags(directory)  # a killed estimator could not
     path = directory / SUMMARY_FILE

@@ -176,10 +176,7 @@ def replay_bags(
     """
     if directory is not None:
         require_unused(directory)
-    contents = read_bags(bags)
-    for content in contents:
-        for trial in content.trials:
-            trial.intact(allow_gaps=allow_gaps)
+    contents = read_bags(bags, allow_gaps=allow_gaps)
     with tempfile.TemporaryDirectory() as temporary:
         directory = directory or Path(temporary)
         parameters = EstimatorParameters(
@@ -214,11 +211,8 @@ def replay_bags(
 
                 course = Course(supervisor, spinner, nodes, interrupted=interrupted)
                 try:
-                    problems = course.run(drive)
-                    result = nodes.result
+                    problems, result = course.run(drive)
                 finally:
-                    nodes.close()
-                    for node in (player, supervisor):
-                        spinner.remove_node(node)
-                        node.destroy_node()
+                    spinner.remove_node(player)
+                    player.destroy_node()
         return settle(directory, parameters, result, problems)

@@ -4,6 +4,7 @@ import os
 import socket
 import subprocess
 from pathlib import Path
+from typing import cast
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -16,6 +17,7 @@ from armimp_bringup.orchestrator import Supervisor
 from armimp_common import qos, topics
 from armimp_common.errors import GraphError
 from armimp_common.executor import Spinner
+from armimp_common.process import ParentWatchdog
 from armimp_common.status import (
     Level,
     Phase,
@@ -239,3 +241,24 @@ def test_a_node_that_a_real_time_signal_killed_is_named(tmp_path: Path) -> None:
     (tmp_path / "log").write_text("begun\nsaid last\n")
     nodes.processes, nodes._logs = {"rig": process}, {"rig": tmp_path / "log"}
     assert nodes.dead() == {"rig": "node rig was killed by signal 40: said last"}
+
+
+class _Immortal:
+    pid, returncode = 7, None
+
+    def poll(self) -> None:
+        return None
+
+    def send_signal(self, _: int) -> None:
+        pass
+
+    def wait(self, timeout: float) -> None:
+        raise subprocess.TimeoutExpired("rig", timeout)
+
+
+def test_a_process_that_cannot_be_ended_is_named_and_raises_nothing() -> None:
+    nodes = object.__new__(SeparateNodes)
+    nodes._forced, nodes._watchdog = set(), ParentWatchdog()
+    nodes.processes = {"rig": cast("subprocess.Popen[bytes]", _Immortal())}
+    nodes.close()
+    assert nodes.crashed() == ["node rig could not be ended (process 7)"]
