@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.study import StudyEntry, saved_curves, select_conditions
+from armimp_bringup.study import StudyEntry, select_conditions
 from armimp_bringup.study.figures import impedance_figure, levels_figure
 from armimp_bringup.study.scores import (
     COHERENCE_SCORES,
@@ -21,6 +21,7 @@ from armimp_bringup.study.scores import (
 )
 from armimp_bringup.study.study import run_study
 from armimp_common.errors import ConfigurationError
+from armimp_estimation.summary import read_frf
 from support.results import read_study, threads
 
 BASE = ExperimentConfig(duration=4.0, estimators=("welch_siso", "lpm_full"))
@@ -88,7 +89,7 @@ def test_report_is_written_without_figures_and_says_how_far_each_missed_target_i
 def test_figure_2_shows_each_element_beside_the_truth_with_a_phase_that_does_not_jump(
     study: Path, entries: Sequence[StudyEntry]
 ) -> None:
-    curves = [saved_curves(study / "conditions", one) for one in CONDITIONS]
+    curves = [read_frf(study / "conditions" / f"{one.name}.npz") for one in CONDITIONS]
     truth = entries[0].truth
     assert truth is not None
     shown = {

@@ -172,7 +172,7 @@ def test_with_more_joints_elements_that_transducers_cannot_resolve_are_not_judge
     entry = _entry(joints=4, config=config)
     assert entry.truth is not None
     # One element is as large as the target: half of the torque goes into the arm.
-    counts = torque_in_counts(entry, entry.truth, np.array([0.0]))
+    counts = torque_in_counts(entry, np.array([0.0]))
     assert counts is not None
     np.testing.assert_allclose(counts[0], [75.0, 75.0, 75.0, 2.5])
     vaf = _square(99.95, 4)

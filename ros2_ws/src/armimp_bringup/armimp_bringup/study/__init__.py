@@ -1,4 +1,4 @@
-"""Parts of a study: conditions, their results, and the files of the results."""
+"""Parts of a study: conditions and their results."""
 
 from __future__ import annotations
 
@@ -6,14 +6,12 @@ import itertools
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
-
-from pydantic import TypeAdapter
 
 from armimp_common.errors import ConfigurationError
 from armimp_control.presets import LEVELS as PERTURBATION_LEVELS
-from armimp_estimation.summary import ImpedanceCurve, Summary, read_frf, write_frf, write_summary
+from armimp_estimation.mbk import MBK
+from armimp_estimation.summary import Summary
 from armimp_sim.presets import LEVELS as SIMULATOR_LEVELS
 
 LEVELS: Final[Mapping[str, tuple[int, ...]]] = {
@@ -60,11 +58,9 @@ def select_conditions(only: Sequence[str], seeds: str) -> tuple[Condition, ...]:
 
     Parameters
     ----------
-    only : sequence of str
-        Selections such as ``friction=0+3,resolution=0``; their union is taken. Empty: all 48
+    only : selections such as ``friction=0+3,resolution=0``; their union is taken. Empty: all 48
         combinations.
-    seeds : str
-        As for `parse_seeds`.
+    seeds : as for `parse_seeds`
 
     Raises
     ------
@@ -136,34 +132,8 @@ class StudyEntry(Summary):
         """The condition of the result."""
         return Condition(**self.model_dump(include={"seed", *LEVELS}))
 
-
-_ENTRIES = TypeAdapter(list[StudyEntry])
-
-
-def study_text(entries: Sequence[StudyEntry]) -> str:
-    """Return the content of ``study.json``: a list of entries."""
-    return _ENTRIES.dump_json(list(entries), indent=1, by_alias=True).decode() + "\n"
-
-
-def save_result(directory: Path, entry: StudyEntry, curves: Mapping[str, ImpedanceCurve]) -> None:
-    """Write the result of a condition, and its curves by name of the estimator.
-
-    Raises
-    ------
-    DataError
-        If they can't be written.
-    """
-    name = entry.condition.name
-    write_frf(directory / f"{name}.npz", curves)
-    write_summary(directory / f"{name}.json", entry)
-
-
-def saved_curves(directory: Path, condition: Condition) -> dict[str, ImpedanceCurve]:
-    """Read the curves of one condition, by name of the estimator.
-
-    Raises
-    ------
-    DataError
-        If they are missing or damaged.
-    """
-    return read_frf(directory / f"{condition.name}.npz")
+    @property
+    def arm(self) -> MBK:
+        """The arm that was simulated."""
+        assert self.truth is not None
+        return self.truth

@@ -38,10 +38,8 @@ def split_evenly(conditions: Sequence[Condition], workers: int) -> list[tuple[Co
 
     Parameters
     ----------
-    conditions : sequence of Condition
-        Those that are to be run.
-    workers : int
-        Number of batches that run at the same time.
+    conditions : those that are to be run
+    workers : number of batches that run at the same time
     """
     total = len(conditions)
     batches = min(total, workers * -(-total // (workers * WIDTH)))
@@ -56,12 +54,9 @@ def run_batch(
 
     Parameters
     ----------
-    base : ExperimentConfig
-        Everything but levels and seed.
-    made_with : mapping
-        `software` of the process that runs the study, usually not this one.
-    conditions : sequence of Condition
-        One for each lane.
+    base : everything but levels and seed
+    made_with : `software` of the process that runs the study, usually not this one
+    conditions : one for each lane
 
     Raises
     ------
@@ -163,8 +158,7 @@ def processes(workers: int | None = None) -> Backend:
 
     Parameters
     ----------
-    workers : int, optional
-        Number of processes; by default one for each core.
+    workers : number of processes; by default one for each core
     """
     workers = workers or available_cores()
     pool = ProcessPoolExecutor(
@@ -181,8 +175,7 @@ def cluster(address: str) -> Backend:
 
     Parameters
     ----------
-    address : str
-        Address of the scheduler, such as ``tcp://host:8786``.
+    address : address of the scheduler, such as ``tcp://host:8786``
 
     Raises
     ------

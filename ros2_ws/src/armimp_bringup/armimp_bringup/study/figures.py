@@ -15,7 +15,8 @@ from matplotlib.figure import Figure
 from armimp_bringup.bench import available_cores
 from armimp_bringup.study import LEVELS, Condition
 from armimp_bringup.study.engine import processes
-from armimp_bringup.study.scores import COHERENCE_SCORES, FIT_SCORES, Score, Table, statistics
+from armimp_bringup.study.scores import COHERENCE_SCORES, FIT_SCORES, Score, Table
+from armimp_common.arrays import BoolArray
 from armimp_estimation.figures import TWO_COLUMNS, element_figure, matrix_figure, save_figure
 from armimp_estimation.mbk import MBK
 from armimp_estimation.report.plots import (
@@ -73,25 +74,28 @@ def levels_chart(table: Table, scores: Sequence[Score]) -> Chart:
 
     Parameters
     ----------
-    table : ndarray, shape (n_conditions, n, n)
-        Results of one estimator.
-    scores : sequence of Score
-        One row each.
+    table : (n_conditions, n, n), results of one estimator
+    scores : one row each
     """
     strokes = {stroke.name: stroke for stroke in level_marks(table, scores)}
     places: dict[str, float] = {}
+    members: list[BoolArray] = []
     start = 0.0
     for factor in LEVELS:
-        levels = np.unique(table[factor]).tolist()
+        of_conditions = table[factor][:, 0, 0]
+        levels = np.unique(of_conditions).tolist()
         places |= {f"{factor[0].upper()}{one}": start + n for n, one in enumerate(levels)}
+        members += [of_conditions == one for one in levels]
         start += len(levels) + _GAP
     ends = -0.6, start - _GAP - 0.4
     lines: list[Line] = []
     for row, score in enumerate(scores, 1):
         found = score.subjects(table)
         for order, ((letter, indices), values) in enumerate(found.items()):
-            of_factors = [statistics(table, factor, values)[1:] for factor in LEVELS]
-            mean, low, high = np.concatenate(of_factors, axis=1)
+            groups = [values[of_level] for of_level in members]
+            mean, low, high = (
+                np.array([of(group) for group in groups]) for of in (np.mean, np.min, np.max)
+            )
             lines.append(
                 Line(
                     x=np.array([*places.values()]) + 0.7 * ((order + 0.5) / len(found) - 0.5),
@@ -129,12 +133,9 @@ def overlay_chart(
 
     Parameters
     ----------
-    curves : mapping of Condition to mapping of str to ImpedanceCurve
-        By condition and estimator.
-    truth : MBK
-        True matrices.
-    i, k : int
-        Element, 0-based.
+    curves : by condition and estimator
+    truth : true matrices
+    i, k : element, 0-based
     """
     lines: list[Line] = []
     for condition, found in curves.items():
@@ -159,20 +160,21 @@ def overlay_chart(
                 lines.append(Line(x=curve.f, y=values, stroke=stroke, row=row, unit=unit))
     grid = max((curve.f for found in curves.values() for curve in found.values()), key=len)
     true = truth.impedance(grid)[i, k]
-    phase = np.degrees(np.unwrap(np.angle(true)))
     lines.append(Line(x=grid, y=np.abs(true), stroke=_TRUE, unit=IMPEDANCE))
+    phase = np.degrees(np.unwrap(np.angle(true)))
     lines.append(Line(x=grid, y=phase, stroke=_TRUE, row=2, unit="°"))
-    ends = []
-    for row in (1, 3):
-        values = np.concatenate([one.y for one in lines if one.row == row and one.y is not None])
-        ends.append((0.8 * float(values.min()), 1.25 * float(values.max())))
-    rows = [
-        (3.0, Axis(title="magnitude (N·m/rad)", ends=ends[0], log=True)),
-        (2.0, Axis(title="phase (°)", hoverformat=".1f")),
-        (2.0, Axis(title="error (%)", ends=ends[1], log=True, hoverformat=".3~g")),
-    ]
     closest = {"hovermode": "closest"}  # one box for all lines would cover the plot
-    return Chart(abscissa=frequency_axis([grid]), rows=rows, lines=lines, layout=closest)
+    chart = Chart(abscissa=frequency_axis([grid]), rows=[], lines=lines, layout=closest)
+    sizes, errors = (
+        (0.8 * float(values.min()), 1.25 * float(values.max()))
+        for values in (chart.values(1), chart.values(3))
+    )
+    rows = [
+        (3.0, Axis(title="magnitude (N·m/rad)", ends=sizes, log=True)),
+        (2.0, Axis(title="phase (°)", hoverformat=".1f")),
+        (2.0, Axis(title="error (%)", ends=errors, log=True, hoverformat=".3~g")),
+    ]
+    return replace(chart, rows=rows)
 
 
 def level_stroke(friction: int | None = None, resolution: int | None = None) -> Stroke:
@@ -195,16 +197,11 @@ def write_figures(
 
     Parameters
     ----------
-    directory : Path
-        Where to.
-    conditions : sequence of Condition
-        At least one. Figure 2 shows those with the first seed.
-    table : ndarray, shape (n_conditions, n_estimators, n, n)
-        Their results.
-    truth : MBK
-        True matrices.
-    curves : callable
-        Returns the curves of a condition.
+    directory : where to
+    conditions : at least one. Figure 2 shows those with the first seed.
+    table : (n_conditions, n_estimators, n, n), their results
+    truth : true matrices
+    curves : returns the curves of a condition
 
     Returns
     -------
@@ -216,8 +213,7 @@ def write_figures(
     DataError
         If curves can't be read, or a figure not be written.
     """
-    drawings: list[tuple[str, _Drawing, Any, Any]] = []
-    shown: list[str] = []
+    drawings: list[tuple[str, str, _Drawing, Any, Any]] = []
     for of_estimator in np.moveaxis(table, 1, 0):
         name = of_estimator["estimator"].flat[0]
         for level in LEVELS["perturbation"]:
@@ -228,26 +224,21 @@ def write_figures(
             }
             if of_level:
                 where = f"fig2-{name}-perturbation{level}"
-                drawings.append((where, impedance_figure, of_level, truth))
-                shown.append(
-                    f"impedance in all conditions over the truth, {name}, perturbation {level}"
-                )
-        drawings.append((f"fig3-{name}", levels_figure, of_estimator, FIT_SCORES))
-        drawings.append((f"fig4-{name}", levels_figure, of_estimator, COHERENCE_SCORES))
-        shown += [f"VAF and R² by level, {name}", f"coherences by level, {name}"]
+                words = f"impedance in all conditions over the truth, {name}, perturbation {level}"
+                drawings.append((where, words, impedance_figure, of_level, truth))
+        words = f"VAF and R² by level, {name}"
+        drawings.append((f"fig3-{name}", words, levels_figure, of_estimator, FIT_SCORES))
+        words = f"coherences by level, {name}"
+        drawings.append((f"fig4-{name}", words, levels_figure, of_estimator, COHERENCE_SCORES))
     workers = min(available_cores(), len(drawings) // _WORTH_A_PROCESS)
     draw = partial(_draw, directory)
     paths = dict(processes(workers).run(draw, drawings) if workers > 1 else map(draw, drawings))
-    return {
-        path.name: words
-        for (where, *_), words in zip(drawings, shown, strict=True)
-        for path in paths[where]
-    }
+    return {path.name: words for name, words, *_ in drawings for path in paths[name]}
 
 
-def _draw(directory: Path, drawing: tuple[str, _Drawing, Any, Any]) -> tuple[str, list[Path]]:
+def _draw(directory: Path, drawing: tuple[str, str, _Drawing, Any, Any]) -> tuple[str, list[Path]]:
     """Draw a figure; return its name and its files."""
-    name, draw, *arguments = drawing
+    name, _, draw, *arguments = drawing
     return name, save_figure(draw(*arguments), directory / name)
 
 
@@ -256,10 +247,8 @@ def impedance_figure(curves: Mapping[Condition, ImpedanceCurve], truth: MBK) -> 
 
     Parameters
     ----------
-    curves : mapping of Condition to ImpedanceCurve
-        Of one perturbation level, seed and estimator; all are overlaid.
-    truth : MBK
-        True matrices.
+    curves : of one perturbation level, seed and estimator; all are overlaid
+    truth : true matrices
 
     Returns
     -------
@@ -288,10 +277,8 @@ def levels_figure(table: Table, scores: Sequence[Score]) -> Figure:
 
     Parameters
     ----------
-    table : ndarray, shape (n_conditions, n, n)
-        Results of one estimator.
-    scores : sequence of Score
-        One axis each.
+    table : (n_conditions, n, n), results of one estimator
+    scores : one axis each
     """
     legend = level_marks(table, scores)
     return matrix_figure([[levels_chart(table, scores)]], [[""]], legend, row_height=1.6)

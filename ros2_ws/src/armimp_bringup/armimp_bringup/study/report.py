@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -20,16 +20,9 @@ from armimp_bringup.study.scores import (
     Table,
     WorstValue,
 )
-from armimp_estimation.mbk import MBK
 from armimp_estimation.report.formats import mark, setting, symbol
 from armimp_estimation.report.page import Content, Rows, Section, render_page
-from armimp_estimation.report.plots import (
-    TRUE,
-    Plot,
-    Stroke,
-    element_plots,
-    estimator_tag,
-)
+from armimp_estimation.report.plots import TRUE, Plot, Stroke, element_plots, estimator_tag
 from armimp_estimation.report.run import advised, assumptions
 from armimp_estimation.summary import ImpedanceCurve, OriginSummary
 
@@ -62,12 +55,6 @@ class StudyReport:
         return list(self.entries[0].estimators)
 
     @property
-    def _truth(self) -> MBK:
-        truth = self.entries[0].truth
-        assert truth is not None  # these are simulations
-        return truth
-
-    @property
     def _seeds(self) -> list[int]:
         return sorted({entry.seed for entry in self.entries})
 
@@ -82,13 +69,19 @@ class StudyReport:
         scores = self._by_level("scores", FIT_SCORES)
         coherence, levels = self._by_level("coherence", COHERENCE_SCORES), "study/levels.html"
         assumed = assumptions(first.config, friction=friction)
+        settings: Content = {
+            "config": first.config,
+            "seed": ", ".join(map(str, self._seeds)),
+            "reading": None,
+            "conditions": True,
+        }
         sections = [
             Section("verdict", "Verdict", self._verdict(), "study/verdict.html"),
             Section("conditions", "Conditions", self._conditions(), "study/conditions.html"),
             Section("impedance", "Impedance (Fig. 2)", self._impedance(), "study/impedance.html"),
             Section("scores", "VAF and R² (Fig. 3)", scores, levels),
             Section("coherence", "Coherence (Fig. 4)", coherence, levels),
-            Section("settings", "Settings", self._settings()),
+            Section("settings", "Settings", settings),
             Section("assumptions", "Assumptions", assumed),
             Section("files", "Files", {"files": self.files}, "study/files.html"),
         ]
@@ -195,7 +188,6 @@ class StudyReport:
             one: {name: _thinned(curve, points) for name, curve in self.curves(one).items()}
             for one in conditions
         }
-        truth = self._truth
         return {
             "seed": first.seed if len(self._seeds) > 1 else None,
             "points": points,
@@ -205,7 +197,7 @@ class StudyReport:
             "plots": element_plots(
                 "overlay",
                 n,
-                lambda i, k: overlay_chart(curves, truth, i, k),
+                lambda i, k: overlay_chart(curves, first.arm, i, k),
                 lambda element, _: f"Estimates of {element} in all conditions over the truth.",
                 470,
             ),
@@ -236,18 +228,6 @@ class StudyReport:
             height=90 + 190 * len(scores),
         )
         return {"title": title, "plot": plot, "rows": self.entries[0].joints > MOST_JOINTS}
-
-    # --- settings ------------------------------------------------------------------------------
-
-    def _settings(self) -> Content:
-        """Software, seeds, and the configuration without what the levels set."""
-        config: dict[str, Any] = dict(self.entries[0].config)
-        return {
-            "config": config,
-            "seed": ", ".join(map(str, self._seeds)),
-            "reading": None,
-            "conditions": True,
-        }
 
 
 def _present(entries: Sequence[StudyEntry], factor: str) -> str:

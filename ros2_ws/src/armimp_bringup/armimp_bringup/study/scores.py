@@ -56,8 +56,7 @@ def results_table(entries: Sequence[StudyEntry]) -> Table:
 
     Parameters
     ----------
-    entries : sequence of StudyEntry
-        Results with the same estimators and number of joints, at least one.
+    entries : results with the same estimators and number of joints, at least one
 
     Returns
     -------
@@ -69,11 +68,9 @@ def results_table(entries: Sequence[StudyEntry]) -> Table:
     table["row"] = np.arange(1, n + 1)[:, np.newaxis]
     table["column"] = np.arange(1, n + 1)
     for entry, of_entry in zip(entries, table, strict=True):
-        assert entry.truth is not None  # these are simulations
-        truth = entry.truth
         for name in (*_LEVELS, "valid"):
             of_entry[name] = getattr(entry, name)
-        of_entry["resolved"] = resolved(entry, truth)
+        of_entry["resolved"] = resolved(entry)
         for trial in entry.trials:
             of_entry["lock_ratio"][..., trial.k - 1] = trial.lock_ratio
             of_entry["bias_bound"][..., trial.k - 1] = trial.bias_bound
@@ -86,14 +83,14 @@ def results_table(entries: Sequence[StudyEntry]) -> Table:
             for letter in LETTERS:
                 rows[letter] = getattr(result, letter)
                 rows[f"{letter}_se"] = getattr(result, f"{letter}_se")
-                true = getattr(truth, letter)
+                true = getattr(entry.arm, letter)
                 off, error = 100.0 * (rows[letter] - true), rows[f"{letter}_error_percent"]
                 error[:] = np.nan  # where the true value is zero
                 np.divide(off, np.abs(true), out=error, where=true != 0.0)
     return table
 
 
-def torque_in_counts(entry: StudyEntry, truth: MBK, f: FloatArray) -> FloatArray | None:
+def torque_in_counts(entry: StudyEntry, f: FloatArray) -> FloatArray | None:
     """Return the torque that each element makes in one condition, in counts of the transducers.
 
     It is ``peak_k / count`` times the rms of ``|Z_ik / (M_rd s² + B_rd s + K_rd + Z_kk)|`` over the
@@ -101,12 +98,8 @@ def torque_in_counts(entry: StudyEntry, truth: MBK, f: FloatArray) -> FloatArray
 
     Parameters
     ----------
-    entry : StudyEntry
-        Result with its configuration.
-    truth : MBK
-        True matrices.
-    f : ndarray
-        Frequencies, Hz; zero alone gives the largest static torque of the stiffness.
+    entry : result with its configuration
+    f : frequencies, Hz; zero alone gives the largest static torque of the stiffness
 
     Returns
     -------
@@ -116,22 +109,22 @@ def torque_in_counts(entry: StudyEntry, truth: MBK, f: FloatArray) -> FloatArray
     count = setting(entry.config, "arm_sim", "sensors.torque.resolution")
     names = ("perturbation.peak", "target.inertia", "target.damping", "target.stiffness")
     found = [setting(entry.config, "imbic_controller", name) for name in names]
-    known = all(isinstance(values, list) and len(values) == len(truth.M) for values in found)
+    known = all(isinstance(values, list) and len(values) == entry.joints for values in found)
     if not isinstance(count, float) or count <= 0.0 or not known:
         return None
     peak, inertia, damping, stiffness = (np.array(values, dtype=np.float64) for values in found)
-    z = truth.impedance(f)
+    z = entry.arm.impedance(f)
     target = MBK(M=np.diag(inertia), B=np.diag(damping), K=np.diag(stiffness)).impedance(f)
     yielding = np.einsum("kkf->kf", z + target)
     gain = np.sqrt(np.mean(np.abs(z / yielding) ** 2, axis=2))
     return np.asarray(gain * peak / count)
 
 
-def resolved(entry: StudyEntry, truth: MBK) -> BoolArray:
+def resolved(entry: StudyEntry) -> BoolArray:
     """Return which elements are judged: with more than three joints, those above five counts."""
-    counts = torque_in_counts(entry, truth, FREQUENCIES) if entry.joints > 3 else None
+    counts = torque_in_counts(entry, FREQUENCIES) if entry.joints > 3 else None
     if counts is None:
-        return np.ones(truth.M.shape, dtype=np.bool_)
+        return np.ones((entry.joints, entry.joints), dtype=np.bool_)
     return np.asarray(counts > LEAST_COUNTS)
 
 
@@ -148,17 +141,6 @@ def results_csv(table: Table) -> str:
             "" if isinstance(value, float) and math.isnan(value) else value for value in row.item()
         )
     return text.getvalue()
-
-
-def statistics(
-    table: Table, factor: str, values: FloatArray
-) -> tuple[list[int], FloatArray, FloatArray, FloatArray]:
-    """Return levels; mean, least, largest of values (n_conditions, n_elements) at each level."""
-    levels = table[factor][:, 0, 0]
-    present = np.unique(levels)
-    groups = [values[levels == level] for level in present]
-    mean, low, high = (np.array([of(one) for one in groups]) for of in (np.mean, np.min, np.max))
-    return present.tolist(), mean, low, high
 
 
 # --- the scores --------------------------------------------------------------------------------
@@ -203,41 +185,34 @@ class Score:
         """Numbers that increase towards the worst value; NaN is the worst of all."""
         return np.where(np.isnan(values), np.inf, -values if self.floor else values)
 
-    def values(self, table: Table) -> FloatArray:
-        """Values of one estimator, errors as magnitudes; shape (n_conditions, n_fields, n, n)."""
-        found = np.stack([table[field] for field in self.fields], axis=-3)
-        return found if self.floor else np.abs(found)
-
-    def element(self, field: int, i: int, k: int) -> str:
-        """Name of an element (0-based), such as ``Z12`` or ``M12``."""
-        return f"{'Z' if self.floor else self.fields[field][0]}{i + 1}{k + 1}"
-
     def worst(self, table: Table, *, judged: bool) -> tuple[FloatArray, list[str]]:
         """The worst value of one estimator in each condition, and the name of its element.
 
+        Errors are compared as magnitudes; names are such as ``Z12`` or ``M12``.
+
         Parameters
         ----------
-        table : ndarray, shape (n_conditions, n, n)
-            Results of the estimator.
-        judged : bool
-            Whether only resolved elements count.
+        table : (n_conditions, n, n), results of the estimator
+        judged : whether only resolved elements count
         """
-        values = self.values(table)
+        values = np.stack([table[field] for field in self.fields], axis=1)
+        if not self.floor:
+            values = np.abs(values)
         badness = self.badness(values)
         if judged:
             badness = np.where(table["resolved"][:, np.newaxis], badness, -np.inf)
         flat = badness.reshape(len(table), -1).argmax(axis=1)
         places = np.stack(np.unravel_index(flat, badness.shape[1:]), axis=1).tolist()
         found = np.array([one[tuple(place)] for one, place in zip(values, places, strict=True)])
-        return found, [self.element(*place) for place in places]
+        letters = ["Z" if self.floor else field[0] for field in self.fields]
+        return found, [f"{letters[field]}{i + 1}{k + 1}" for field, i, k in places]
 
     def subjects(self, table: Table) -> Mapping[tuple[str, str], FloatArray]:
         """Values, shape (n_conditions, n_elements), by symbol and 1-based indices of their marks.
 
         Parameters
         ----------
-        table : ndarray, shape (n_conditions, n, n)
-            Results of one estimator.
+        table : (n_conditions, n, n), results of one estimator
         """
         values, n = table[self.fields[0]], table.shape[-1]
         if self.fields == ("coherence_motion",):
@@ -360,10 +335,8 @@ def judge(entries: Sequence[StudyEntry], table: Table) -> StudyVerdict:
 
     Parameters
     ----------
-    entries : sequence of StudyEntry
-        Results with the same estimators and number of joints, at least one.
-    table : ndarray
-        Their numbers.
+    entries : results with the same estimators and number of joints, at least one
+    table : their numbers
     """
     worst = [
         _worst(of_estimator, score) for of_estimator in np.moveaxis(table, 1, 0) for score in SCORES

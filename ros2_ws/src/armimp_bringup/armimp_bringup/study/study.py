@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
+from pydantic import TypeAdapter
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.measure import Measurement
@@ -16,27 +17,21 @@ from rich.table import Table
 from armimp_bringup.config import ExperimentConfig, prepare_directory
 from armimp_bringup.offline import simulate
 from armimp_bringup.parameters import node_parameters
-from armimp_bringup.study import (
-    LEVELS,
-    Condition,
-    StudyEntry,
-    save_result,
-    saved_curves,
-    study_text,
-)
-from armimp_bringup.study.engine import (
-    Backend,
-    condition_config,
-    run_batch,
-    split_evenly,
-)
+from armimp_bringup.study import LEVELS, Condition, StudyEntry
+from armimp_bringup.study.engine import Backend, condition_config, run_batch, split_evenly
 from armimp_bringup.study.scores import SCORES, StudyVerdict, judge, results_csv, results_table
 from armimp_bringup.terminal import display, say
 from armimp_common.errors import DataError
 from armimp_common.versions import software
 from armimp_estimation.atomic_write import write_text
 from armimp_estimation.report.run import REPORT_FILE
-from armimp_estimation.summary import OriginSummary
+from armimp_estimation.summary import (
+    ImpedanceCurve,
+    OriginSummary,
+    read_frf,
+    write_frf,
+    write_summary,
+)
 
 CONFIG_FILE: Final = "config.json"
 RESULTS_DIRECTORY: Final = "conditions"
@@ -68,18 +63,12 @@ def run_study(
 
     Parameters
     ----------
-    base : ExperimentConfig
-        Everything but the levels and the seed.
-    conditions : sequence of Condition
-        What the study consists of, each once.
-    directory : Path
-        New or empty.
-    backend : Backend
-        Runs it.
-    figures : bool
-        Whether to draw the figures for print; the report is written in any case.
-    origin : OriginSummary, optional
-        Command line and date, for the report.
+    base : everything but the levels and the seed
+    conditions : what the study consists of, each once
+    directory : new or empty
+    backend : runs it
+    figures : whether to draw the figures for print; the report is written in any case
+    origin : command line and date, for the report
 
     Returns
     -------
@@ -99,7 +88,6 @@ def run_study(
     node_parameters(first, None)
     prepare_directory(directory)
     results = directory / RESULTS_DIRECTORY
-    curves = partial(saved_curves, results)
     try:
         results.mkdir()
     except OSError as error:
@@ -115,23 +103,29 @@ def run_study(
     display().phase("simulating and estimating the first")
     for batch in backend.run(partial(run_batch, base, here), batches):
         for entry, of_estimators in batch:
-            save_result(results, entry, of_estimators)
+            name = entry.condition.name
+            write_frf(results / f"{name}.npz", of_estimators)
+            write_summary(results / f"{name}.json", entry)
             found[entry.condition] = entry
         display().progress(len(found), len(conditions), things="conditions")
+
+    def curves(of: Condition) -> dict[str, ImpedanceCurve]:
+        return read_frf(results / f"{of.name}.npz")
+
     entries = [found[condition] for condition in conditions]
     table = results_table(entries)
     verdict = judge(entries, table)
-    write_text(directory / STUDY_FILE, study_text(entries))
+    content = TypeAdapter(list[StudyEntry]).dump_json(entries, indent=1, by_alias=True)
+    write_text(directory / STUDY_FILE, content.decode() + "\n")
     write_text(directory / "results.csv", results_csv(table))
     text = verdict.model_dump_json(indent=1, by_alias=True)
     write_text(directory / VERDICT_FILE, f"{text}\n")
     drawn: dict[str, str] = {}
-    truth = entries[0].truth
-    if figures and truth is not None:
+    if figures:
         display().phase("drawing the figures")
         from armimp_bringup.study.figures import write_figures
 
-        drawn = write_figures(directory, conditions, table, truth, curves)
+        drawn = write_figures(directory, conditions, table, entries[0].arm, curves)
     display().phase("writing the report")
     from armimp_bringup.study.report import StudyReport
 
