@@ -213,10 +213,8 @@ def load_config(path: Path | None, options: Mapping[str, Any]) -> ExperimentConf
 
     Parameters
     ----------
-    path : Path or None
-        The file; None for defaults.
-    options : mapping
-        Options of the command line; None values are ignored.
+    path : the file; None for defaults
+    options : options of the command line; None values are ignored
 
     Raises
     ------

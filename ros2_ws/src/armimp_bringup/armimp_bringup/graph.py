@@ -142,8 +142,7 @@ class GraphContext(AbstractContextManager["GraphContext"]):
 
     Parameters
     ----------
-    domain_id : int or None
-        The domain; None takes a free one.
+    domain_id : the domain; None takes a free one
 
     Raises
     ------

@@ -90,14 +90,6 @@ def _perturbations(
     return tau_delta, segment.joint
 
 
-def _tare(parameters: ControllerParameters, torque: FloatArray) -> tuple[float, ...]:
-    """Return the tare (n,) from the readings (n, ticks) of a rig at rest, N·m."""
-    found = parameters.tare.of(torque)
-    if refusal := parameters.tare.refusal(found, parameters.joints):
-        raise DataError(f"offline run: {refusal}")
-    return found.offset
-
-
 def run_offline(
     experiments: Sequence[NodeParameters],
     segments: Sequence[Segment] | None = None,
@@ -170,7 +162,10 @@ def run_offline(
                 )
         if segment.tare:
             for lane, (one, controller) in enumerate(zip(of_laws, controllers, strict=True)):
-                controller.tare(_tare(one, record[1, lane]))
+                tare = one.tare.of(record[1, lane])
+                if refusal := one.tare.refusal(tare, one.joints):
+                    raise DataError(f"offline run: {refusal}")
+                controller.tare(tare.offset)
         if segment.phase is not Phase.PERTURB:
             continue
         for lane, one in enumerate(of_laws):

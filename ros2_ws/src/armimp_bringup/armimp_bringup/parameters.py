@@ -50,8 +50,7 @@ def node_parameters(config: ExperimentConfig, directory: Path | None) -> NodePar
     Parameters
     ----------
     config : ExperimentConfig
-    directory : Path or None
-        Where the results go.
+    directory : where the results go
 
     Raises
     ------

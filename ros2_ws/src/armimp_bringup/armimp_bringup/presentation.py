@@ -82,14 +82,10 @@ def present(
 
     Parameters
     ----------
-    result : Result
-        As it is stored; without curves and trials, all of it is read from the directory.
-    directory : Path or None
-        Where it is stored, and where figures and report go; None if nowhere.
-    as_json : bool
-        Whether to print the summary instead of tables.
-    stopwatch : Stopwatch, optional
-        The one that measured the run; its times become part of the summary.
+    result : as it is stored; without curves and trials, all of it is read from the directory
+    directory : where it is stored, and where figures and report go; None if nowhere
+    as_json : whether to print the summary instead of tables
+    stopwatch : the one that measured the run; its times become part of the summary
 
     Returns
     -------

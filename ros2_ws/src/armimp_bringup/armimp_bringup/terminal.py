@@ -23,8 +23,8 @@ from rich.text import Text
 
 from armimp_common.status import Progress as Snapshot
 from armimp_common.topics import RATE
+from armimp_estimation.mbk import UNITS
 
-_UNITS = ("kg·m²", "N·m·s/rad", "N·m/rad")
 _REFRESHES = 1.0
 """Refreshes per second; each takes some milliseconds from the nodes in this process."""
 _BAR_WIDTH = 16
@@ -107,10 +107,8 @@ class Display:
 
         Parameters
         ----------
-        done, total : int
-            Things that are done, and all of them.
-        things : str
-            What they are, in the plural.
+        done, total : things that are done, and all of them
+        things : what they are, in the plural
         """
         with self._lock:
             if self._bar is None:
@@ -235,7 +233,7 @@ def describe_column(snapshot: Snapshot) -> list[str]:
     Standard errors are shown only if the estimates account for the motion of the locked joints.
     """
     lines = []
-    for letter, (values, errors), unit in zip("MBK", snapshot.column, _UNITS, strict=True):
+    for (letter, unit), (values, errors) in zip(UNITS.items(), snapshot.column, strict=True):
         elements = [
             f"{letter}{row}{snapshot.joint} "
             f"{_with_digits(value, error, stated=not snapshot.preliminary)}"

@@ -82,13 +82,10 @@ def matrix_figure(
 
     Parameters
     ----------
-    charts, titles : sequence of sequence
-        Charts by row and column, and the titles above them in matplotlib's markup.
+    charts, titles : charts by row and column, and the titles above them in matplotlib's markup
     legend : iterable of Stroke
-    row_height : float
-        Height of an axis whose relative height is 1, inches.
-    width : float
-        Width of the figure, inches.
+    row_height : height of an axis whose relative height is 1, inches
+    width : width of the figure, inches
     """
     rows, columns = len(charts), len(charts[0])
     keys: list[Any] = [Line2D([], [], **_drawn(one), label=_tex(one.name)) for one in legend]
@@ -104,6 +101,11 @@ def matrix_figure(
     height = rows * tallest + (rows - 1) * gap + top + bottom
     figure = Figure(figsize=(width, height))
     figure.legend(handles=keys, loc="lower center", ncols=entries, frameon=False)
+    # With places given, matplotlib does not look for room beside the numbers at the ticks.
+    below, beside = (
+        ScaledTranslation(*inches, figure.dpi_scale_trans)
+        for inches in ((0.0, -0.26), (0.03 - left, 0.0))
+    )
     grid = figure.add_gridspec(
         rows,
         columns,
@@ -120,16 +122,11 @@ def matrix_figure(
         inner = grid[i, k].subgridspec(len(heights), 1, height_ratios=heights, hspace=0.12)
         panels = [figure.add_subplot(inner[row]) for row in range(len(heights))]
         _draw(chart, panels)
-        # With y given, matplotlib spends no time on checking whether the title collides.
+        # With y given, it spends no time on checking whether the title collides either.
         panels[0].set_title(title, pad=3, y=1.0)
         for panel in panels:
-            # With places given, it does not look for room beside the numbers at the ticks either.
-            below, beside = (
-                panel.transAxes + ScaledTranslation(*inches, figure.dpi_scale_trans)
-                for inches in ((0.0, -0.26), (0.03 - left, 0.0))
-            )
-            panel.xaxis.set_label_coords(0.5, 0.0, below)
-            panel.yaxis.set_label_coords(0.0, 0.5, beside)
+            panel.xaxis.set_label_coords(0.5, 0.0, panel.transAxes + below)
+            panel.yaxis.set_label_coords(0.0, 0.5, panel.transAxes + beside)
         for panel in panels[:-1]:
             panel.tick_params(labelbottom=False)
         if k == 0:
@@ -211,8 +208,7 @@ def save_figure(figure: Figure, path: Path) -> list[Path]:
     Parameters
     ----------
     figure : matplotlib.figure.Figure
-    path : Path
-        Path of the files without a suffix.
+    path : path of the files without a suffix
 
     Raises
     ------

@@ -67,14 +67,10 @@ def render_page(
 
     Parameters
     ----------
-    title : str
-        Title of the document.
-    header : str
-        Template of heading and introduction, with the variables `content`.
-    sections : sequence of Section
-        Sections in order.
-    packages : mapping of str to str
-        Further packages with ``templates/``, by the prefix of the names of their templates.
+    title : title of the document
+    header : template of heading and introduction, with the variables `content`
+    sections : sections in order
+    packages : further packages with ``templates/``, by the prefix of the names of their templates
     """
     loaders = {
         prefix: PackageLoader(name)

@@ -495,12 +495,9 @@ def rows_of(
 
     Parameters
     ----------
-    segments : sequence of TrialRecord
-        Parts of the trial without gaps, at least one.
-    start_ns : int
-        Stamp of the first sample of the trial (ns).
-    cutoff : float or None
-        Cut-off frequency of the low-pass, Hz; None shows the signals as recorded.
+    segments : parts of the trial without gaps, at least one
+    start_ns : stamp of the first sample of the trial (ns)
+    cutoff : cut-off frequency of the low-pass, Hz; None shows the signals as recorded
     """
     starts = [round(one.rate * (one.start_ns - start_ns) / 1e9) for one in segments]
     span = max(start + part.samples for start, part in zip(starts, segments, strict=True))
@@ -657,10 +654,8 @@ def envelope(values: FloatArray, buckets: int) -> tuple[FloatArray, float]:
 
     Parameters
     ----------
-    values : ndarray, shape (N,)
-        The signal; NaN in gaps.
-    buckets : int
-        Number of parts; each gives its smallest and its largest value, in their order in time.
+    values : (N,), the signal; NaN in gaps
+    buckets : number of parts; each gives its smallest and its largest value, in their order in time
 
     Returns
     -------
