@@ -137,7 +137,10 @@ class ExperimentConfig(Schema):
 
 
 class Declared(Schema):
-    """Declarations of a user about a recording; unless None, they override what the bags say."""
+    """Declarations of a user about a recording; unless None, they override what the bags say.
+
+    Aliases are the keys of bags.
+    """
 
     torque_timing: Literal["before", "after", "mid", "mean", "simultaneous"] | None = None
     """When torques are read: before, after, mid, mean or simultaneous; by default as recorded with
@@ -159,10 +162,14 @@ class Declared(Schema):
     linearity_uncertainty: float | None = Field(default=None, ge=0.0)
     """Standard error of each torque due to hysteresis and nonlinearity of its transducer, N·m; by
     default as recorded with the bags, else what the records leave open."""
-    model: Literal["auto", "mbk", "mbk_delay", "reflex", "cuff"] | None = None
+    model: Literal["auto", "mbk", "mbk_delay", "reflex", "cuff"] | None = Field(
+        default=None, serialization_alias="arm_model"
+    )
     """Model of the arm to fit beside M, B and K: auto, mbk, mbk_delay, reflex or cuff; auto tries
     all where M, B and K don't fit; by default as recorded with the bags, else auto."""
-    rate: float | None = Field(default=None, ge=200.0, le=4000.0)
+    rate: float | None = Field(
+        default=None, ge=200.0, le=4000.0, serialization_alias="sampling_rate"
+    )
     """Sampling rate, Hz, if the recording has an unusual one."""
 
 

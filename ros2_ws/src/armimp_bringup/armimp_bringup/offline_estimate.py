@@ -13,7 +13,7 @@ from armimp_estimation.bags import BagContent, read_bag
 from armimp_estimation.bags.reader import find_bags
 from armimp_estimation.bags.writer import finish_bag
 from armimp_estimation.estimators.estimate import Estimator
-from armimp_estimation.metadata import CALIBRATION_KEYS, Metadata, latest_metadata
+from armimp_estimation.metadata import Metadata, latest_metadata
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.result import Result, conclude
 from armimp_estimation.torque_timing import TorqueTiming
@@ -59,7 +59,10 @@ def estimate_bags(
     """
     contents = read_bags(bags, namespace=namespace, allow_gaps=allow_gaps)
     metadata = latest_metadata([content.metadata for content in contents])
-    metadata |= _metadata_of(declared or Declared())
+    told = (declared or Declared()).model_dump(by_alias=True, exclude_none=True)
+    if "torque_timing" in told:
+        told["torque_timing"] = _TIMINGS[told["torque_timing"]].value
+    metadata |= {key: json.dumps(value) for key, value in told.items()}
     result = conclude(
         [trial for content in contents for trial in content.trials],
         metadata=metadata,
@@ -68,20 +71,6 @@ def estimate_bags(
         allow_gaps=allow_gaps,
     )
     return replace(result, notes=tuple(note for content in contents for note in content.notes))
-
-
-def _metadata_of(declared: Declared) -> dict[str, str]:
-    """Return what was declared, as metadata of a bag."""
-    timing = declared.torque_timing
-    told = {
-        "torque_timing": None if timing is None else _TIMINGS[timing].value,
-        "torque_delay": declared.torque_delay,
-        "torque_uncertainty": declared.torque_uncertainty,
-        "sampling_rate": declared.rate,
-        "arm_model": declared.model,
-        **{key: getattr(declared, key) for key in CALIBRATION_KEYS},
-    }
-    return {key: json.dumps(value) for key, value in told.items() if value is not None}
 
 
 def read_bags(
