@@ -24,7 +24,6 @@ from armimp_common.process import reachable_from_outside
 _RANGE, _PROFILES = "ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE"
 _OLD_RANGE, _DOMAIN = "ROS_LOCALHOST_ONLY", "ROS_DOMAIN_ID"
 
-
 OPEN = Path(__file__).with_name("fastdds.xml")
 """Profile of the middleware for any network."""
 LOOPBACK = Path(__file__).with_name("fastdds_loopback.xml")
@@ -166,13 +165,12 @@ class GraphContext(AbstractContextManager["GraphContext"]):
                 self.context = Context()
                 self._join()
                 _set_variables(variables)
-        except RuntimeError as error:
+        except BaseException as error:
             self.close()
+            if not isinstance(error, RuntimeError):
+                raise
             # Raised by rclpy, for example if security is requested of a middleware without it.
             raise GraphError(f"ROS cannot be started: {' '.join(str(error).split())}") from None
-        except BaseException:
-            self.close()
-            raise
 
     def _join(self) -> None:
         rclpy.init(

@@ -23,7 +23,13 @@ from armimp_bringup.nodes import (
 )
 from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_common import qos, topics
-from armimp_common.errors import ArmimpError, DataError, GraphError, MalformedMessageError
+from armimp_common.errors import (
+    ArmimpError,
+    DataError,
+    GraphError,
+    InterruptionError,
+    MalformedMessageError,
+)
 from armimp_common.executor import Spinner
 from armimp_common.heartbeat import offer_heartbeat
 from armimp_common.lifecycle import LifecycleManager
@@ -156,6 +162,7 @@ class Supervisor(Node):
         self.faults: list[Problem] = []
         """Faults that nodes reported on ``/diagnostics``."""
         self.concluded = self.finished = False
+        """Whether there is a result, and whether all trials have ended, in good order or not."""
         self.realtime = False
         """True in real time: a fault ends the experiment, and is ignored after the last trial."""
         self.timing: TimingFigures | None = None
@@ -172,11 +179,6 @@ class Supervisor(Node):
         self.create_subscription(
             DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
         )
-
-    @property
-    def over(self) -> bool:
-        """Whether all trials have ended, in good order or not, and there is a result."""
-        return self.concluded and self.finished
 
     def _on_progress_message(self, message: DiagnosticStatus) -> None:
         try:
@@ -280,7 +282,7 @@ class Course:
                     self.watch()
             except ArmimpError as error:
                 # From the graph itself or, where nodes live in this process, from a callback.
-                interrupted = error.code == ProblemCode.INTERRUPTED.value
+                interrupted = isinstance(error, InterruptionError)
                 cause = _INTERRUPTED if interrupted else _failure(error)
                 self._problems += self._deaths() or [cause]
             self.shutdown()
@@ -321,8 +323,9 @@ class Course:
             elif time.monotonic() - supervisor.last_news > _STALL:
                 self._problems.append(problem(ProblemCode.STALLED, seconds=_STALL))
             self._problems.extend(self._deaths())
-            failed = supervisor.realtime and supervisor.faults and not supervisor.finished
-            return bool(self._problems or failed) or supervisor.over
+            if supervisor.finished:
+                return bool(self._problems) or supervisor.concluded
+            return bool(self._problems or (supervisor.realtime and supervisor.faults))
 
         with seldom_collecting():
             self._spinner.spin(over, period=_PERIOD)
@@ -352,9 +355,9 @@ class Course:
         return [problem(ProblemCode.PARAMETERS_DIFFER, reason=one) for one in self._confirm()]
 
     def _check(self) -> None:
-        """Raise a GraphError if a node that is waited for has died, or the user interrupts."""
+        """Raise an error if a node that is waited for has died, or the user interrupts."""
         if self._awaited is None and self._interrupted():
-            raise GraphError(_INTERRUPTED.sentence, _INTERRUPTED.code.value)
+            raise InterruptionError(_INTERRUPTED.sentence)
         dead = self._nodes.dead()
         if dead if self._awaited is None else self._awaited in dead:
             raise GraphError("a node died")

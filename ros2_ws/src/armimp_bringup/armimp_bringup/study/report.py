@@ -246,8 +246,7 @@ def _thinned(curve: ImpedanceCurve, points: int) -> ImpedanceCurve:
 
 
 def _switches(conditions: Sequence[Condition]) -> Iterator[Stroke]:
-    for level in sorted({one.friction for one in conditions}):
-        yield replace(level_stroke(friction=level), tags=[f"friction:{level}"])
-    for level in sorted({one.resolution for one in conditions}):
-        yield replace(level_stroke(resolution=level), tags=[f"resolution:{level}"])
+    for factor in ("friction", "resolution"):
+        for level in sorted({getattr(one, factor) for one in conditions}):
+            yield replace(level_stroke(**{factor: level}), tags=[f"{factor}:{level}"])
     yield TRUE
