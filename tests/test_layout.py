@@ -2,8 +2,10 @@
 
 import ast
 import re
+import sys
 from collections.abc import Iterator
 from graphlib import TopologicalSorter
+from importlib.metadata import packages_distributions
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -108,6 +110,16 @@ def test_a_package_imports_and_declares_what_the_architecture_page_lets_it(packa
     used = set().union(*(imported(path) for _, path in modules(package))) - {package}
     assert used & set(PACKAGES) == declared & set(PACKAGES) == ALLOWED[package]
     assert used & ROS <= declared
+
+
+def test_the_wheel_depends_on_whatever_it_imports() -> None:
+    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    listed = project.partition("dependencies = [")[2].partition("]")[0]
+    used = set().union(*(imported(path) for one in PACKAGES for _, path in modules(one)))
+    used -= {*PACKAGES, *ROS, *sys.stdlib_module_names}
+    used -= {"llvmlite", "markupsafe"}  # parts of numba and Jinja2
+    names = {packages_distributions()[name][0].lower().replace("_", "-") for name in used}
+    assert names == set(re.findall(r'"([\w-]+)', listed))
 
 
 @pytest.mark.parametrize("package", PACKAGES)

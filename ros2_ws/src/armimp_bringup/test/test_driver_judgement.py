@@ -1,7 +1,7 @@
 """Judgement of drivers: what is sound passes, and each planted defect is named."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, Literal
@@ -42,7 +42,8 @@ JOINTS = ("shoulder", "elbow")
 ZERO = (0.0, 0.0)
 SAMPLES = 1000
 PATIENCE = 5
-Edit = Callable[[Message], Message]
+Edit = Callable[[Message], Mapping[str, Any]]
+"""Fields of a message that are changed, with their new values."""
 
 
 class Driver(Answering):
@@ -151,7 +152,7 @@ class Driver(Answering):
         yield
 
 
-def messages(topic: str, edit: Edit = lambda message: message) -> list[Message]:
+def messages(topic: str, edit: Edit = lambda _: {}) -> list[Message]:
     """A second of a sound stream, with readings that change by a count now and then."""
     rng = np.random.default_rng(7)
     step = 2.0 * np.pi / 51200 if topic == JOINT_STATES else 0.02
@@ -160,17 +161,14 @@ def messages(topic: str, edit: Edit = lambda message: message) -> list[Message]:
     for tick in range(SAMPLES):
         counts = np.rint(np.array(centre) / step) + rng.integers(-1, 2, 2)
         values = tuple((counts * step).tolist())
-        found.append(
-            edit(
-                Message(
-                    arrival_ns=10**12 + tick * PERIOD_NS + int(rng.integers(0, 50_000)),
-                    stamp_ns=tick * PERIOD_NS,
-                    names=JOINTS,
-                    position=values if topic == JOINT_STATES else (),
-                    effort=values if topic == TORQUE_SENSORS else (),
-                )
-            )
+        message = Message(
+            arrival_ns=10**12 + tick * PERIOD_NS + int(rng.integers(0, 50_000)),
+            stamp_ns=tick * PERIOD_NS,
+            names=JOINTS,
+            position=values if topic == JOINT_STATES else (),
+            effort=values if topic == TORQUE_SENSORS else (),
         )
+        found.append(message._replace(**edit(message)))
     return found
 
 
@@ -221,41 +219,34 @@ def test_a_sound_driver_passes(sound: Record) -> None:
         assert with_outcome(judge(sound), outcome) == []
 
 
+def after(message: Message) -> bool:
+    """Whether a tenth of a second is over."""
+    return message.stamp_ns > 10**8
+
+
 @pytest.mark.parametrize(
     ("topic", "edit", "named"),
     [
-        (JOINT_STATES, lambda m: m._replace(names=("shoulder", "wrist")), "joint names"),
-        (JOINT_STATES, lambda m: m._replace(names=("elbow", "elbow")), "joint names"),
-        (
-            JOINT_STATES,
-            lambda m: m._replace(position=tuple(np.degrees(m.position).tolist())),
-            "range",
-        ),
-        (JOINT_STATES, lambda m: m._replace(position=m.position[:1]), "field"),
+        (JOINT_STATES, lambda _: {"names": ("shoulder", "wrist")}, "joint names"),
+        (JOINT_STATES, lambda _: {"names": ("elbow", "elbow")}, "joint names"),
+        (JOINT_STATES, lambda m: {"position": tuple(map(math.degrees, m.position))}, "range"),
+        (JOINT_STATES, lambda m: {"position": m.position[:1]}, "field"),
         # The counter of the encoder wraps.
-        (
-            JOINT_STATES,
-            lambda m: m._replace(position=(m.position[0] - 6.3 * (m.stamp_ns > 10**8), 1.0)),
-            "jumps",
-        ),
-        (TORQUE_SENSORS, lambda m: m._replace(position=m.effort, effort=()), "field"),
+        (JOINT_STATES, lambda m: {"position": (m.position[0] - 6.3 * after(m), 1.0)}, "jumps"),
+        (TORQUE_SENSORS, lambda m: {"position": m.effort, "effort": ()}, "field"),
+        (TORQUE_SENSORS, lambda m: {"effort": tuple(1e3 * v + 600 for v in m.effort)}, "range"),
         (
             TORQUE_SENSORS,
-            lambda m: m._replace(effort=tuple(1e3 * v + 600.0 for v in m.effort)),
-            "range",
-        ),
-        (
-            TORQUE_SENSORS,
-            lambda m: m._replace(effort=(float("nan"), 0.0)) if m.stamp_ns == 10**8 else m,
+            lambda m: {"effort": (math.nan, 0.0)} if m.stamp_ns == 10**8 else {},
             "finite",
         ),
-        (JOINT_STATES, lambda m: m._replace(stamp_ns=0), "stamps increase"),
+        (JOINT_STATES, lambda _: {"stamp_ns": 0}, "stamps increase"),
         (
             JOINT_STATES,
-            lambda m: m._replace(stamp_ns=m.stamp_ns - 2 * PERIOD_NS * (m.stamp_ns > 10**8)),
+            lambda m: {"stamp_ns": m.stamp_ns - 2 * PERIOD_NS * after(m)},
             "stamps increase",
         ),
-        (JOINT_STATES, lambda m: m._replace(stamp_ns=m.stamp_ns * 1001 // 1000), "clock"),
+        (JOINT_STATES, lambda m: {"stamp_ns": m.stamp_ns * 1001 // 1000}, "clock"),
     ],
 )
 def test_each_defect_of_a_stream_is_named(
@@ -271,27 +262,22 @@ def test_when_samples_come_at_half_the_rate_expect_rate_and_stamps_named(sound: 
         assert {f"{topic}: rate", f"{topic}: stamps 1 ms apart", f"{topic}: clock"} <= set(names)
 
 
-def held_up(message: Message) -> Message:
+def held_up(message: Message) -> Mapping[str, Any]:
     late = message.stamp_ns // PERIOD_NS % 20 == 3
-    return message._replace(arrival_ns=message.arrival_ns + 600_000 * late)
+    return {"arrival_ns": message.arrival_ns + 600_000 * late}
 
 
 def slower(share: float) -> Edit:
     """Stretch the arrivals of a stream by this factor, so that it is slower by the wall clock."""
     start = 10**12
-    return lambda m: m._replace(arrival_ns=start + round(share * (m.arrival_ns - start)))
+    return lambda m: {"arrival_ns": start + round(share * (m.arrival_ns - start))}
 
 
 @pytest.mark.parametrize(
     ("topic", "edit", "named", "doubtful"),
     [
-        (TORQUE_SENSORS, lambda m: m._replace(stamp_ns=m.stamp_ns + 1000), ["pairs"], []),
-        (
-            JOINT_STATES,
-            lambda m: m._replace(names=m.names[::-1], position=m.position[::-1]),
-            [],
-            [],
-        ),
+        (TORQUE_SENSORS, lambda m: {"stamp_ns": m.stamp_ns + 1000}, ["pairs"], []),
+        (JOINT_STATES, lambda m: {"names": JOINTS[::-1], "position": m.position[::-1]}, [], []),
         # The jitter may be the driver's, or that of a busy machine.
         (JOINT_STATES, held_up, [], [f"{JOINT_STATES}: jitter"]),
         (JOINT_STATES, slower(1.003), [], []),

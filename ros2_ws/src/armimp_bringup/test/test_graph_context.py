@@ -4,7 +4,7 @@ import os
 import socket
 import subprocess
 from pathlib import Path
-from typing import cast
+from unittest.mock import Mock
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -243,22 +243,11 @@ def test_a_node_that_a_real_time_signal_killed_is_named(tmp_path: Path) -> None:
     assert nodes.dead() == {"rig": "node rig was killed by signal 40: said last"}
 
 
-class _Immortal:
-    pid, returncode = 7, None
-
-    def poll(self) -> None:
-        return None
-
-    def send_signal(self, _: int) -> None:
-        pass
-
-    def wait(self, timeout: float) -> None:
-        raise subprocess.TimeoutExpired("rig", timeout)
-
-
 def test_a_process_that_cannot_be_ended_is_named_and_raises_nothing() -> None:
+    immortal = Mock(pid=7, returncode=None)
+    immortal.poll.return_value = None
+    immortal.wait.side_effect = subprocess.TimeoutExpired("rig", 1.0)
     nodes = object.__new__(SeparateNodes)
-    nodes._forced, nodes._watchdog = set(), ParentWatchdog()
-    nodes.processes = {"rig": cast("subprocess.Popen[bytes]", _Immortal())}
+    nodes._forced, nodes._watchdog, nodes.processes = set(), ParentWatchdog(), {"rig": immortal}
     nodes.close()
     assert nodes.crashed() == ["node rig could not be ended (process 7)"]

@@ -95,26 +95,14 @@ def test_nested_fields_become_dotted_names_in_order() -> None:
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        (
-            {"law.gamma": -1.0},
-            "parameter 'law.gamma' = -1.0: input should be greater than 0",
-        ),
-        (
-            {"law.gamma": math.nan},
-            "parameter 'law.gamma' = nan: input should be a finite number",
-        ),
+        ({"law.gamma": -1.0}, "parameter 'law.gamma' = -1.0: input should be greater than 0"),
+        ({"law.gamma": math.nan}, "parameter 'law.gamma' = nan: input should be a finite number"),
         (
             {"law.mass": [1.0, "x"]},
             "parameter 'law.mass[1]' = \"x\": input should be a valid number",
         ),
-        (
-            {"joints": ["a", "a"]},
-            "parameter 'joints' = ['a', 'a']: joint names are not distinct",
-        ),
-        (
-            {"law.mass": [1.0]},
-            "parameters do not fit together: 1 masses for 2 joints",
-        ),
+        ({"joints": ["a", "a"]}, "parameter 'joints' = ['a', 'a']: joint names are not distinct"),
+        ({"law.mass": [1.0]}, "parameters do not fit together: 1 masses for 2 joints"),
         (
             {"law.gama": 1.0},
             "parameter 'law.gama' does not exist; the nearest valid name is 'law.gamma'",

@@ -65,9 +65,6 @@ def test_late_samples_missed_commands_and_times_are_measured() -> None:
     assert figures.period_max == pytest.approx(5.749999e-3)
 
 
-PERIOD = 1_000_000
-
-
 class FakeClock:
     """Advances by each sleep and by its overshoot (ns), given for one sleep after the other."""
 
@@ -85,7 +82,7 @@ class FakeClock:
 
 
 def pacer(clock: FakeClock) -> Pacer:
-    made = Pacer(PERIOD, now=clock.now, sleep=clock.sleep)
+    made = Pacer(MS, now=clock.now, sleep=clock.sleep)
     made.start()
     return made
 
@@ -96,7 +93,7 @@ def test_when_every_sleep_lasts_too_long_expect_no_drift() -> None:
     paced = pacer(clock)
     for tick in range(1, 1001):
         paced.wait(tick)
-        assert clock.ns == start + tick * PERIOD + 70_000
+        assert clock.ns == start + tick * MS + 70_000
 
 
 def test_when_held_up_for_several_periods_expect_them_caught_up_without_sleep() -> None:

@@ -466,11 +466,7 @@ NOISE = np.random.default_rng(1).normal(size=4000)
             990.1,
             [ProblemCode.RATE_UNCUSTOMARY, ProblemCode.RATE_DRIFTS],
         ),
-        (
-            stamps(1000.0, 3e5 * np.clip(NOISE, -1.4, 1.4)),
-            1000.0,
-            [ProblemCode.STAMPS_IRREGULAR],
-        ),
+        (stamps(1000.0, 3e5 * np.clip(NOISE, -1.4, 1.4)), 1000.0, [ProblemCode.STAMPS_IRREGULAR]),
         (stamps(1000.0, 2e4 * NOISE), 1000.0, []),
     ],
 )

@@ -7,13 +7,7 @@ import numpy as np
 import pytest
 
 from armimp_common.arrays import ComplexArray, FloatArray
-from armimp_estimation.arm_models import (
-    AUTO,
-    MODELS,
-    ModelFit,
-    fit_models,
-    supported,
-)
+from armimp_estimation.arm_models import AUTO, MODELS, ModelFit, fit_models, supported
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import Calibration, fit_impedance
 from armimp_estimation.problems import ProblemCode
@@ -32,10 +26,7 @@ PLANTED: Mapping[str, Mapping[str, FloatArray]] = {
         "muscle": np.array(50.0),
         "damping_ratio": np.array(1.0),
     },
-    "cuff": {
-        "cuff_stiffness": np.array([5e3, 3e3]),
-        "cuff_damping": np.array([10.0, 6.0]),
-    },
+    "cuff": {"cuff_stiffness": np.array([5e3, 3e3]), "cuff_damping": np.array([10.0, 6.0])},
 }
 RESULTS = ("velocity_gain", "delay", "cuff_stiffness", "M", "B", "K")
 

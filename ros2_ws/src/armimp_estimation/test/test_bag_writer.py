@@ -11,18 +11,8 @@ from rosbags.highlevel import AnyReader
 
 from armimp_common import topics
 from armimp_common.errors import BagError
-from armimp_common.topics import (
-    CLOCK,
-    DATA_STREAMS,
-    MESSAGE_TYPES,
-    PERIOD_NS,
-    TORQUE_SENSORS,
-)
-from armimp_estimation.bags import (
-    BagWriter,
-    read_bag,
-    require_free_space,
-)
+from armimp_common.topics import CLOCK, DATA_STREAMS, MESSAGE_TYPES, PERIOD_NS, TORQUE_SENSORS
+from armimp_estimation.bags import BagWriter, read_bag, require_free_space
 from armimp_estimation.bags.metadata_yaml import FILE_NAME, qos_profiles
 from armimp_estimation.bags.raw import absolute
 from armimp_estimation.bags.writer import FLUSH_INTERVAL_NS, RECORDED, finish_bag, finish_bags

@@ -332,12 +332,8 @@ def test_a_file_that_appears_while_another_is_written_stays_as_it_is(
     if not links:  # as on FAT
         monkeypatch.setattr(Path, "hardlink_to", Mock(side_effect=PermissionError))
 
-    def write_late(part: Path) -> None:
-        part.write_text("late")
-        path.write_text("first")
-
     with pytest.raises(DataError, match=r"summary.json: exists already"):
-        write_atomically(path, write_late)
+        write_atomically(path, lambda _: path.write_text("first"))
     assert path.read_text() == "first"
     path.unlink()
     write_atomically(path, lambda part: part.write_text("alone"))
