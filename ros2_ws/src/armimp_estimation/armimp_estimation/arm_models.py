@@ -25,11 +25,12 @@ from armimp_estimation.fit import (
     MBKFit,
     covariance_of_sums,
     fit_weights,
-    lack_limit,
     lack_of_fit,
     lack_ratio,
+    root_of,
 )
 from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector
+from armimp_estimation.mbk import UNITS
 
 Values = Mapping[str, FloatArray]
 
@@ -67,11 +68,7 @@ class Parameter:
     positive: bool = False
 
 
-INTRINSIC: Final = (
-    Parameter(name="M", unit="kg·m²"),
-    Parameter(name="B", unit="N·m·s/rad"),
-    Parameter(name="K", unit="N·m/rad"),
-)
+INTRINSIC: Final = tuple(Parameter(name=name, unit=unit) for name, unit in UNITS.items())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -293,9 +290,10 @@ def fit_models(
     if asked == AUTO:
         fits = bool((plain.lack <= plain.lack_limit).all())
         names = () if fits or not estimate.unbiased or estimate.joints > _MOST_JOINTS else [*MODELS]
-    fitted = {name: _Problem(MODELS[name], estimate, plain, calibration).fit() for name in names}
-    declared = {"declared": asked != AUTO}
-    return {name: one.model_copy(update=declared) for name, one in fitted.items()}
+    return {
+        name: _Problem(MODELS[name], estimate, plain, calibration).fit(declared=asked != AUTO)
+        for name in names
+    }
 
 
 def supported(models: Mapping[str, ModelFit]) -> str | None:
@@ -376,7 +374,6 @@ class _Problem:
 
         root = np.sqrt(self.weights[:, :, bins])
         measured = self.estimate.Z[:, :, bins]
-
         positive = self.positive[free]
 
         def whole(vector: FloatArray) -> FloatArray:
@@ -398,7 +395,7 @@ class _Problem:
         )
         return whole(found.x), float(found.cost)
 
-    def fit(self) -> ModelFit:
+    def fit(self, *, declared: bool) -> ModelFit:
         """Fit each variant; take a fuller one only if its criterion is clearly better."""
         # With fixed scalars, most models are linear.
         free = self.free(self.model.variants[0])
@@ -417,7 +414,7 @@ class _Problem:
                 criterion, solution, free = value, trial, more
         fitted = self.impedance(solution)
         lack = lack_of_fit(self.estimate, fitted)
-        limit = lack_limit(self.estimate.bin_correlation)
+        limit = self.plain.lack_limit
         fits = bool((lack <= limit).all())
         held_out = self.held_out(solution, free) if fits else math.nan
         values = self.values(solution)
@@ -436,6 +433,7 @@ class _Problem:
             held_out=held_out,
             criterion=criterion,
             fits=fits and held_out <= limit and self.model.possible(values),
+            declared=declared,
         )
 
     def held_out(self, solution: FloatArray, free: BoolArray) -> float:
@@ -443,7 +441,7 @@ class _Problem:
         even = np.floor(self.estimate.f / _BLOCK).astype(int) % 2 == 0
         left = []
         for bins in (even, ~even):
-            if 2 * np.sum(bins & self.used) * self.estimate.joints**2 <= 2 * np.sum(free):
+            if np.sum(bins & self.used) * self.estimate.joints**2 <= np.sum(free):
                 return math.nan
             other = self.solve(solution, free, bins & self.used)[0]
             ratio = lack_ratio(self.estimate, self.impedance(other))
@@ -505,22 +503,16 @@ class _Problem:
     def _spread(self, b: ComplexArray) -> FloatArray:
         """Covariance of ``Re Σ conj(b) δZ``; errors of elements and neighbouring bins correlate."""
         estimate = self.estimate
-        noise = np.sqrt(estimate.without_systematics().variance)
+        noise = np.sqrt(estimate.noise)
         if estimate.disturbance is None or estimate.inverse is None:
             parts = [b * noise]
         else:
             # δZ = Σ_k V_k inverse_k with independent columns V_k: b is applied to a root of each.
             turned = [np.einsum("aijf,jf->aif", b, np.conj(one)) for one in estimate.inverse]
-            factors = [_root(np.moveaxis(one, 2, 0)) for one in estimate.disturbance]
+            factors = [root_of(np.moveaxis(one, 2, 0)) for one in estimate.disturbance]
             parts = [
                 np.einsum("fim,aif->amf", np.conj(factor), one)
                 for factor, one in zip(factors, turned, strict=True)
             ]
         stacked = np.concatenate([one.reshape(len(b), -1, one.shape[-1]) for one in parts], axis=1)
         return covariance_of_sums(stacked, estimate.bin_correlation)
-
-
-def _root(matrices: ComplexArray) -> ComplexArray:
-    """Square roots of positive semidefinite matrices, (n_freq, n, n)."""
-    values, vectors = np.linalg.eigh(matrices)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])

@@ -153,6 +153,16 @@ class MBKFit:
     delay: CommonDelay | None = None
     high_pass: tuple[float, float] = (0.0, math.inf)
 
+    @property
+    def values(self) -> FloatArray:
+        """M, B and K, SI units, shape (3, n, n)."""
+        return np.stack((self.mbk.M, self.mbk.B, self.mbk.K))
+
+    @property
+    def errors(self) -> FloatArray:
+        """Their standard errors, SI units, shape (3, n, n)."""
+        return np.stack((self.M_se, self.B_se, self.K_se))
+
     def of_row(self, joint: int, change: ComplexArray) -> FloatArray:
         """Change of M, B and K, (3, n), by a change of one row of the impedance, (n, n_freq)."""
         return np.asarray(_sums(self.functionals[joint], change[:, None]).T)
@@ -160,7 +170,7 @@ class MBKFit:
     def with_doubt(self, shift: FloatArray) -> MBKFit:
         """Return the fit with a change of M, B and K, (3, n, n), as one more standard error."""
         flat = shift.ravel()
-        M_se, B_se, K_se = np.hypot(np.stack([self.M_se, self.B_se, self.K_se]), shift)
+        M_se, B_se, K_se = np.hypot(self.errors, shift)
         covariance = self.covariance + np.outer(flat, flat)
         return replace(self, M_se=M_se, B_se=B_se, K_se=K_se, covariance=covariance)
 
@@ -224,8 +234,8 @@ def r_squared(values: ComplexArray, fitted: ComplexArray) -> float:
     values, fitted : ndarray, shape (n_freq,)
         Estimated and fitted values.
     """
-    y = np.concatenate((values.real, values.imag))
-    residual = y - np.concatenate((fitted.real, fitted.imag))
+    y = _stacked(values)
+    residual = y - _stacked(fitted)
     total = float(np.sum((y - y.mean()) ** 2))
     return 1.0 - float(np.sum(residual**2)) / total if total > 0.0 else math.nan
 
@@ -383,7 +393,7 @@ class _Elements:
         return cls(
             estimate=estimate,
             Z=_flat(estimate.Z),
-            noise=_flat(estimate.without_systematics().variance),
+            noise=_flat(estimate.noise),
             systematics=tuple(map(_flat, estimate.systematics)),
         )
 
@@ -403,12 +413,6 @@ class _Elements:
     @property
     def omega(self) -> FloatArray:
         return 2.0 * np.pi * self.estimate.f
-
-    @property
-    def whole(self) -> bool:
-        """Whether these are the n² elements of a matrix, rather than those of some columns."""
-        rows, columns, _ = self.estimate.Z.shape
-        return bool(rows == columns)
 
     @property
     def own(self) -> list[int]:
@@ -505,7 +509,7 @@ class _Elements:
         also in elements where noise hides them.
         """
         plain = self.values()
-        squares, rows = np.zeros_like(plain), range(len(self.Z))
+        squares = np.zeros_like(plain)
         relative = self.omega / self.omega[-1]
         for term in (-1j * relative**3, relative**4 + 0j):
             terms: ComplexArray = np.broadcast_to(term, self.Z.shape)
@@ -513,15 +517,15 @@ class _Elements:
             squares += noticed * self.shifts(terms) ** 2
         low = relative <= _LOW
         if np.count_nonzero(low) >= _FEWEST:
-            for row in rows:
+            for row in range(len(self.Z)):
                 of_low = _mbk_functionals(self.omega, self.weights[row] * low)
                 apart = self.functionals[row] - of_low
                 values, variances = _sums(apart, self.Z[row]), self.covariance_of(apart, row)
                 for place in (1, 2):
                     error = math.sqrt(max(variances[place, place], 0.0))
                     squares[place, row] += _noticed(values[place], error)
-        n, hidden = len(self.estimate.Z), self._change_by_hidden(plain)
-        if self.whole and n <= _MOST_CUFFS:
+        (n, columns, _), hidden = self.estimate.Z.shape, self._change_by_hidden(plain)
+        if n == columns and n <= _MOST_CUFFS:
             Z = _of_mbk(plain, self.omega).reshape(n, n, -1)
             common = [-Z[:, joint, None] * Z[None, joint] for joint in range(n)]
             for place, one in enumerate([*common, -1j * Z / self.omega, relative**2 * Z]):
@@ -545,14 +549,7 @@ class _Elements:
         return value / (2.0 * np.pi), error / (2.0 * np.pi)
 
     def hidden_terms(self, values: FloatArray) -> list[tuple[float, ComplexArray]]:
-        """Reflexes and relaxing springs that an arm may have beside M, B and K, (3, n²).
-
-        Returns
-        -------
-        list of (float, ndarray)
-            Prior probability of each, and what it adds to the elements if it has its assumed size,
-            (n², n_freq).
-        """
+        """Prior probabilities of reflexes and relaxing springs, and what they add, (n², n_freq)."""
         if len(self.Z) > _MOST_CUFFS**2:
             return []
         s, (_, B, K) = 1j * self.omega, values[:, :, None]
@@ -618,12 +615,7 @@ class _Elements:
         return np.asarray(terms - _of_mbk(np.moveaxis(alike, -1, 0), self.omega))
 
     def coefficients_of(self, terms: ComplexArray) -> FloatArray:
-        """Coefficient of each element's term, fitted with its M, B and K, and its standard error.
-
-        Returns
-        -------
-        ndarray, shape (elements, 2)
-        """
+        """Coefficient of each element's term beside M, B and K, and its error, (elements, 2)."""
         left = self.beside(terms)
         total = np.sum(self.weights * np.abs(left) ** 2, axis=1)
         told = (np.finfo(np.float64).tiny < total) & (total < math.inf)
@@ -638,16 +630,10 @@ class _Elements:
         return np.where(told[:, None], found, (0.0, math.inf))
 
     def common_coefficient(self, terms: ComplexArray) -> tuple[float, float, float]:
-        """Estimate one coefficient of terms (elements, n_freq) that is common to all elements.
+        """Weighted mean of :meth:`coefficients_of`, its error with their scatter, and their spread.
 
-        Returns
-        -------
-        mean, error : float
-            Mean over all elements, weighted by inverse variances, and its standard error, which
-            covers the scatter.
-        apart : float
-            Standard deviation between elements beyond chance (DerSimonian & Laird, *Controlled
-            Clinical Trials* 7, 1986); a scatter of one standard deviation more counts as chance.
+        The spread is the standard deviation between elements beyond chance (DerSimonian & Laird,
+        *Controlled Clinical Trials* 7, 1986), where one standard deviation more counts as chance.
         """
         found = self.coefficients_of(terms)
         values, errors = found[np.isfinite(found[:, 1]) & (found[:, 1] > 0.0)].T
@@ -666,21 +652,10 @@ class _Elements:
     def common_coefficients(
         self, terms: ComplexArray, expected: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Posterior of the coefficients of terms common to all elements, beside M, B and K.
+        """Posterior means and covariance of the coefficients of terms common to all elements.
 
-        Parameters
-        ----------
-        terms : ndarray, shape (p, elements, n_freq)
-            Terms, each scaled to its prior standard error.
-        expected : ndarray, shape (p,)
-            Prior means of their coefficients.
-
-        Returns
-        -------
-        coefficients : ndarray, shape (p,)
-            Posterior means.
-        covariance : ndarray, shape (p, p)
-            Posterior covariance, which covers the scatter over the elements.
+        The terms, (p, elements, n_freq), are beside M, B and K, each scaled to its prior standard
+        error about `expected`, (p,). The covariance covers the scatter over the elements.
         """
         rows, beside = [], self.beside(terms)
         for row in range(len(self.Z)):
@@ -713,7 +688,7 @@ class _Elements:
         found, covariance = replace(self, systematics=others).common_coefficients(
             terms, np.zeros(bounded)
         )
-        errors = np.tensordot(_root(covariance), terms, axes=1)
+        errors = np.tensordot(root_of(covariance).T, terms, axes=1)
         Z = self.Z - np.tensordot(found, terms, axes=1)
         return replace(self, Z=Z, systematics=(*errors, *others))
 
@@ -738,8 +713,7 @@ def lack_of_fit(estimate: ImpedanceEstimate, fitted: ComplexArray) -> FloatArray
     explains nothing else (generalised least squares).
     """
     f, n = estimate.f, estimate.joints
-    noise = estimate.without_systematics().variance
-    weights = 1.0 / np.sqrt(_spared(estimate.Z, noise, estimate.averages - 1.0))
+    weights = 1.0 / np.sqrt(_spared(estimate.Z, estimate.noise, estimate.averages - 1.0))
     relative = 1j * f / f[-1]
     shapes = np.stack((relative**2, relative, np.ones_like(relative)))
     found = np.zeros((n, n))
@@ -786,7 +760,9 @@ def _with_delay(problem: _Elements) -> tuple[_Elements, CommonDelay | None]:
     total, told_error, apart = 0.0, math.inf, 0.0
     trial = problem
     for _ in range(_ITERATIONS):
-        step, told_error, apart = _delay_of(trial)
+        # For each element, Z = fit - d jω fit is solved for d by weighted least squares.
+        late = -1j * problem.omega * _of_mbk(trial.values(), problem.omega)
+        step, told_error, apart = trial.common_coefficient(late)
         # No drive, filter or clock is later than 20 ms; what seems to be is not a delay.
         total = float(np.clip(total + step, -0.02, 0.02))
         turn = np.exp(1j * problem.omega * total)
@@ -839,7 +815,7 @@ def _with_delay(problem: _Elements) -> tuple[_Elements, CommonDelay | None]:
         told_error=told_error,
         refuted=refuted,
     )
-    errors = np.tensordot(_root(covariance), terms, axes=1)
+    errors = np.tensordot(root_of(covariance).T, terms, axes=1)
     return replace(
         trial,
         Z=trial.Z - np.tensordot(found, terms, axes=1),
@@ -847,10 +823,11 @@ def _with_delay(problem: _Elements) -> tuple[_Elements, CommonDelay | None]:
     ), known
 
 
-def _root(covariance: FloatArray) -> FloatArray:
-    """Matrix R such that ``RᵀR`` is the covariance, which rounding may have made indefinite."""
+def root_of(covariance: Values) -> Values:
+    """Matrices F, (..., p, p), with ``F Fᴴ`` a covariance, which rounding may make indefinite."""
     sizes, directions = np.linalg.eigh(covariance)
-    return np.asarray(np.sqrt(np.maximum(sizes, 0.0))[:, None] * directions.T)
+    root: Values = directions * np.sqrt(np.maximum(sizes, 0.0))[..., None, :]
+    return root
 
 
 def hidden_square(
@@ -908,15 +885,6 @@ def hidden_square(
     counts = max(present - rare, 0.0) / max(present, np.finfo(np.float64).tiny)
     square = float(np.sum(there * (mean**2 + left) * size**2))
     return counts * square, float(np.logaddexp.reduce(ratios))
-
-
-def _delay_of(problem: _Elements) -> tuple[float, float, float]:
-    """Common delay of all elements, its standard error, and the spread between elements, s.
-
-    For each element ``Z = fit - d·jω·fit`` is solved for d by weighted least squares.
-    """
-    fitted = _of_mbk(problem.values(), problem.omega)
-    return problem.common_coefficient(-1j * problem.omega * fitted)
 
 
 def _mbk_functionals(omega: FloatArray, weights: FloatArray) -> ComplexArray:

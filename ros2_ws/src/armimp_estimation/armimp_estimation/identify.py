@@ -65,9 +65,8 @@ class EstimatorResult:
         if not doubts.any():
             return self
         fit, variance, shifts = self.fit, self.estimate.variance.copy(), []
-        found = np.stack([fit.mbk.M, fit.mbk.B, fit.mbk.K])
         # An element that is near 0 by chance would otherwise get next to no error.
-        found = np.copysign(np.hypot(found, np.stack([fit.M_se, fit.B_se, fit.K_se])), found)
+        found = np.copysign(np.hypot(fit.values, fit.errors), fit.values)
         for i, row in np.argwhere(doubts):
             shift = np.zeros_like(found)
             shift[:, i] = doubts[i, row] * found[:, row]

@@ -57,11 +57,8 @@ def judge_matrices(
         this share of ``√(M_ii M_jj)``.
     """
     problems = []
-    matrices = {
-        "M": (fit.mbk.M, fit.M_se),
-        "B": (fit.mbk.B, fit.B_se),
-        "K": (fit.mbk.K, fit.K_se),
-    }
+    pairs = zip(fit.values, fit.errors, strict=True)
+    matrices = dict(zip(RANGES, pairs, strict=True))
     own = [(letter, np.diag(one), np.diag(se)) for letter, (one, se) in matrices.items()]
     for letter, values, errors in [("M", *_quick_inertia(estimate)), *own]:
         low, high = RANGES[letter]
@@ -122,7 +119,7 @@ def _quick_inertia(estimate: ImpedanceEstimate) -> tuple[FloatArray, FloatArray]
     top = estimate.f >= _TOP * estimate.f[-1]
     square = (2.0 * np.pi * estimate.f[top]) ** 2
     Z = np.einsum("iif->if", estimate.Z)[:, top] / square
-    variance = np.einsum("iif->if", estimate.without_systematics().variance)[:, top] / square**2
+    variance = np.einsum("iif->if", estimate.noise)[:, top] / square**2
     error = np.sqrt(np.mean(variance, axis=1) / square.size)
     return np.minimum(np.median(np.abs(Z), axis=1), RANGES["M"][1]), error
 
@@ -149,7 +146,7 @@ def mixed_channels(fit: MBKFit, calibration: Calibration) -> list[FloatArray]:
     list of ndarray, shape (3, n, n)
         Changes for each pair of joints, as far as the asymmetry is beyond chance.
     """
-    matrices = np.stack((fit.mbk.M, fit.mbk.B, fit.mbk.K))
+    matrices = fit.values
     M = matrices[0]
     own = np.maximum(np.abs(np.diag(M)), np.finfo(np.float64).tiny)
     of_torques = sum(np.abs(one[:, :, 0]) ** 2 for one in calibration.effects(M[:, :, None] + 0j))

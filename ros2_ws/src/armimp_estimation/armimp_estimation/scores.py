@@ -189,12 +189,10 @@ def bias_bound(frf: FrfMatrix) -> FloatArray:
     # Less the power of noise, which would look like bias where torques are small.
     R = np.sqrt(np.maximum(np.abs(frf.R) ** 2 - frf.variance[:n], 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
-        for i in range(n):
-            for k in range(n):
-                moving = [i] if i != k else [j for j in range(n) if j != k]
-                for j in moving:
-                    share = np.abs(frf.T[i, j] / frf.R[j, j] * R[j, k] / frf.T[i, k])
-                    bound[i, k] += np.mean(share)
+        for i, k in np.ndindex(n, n):
+            for j in [i] if i != k else np.delete(np.arange(n), k):
+                share = np.abs(frf.T[i, j] / frf.R[j, j] * R[j, k] / frf.T[i, k])
+                bound[i, k] += np.mean(share)
     return bound
 
 

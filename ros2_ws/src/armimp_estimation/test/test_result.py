@@ -367,7 +367,7 @@ def test_covariances_of_responses_and_parameters_contain_the_standard_errors(
         assert estimate.inverse is not None
         share = np.abs(estimate.inverse) ** 2
         variance = np.einsum("kiif,kjf->ijf", estimate.disturbance, share).real
-        known = estimate.without_systematics().variance
+        known = estimate.noise
         np.testing.assert_allclose(variance, known, rtol=1e-6)
         errors = np.concatenate([getattr(fit, f"{letter}_se").ravel() for letter in "MBK"])
         np.testing.assert_allclose(np.sqrt(np.diag(fit.covariance)), errors, rtol=1e-12)

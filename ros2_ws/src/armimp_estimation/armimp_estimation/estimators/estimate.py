@@ -159,12 +159,13 @@ class ImpedanceEstimate:
         """Number of joints n."""
         return int(self.Z.shape[0])
 
-    def without_systematics(self) -> "ImpedanceEstimate":
-        """Return the estimate with the variance of noise alone."""
+    @property
+    def noise(self) -> FloatArray:
+        """Variance of noise alone, without `systematics`; shape (n, n, n_freq)."""
         variance = self.variance.copy()
         for common in self.systematics:
             variance -= np.abs(common) ** 2
-        return replace(self, variance=np.maximum(variance, 0.0), systematics=(), bounded=0)
+        return np.asarray(np.maximum(variance, 0.0))
 
     def with_noise_at(self, impedance: ComplexArray) -> "ImpedanceEstimate":
         """Return the estimate with the noise of ``T - Z R`` evaluated at another impedance.
