@@ -134,9 +134,12 @@ class LpmFull:
         jump = update_jump(records, self.config.reading)
         rate, n = records[0].rate, records[0].joints
         joints = [record.perturbed_joint for record in records]
-        reference = self._reference_arm(records, jump)
-        mixed = self._residual_mix(reference, jump, rate)
-        plain = self._columns(records, with_steps=jump is not None, mix=mixed)
+        channels = [np.concatenate([one.position, one.torque]) for one in records]
+        if jump is not None:
+            steps = map(command_steps, records)
+            channels = [np.concatenate(pair) for pair in zip(channels, steps, strict=True)]
+        reference = self._reference_arm(records, channels, jump)
+        plain = self._residuals(records, channels, reference, jump)
         columns = [column.with_scatter_of_lines(slice(n, 2 * n)) for column in plain]
         f = columns[0].f
         stacked = np.stack([column.response for column in columns], axis=1)
@@ -146,7 +149,7 @@ class LpmFull:
         impedance = reference.impedance(f)[:, joints] + offset
         torque = multiply(impedance, R)
         reversing, bending = _reversals(records, impedance, f)
-        skewed = self._doubts(added, f, jump, reversing, bending)
+        skewed = _doubts(added, f, jump, reversing, bending)
 
         every = _unit(2 * n, 3 * n, f)
         coefficients = every[n:].copy()
@@ -219,8 +222,7 @@ class LpmFull:
             values, errors = fit_columns(found)
         else:
             fit = fit_mbk(found)
-            values = np.stack((fit.mbk.M, fit.mbk.B, fit.mbk.K))
-            errors = np.stack((fit.M_se, fit.B_se, fit.K_se))
+            values, errors = fit.values, fit.errors
         place = joints.index(k)
         return FittedColumn(
             joint=k,
@@ -228,29 +230,6 @@ class LpmFull:
             errors=errors[:, :, place],
             preliminary=preliminary,
         )
-
-    def _doubts(
-        self,
-        correction: ComplexArray,
-        f: FloatArray,
-        jump: HoldCorrection | None,
-        reversing: FloatArray,
-        bending: FloatArray,
-    ) -> tuple[ComplexArray, ...]:
-        """Standard errors of the skew correction of an impedance.
-
-        The correction is ``jωL/2`` times the torque that jumps: imaginary for inertial torque,
-        proportional to s², and real for friction torque, proportional to s. The real part is
-        uncertain where motion reverses. The correction does not cover the curvature of friction
-        within a period, which looks like viscosity: its effect is the third returned error.
-        """
-        error = np.zeros(len(correction)) if jump is None else jump.error
-        known = np.hypot(_SKEW, error)[:, None, None]
-        inertial = np.asarray(1j * known * correction.imag)
-        share = np.hypot(known, _RUBBING * reversing[:, None])
-        rubbing = np.asarray(share * correction.real, dtype=np.complex128)
-        bent = (_inertia(correction, f) * bending)[..., None] * 2j * np.pi * f
-        return inertial, rubbing, np.asarray(bent, dtype=np.complex128)
 
     def _delay_uncertainty(self, jump: HoldCorrection | None, rate: float) -> float:
         """Standard error of the delay between torques and angles, s."""
@@ -260,40 +239,43 @@ class LpmFull:
             return self.config.timing_uncertainty
         return 0.5 / rate
 
-    def _residual_mix(self, reference: MBK, jump: HoldCorrection | None, rate: float) -> Mix:
-        """Combinations of the channels from which the deviation from a reference arm is estimated.
+    def _residuals(
+        self,
+        records: Sequence[TrialRecord],
+        channels: Sequence[FloatArray],
+        reference: MBK,
+        jump: HoldCorrection | None,
+        f: FloatArray | None = None,
+    ) -> list[LocalResponse]:
+        """Responses of angles, torques less those of a reference arm, and skew corrections."""
+        n, rate = reference.joints, records[0].rate
 
-        These are n angles, n torques less those of the reference arm, and their n skew corrections.
-        """
-        n = reference.joints
-
-        def mixed(f: FloatArray) -> ComplexArray:
-            skew = without_skew(f, rate, n, self.config.reading, jump)
-            chosen = _unit(3 * n, n + skew.shape[1], f)
-            chosen[n : 2 * n, :n] = -reference.impedance(f)
+        def mixed(at: FloatArray) -> ComplexArray:
+            skew = without_skew(at, rate, n, self.config.reading, jump)
+            chosen = _unit(3 * n, n + skew.shape[1], at)
+            chosen[n : 2 * n, :n] = -reference.impedance(at)
             chosen[n:, n:] = np.concatenate((skew, skew))
             chosen[2 * n :, n : 2 * n] = 0.0
             return chosen
 
-        return mixed
+        return _moved(responses(records, channels, BAND, mixed, f), records)
 
-    def _reference_arm(self, records: Sequence[TrialRecord], jump: HoldCorrection | None) -> MBK:
+    def _reference_arm(
+        self,
+        records: Sequence[TrialRecord],
+        channels: Sequence[FloatArray],
+        jump: HoldCorrection | None,
+    ) -> MBK:
         """Fit M, B and K by least squares of relative errors, at some frequencies.
 
         The error of the polynomials is proportional to the distance of the arm from the reference
         arm of the previous step, so little is left after the second step, however few the bins.
         """
-        n, rate = records[0].joints, records[0].rate
-        joints = [record.perturbed_joint for record in records]
+        n, joints = records[0].joints, [record.perturbed_joint for record in records]
         found, f = np.zeros((3, n, n)), _strongest(records)
         for _ in range(_REFERENCE_STEPS):
             reference = MBK(M=found[0], B=found[1], K=found[2])
-            columns = self._columns(
-                records,
-                with_steps=jump is not None,
-                mix=self._residual_mix(reference, jump, rate),
-                f=f,
-            )
+            columns = self._residuals(records, channels, reference, jump, f)
             stacked = np.stack([column.response for column in columns], axis=1)
             R, residual = stacked[joints], stacked[n : 2 * n]
             s = 2j * np.pi * columns[0].f
@@ -310,21 +292,6 @@ class LpmFull:
                 solved = np.linalg.lstsq((parts / scale).T, aims, rcond=None)[0] / scale[:, 0]
                 found[:, row, joints] += solved.reshape(3, -1)
         return MBK(M=found[0], B=found[1], K=found[2])
-
-    def _columns(
-        self,
-        records: Sequence[TrialRecord],
-        *,
-        with_steps: bool,
-        mix: Mix | None = None,
-        f: FloatArray | None = None,
-    ) -> list[LocalResponse]:
-        """Responses of angles, torques and, if wanted, command steps, or of a mix of them."""
-        channels = []
-        for record in records:
-            steps = [command_steps(record)] if with_steps else []
-            channels.append(np.concatenate([record.position, record.torque, *steps]))
-        return _moved(responses(records, channels, BAND, mix, f), records)
 
 
 def responses(
@@ -368,11 +335,32 @@ def responses(
     return [one if one.f.size == shared.size else one.at(among(one.f, shared)) for one in columns]
 
 
-def _half_width(duration: float, *, periodic: bool) -> int:
-    """Half width of the window of local polynomials, in bins, for a record of `duration` seconds.
+def _doubts(
+    correction: ComplexArray,
+    f: FloatArray,
+    jump: HoldCorrection | None,
+    reversing: FloatArray,
+    bending: FloatArray,
+) -> tuple[ComplexArray, ...]:
+    """Standard errors of the skew correction of an impedance.
 
-    For a periodic perturbation, polynomials model leakage alone and use all bins of the span.
+    The correction is ``jωL/2`` times the torque that jumps: imaginary for inertial torque,
+    proportional to s², and real for friction torque, proportional to s. The real part is uncertain
+    where motion reverses. The correction does not cover the curvature of friction within a period,
+    which looks like viscosity: its effect is the third returned error.
     """
+    error = np.zeros(len(correction)) if jump is None else jump.error
+    known = np.hypot(_SKEW, error)[:, None, None]
+    inertial = np.asarray(1j * known * correction.imag)
+    share = np.hypot(known, _RUBBING * reversing[:, None])
+    rubbing = np.asarray(share * correction.real, dtype=np.complex128)
+    bent = (_inertia(correction, f) * bending)[..., None] * 2j * np.pi * f
+    return inertial, rubbing, np.asarray(bent, dtype=np.complex128)
+
+
+def _half_width(duration: float, *, periodic: bool) -> int:
+    """Half width of local polynomials, in bins, for a record of `duration` seconds."""
+    # For a periodic perturbation, polynomials model leakage alone and use all bins of the span.
     within = max(int(_SPAN * duration * (1.0 + 1e-12)), ORDER + _SPARE_BINS)
     return within if periodic else min(HALF_WIDTH, within)
 
@@ -395,13 +383,7 @@ def _strongest(records: Sequence[TrialRecord]) -> FloatArray:
 
 
 def _moved(columns: Sequence[LocalResponse], records: Sequence[TrialRecord]) -> list[LocalResponse]:
-    """Keep responses where the motion of every perturbed joint stands out from its noise.
-
-    Raises
-    ------
-    DataError
-        If too few frequencies are left.
-    """
+    """Keep responses where the motion of every perturbed joint stands out from its noise."""
     kept = np.ones(columns[0].f.size, dtype=np.bool_)
     for column, record in zip(columns, records, strict=True):
         k = record.perturbed_joint
@@ -423,16 +405,7 @@ def _uneven(
     T: ComplexArray,
     joints: Sequence[int],
 ) -> tuple[float, ...]:
-    """Scatter of lines beyond noise, as a share of the power of each perturbed joint's torque.
-
-    Parameters
-    ----------
-    plain, scattered : sequence of LocalResponse
-        Responses with the variance by noise alone, and with that of the lines' scatter.
-    T : ndarray, shape (n, m, n_freq)
-    joints : sequence of int
-        Perturbed joints, 0-based.
-    """
+    """Scatter of lines beyond noise, as a share of the power of each perturbed joint's torque T."""
     n, _, lines = T.shape
     limit = _BY_CHANCE + _SCATTER / math.sqrt(lines)
     shares = []
@@ -598,12 +571,8 @@ def _reversals(
     with the sign of v, this acts like a viscosity ``E[v F'']/E[v²] = -2 p(0) E[v F]/(E|v| E[v²])``,
     with the density p of v; the skew correction adds half of ``L E[v F]/E[v²]`` as inertia.
 
-    Returns
-    -------
-    reversing : ndarray, shape (trials,)
-        Share of the time in which the motion of the joint is reversed.
-    bending : ndarray, shape (trials,)
-        That viscosity relative to the inertia that the skew correction adds, 1/s.
+    Returned by trial: the share of the time in which the motion of the joint is reversed, and that
+    viscosity relative to the inertia that the skew correction adds, 1/s.
     """
     reversing, bending = np.zeros((2, len(records)))
     inertia = _inertia(impedance, f)
