@@ -38,6 +38,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cached_property, partial
 from itertools import product
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -184,14 +185,12 @@ class Term:
     """Whether it does not change sign with the motion that the perturbation causes."""
     couples: bool = False
     """Whether it may be in the torque of a locked joint, too."""
-    couples_alone: bool = False
-    """Whether it may be in the coupling of two joints that do not have it themselves."""
     explained_by: str = ""
     """Term that explains this one where that term is found more clearly at the perturbed joint; it
     then lowers the odds of this one."""
-    shared: bool = False
+    shared: Literal["no", "by joints", "by all"] = "no"
     """Whether either all joints of an arm have it or none, so that evidence against it at some
-    joints lowers its odds at the others."""
+    joints lowers its odds at the others; and whether also in the coupling of two joints."""
 
 
 TERMS: Mapping[str, Term] = {
@@ -214,8 +213,7 @@ TERMS: Mapping[str, Term] = {
         likely=0.5,
         sizes=(0.1, 0.3, 1.0),
         couples=True,
-        couples_alone=True,
-        shared=True,
+        shared="by joints",
     ),
     "posture": Term(
         bend=lambda signals: np.abs(signals[0]),
@@ -241,7 +239,7 @@ TERMS: Mapping[str, Term] = {
         likely=0.1,
         sizes=(0.1, 0.3),
         couples=True,
-        shared=True,
+        shared="by all",
         explained_by="friction",
     ),
     "damping by angle": Term(
@@ -551,29 +549,6 @@ def play(angle: FloatArray, half: float) -> FloatArray:
     return np.asarray((angle - np.clip(0.0, least, most)) / half)
 
 
-def _residuals(
-    record: TrialRecord,
-    arm: MBK,
-    jump: HoldCorrection | None,
-    reading: TorqueReading,
-    late: float,
-) -> tuple[FloatArray, FloatArray]:
-    """Motion of the perturbed joint and residual torques of the fitted arm, both within the band.
-
-    Angle, rad, and its first two derivatives, (3, N), and torques, N·m, (n, N), at 200 Hz at most.
-    """
-    n, band = record.joints, _Band(record)
-    angles, torques = band.of(record.position), band.of(record.torque)
-    coefficients = without_skew(band.f, record.rate, n, reading, jump, late)
-    torques = np.einsum("iif,if->if", coefficients[:, :n], torques)
-    if jump is not None:
-        steps = band.of(command_steps(record))
-        torques = torques + np.einsum("ijf,jf->if", coefficients[:, n:], steps)
-    motion = angles[record.perturbed_joint] * (2j * np.pi * band.f) ** np.arange(3)[:, None]
-    left = torques - np.einsum("ijf,jf->if", arm.impedance(band.f), angles)
-    return band.signal(motion), band.signal(left)
-
-
 def _onto(forces: FloatArray) -> Callable[[FloatArray], FloatArray]:
     """Return the projection of signals (..., N) onto the rows of `forces`, (2 bands, N)."""
     normal = np.linalg.pinv(forces @ forces.T, hermitian=True)
@@ -611,14 +586,22 @@ def deviations(
     if record.duration < _LEAST:
         return [{} for _ in record.joint_names]
     record = record.whole_periods
-    motion, residuals = _residuals(record, arm, jump, reading or TorqueReading(), late)
-    moved = _Motion(record, motion)
+    n, k, band = record.joints, record.perturbed_joint, _Band(record)
+    angles, torques = band.of(record.position), band.of(record.torque)
+    coefficients = without_skew(band.f, record.rate, n, reading or TorqueReading(), jump, late)
+    torques = np.einsum("iif,if->if", coefficients[:, :n], torques)
+    if jump is not None:
+        steps = band.of(command_steps(record))
+        torques = torques + np.einsum("ijf,jf->if", coefficients[:, n:], steps)
+    residuals = band.signal(torques - np.einsum("ijf,jf->if", arm.impedance(band.f), angles))
+    # Angle of the perturbed joint, rad, and its first two derivatives, (3, N).
+    motion = band.signal(angles[k] * (2j * np.pi * band.f) ** np.arange(3)[:, None])
+    moved = _Motion(record, band, motion)
     # An element between joints may be small, so its size is its geometric mean with √(M_ii M_kk).
     elements = np.abs(np.stack((arm.M, arm.B, arm.K), axis=-1))
     own = np.sqrt(np.diagonal(elements).T)
-    column = np.sqrt(elements[:, record.perturbed_joint] * own * own[record.perturbed_joint])
-    parts = zip(range(record.joints), residuals, column, strict=True)
-    return [moved.deviations(joint, left, size) for joint, left, size in parts]
+    column = np.sqrt(elements[:, k] * own * own[k])
+    return [moved.deviations(joint, residuals[joint], column[joint]) for joint in range(n)]
 
 
 class _Motion:
@@ -629,10 +612,10 @@ class _Motion:
     weak instrument of terms that depend on the direction of the motion.
     """
 
-    def __init__(self, record: TrialRecord, motion: FloatArray) -> None:
-        self._record = record
-        self._band, wide, moving = _Band(record), _Band(record, WIDE), _Band(record, MOVING)
-        k, kept, band = record.perturbed_joint, self._band.kept, self._band
+    def __init__(self, record: TrialRecord, band: _Band, motion: FloatArray) -> None:
+        self._record, self._band = record, band
+        k, kept = record.perturbed_joint, band.kept
+        wide, moving = _Band(record, WIDE), _Band(record, MOVING)
         position = record.position[k]
         angle = moving.signal(moving.of(position))
         quick = np.vstack((2j * np.pi * wide.f * wide.of(position), wide.of(record.torque)))
@@ -671,16 +654,7 @@ class _Motion:
         return self._band.of(np.stack((turns, whole, alone)))
 
     def deviations(self, joint: int, rest: FloatArray, size: FloatArray) -> dict[str, Deviation]:
-        """Estimate the terms in the torque of a joint.
-
-        Parameters
-        ----------
-        joint : int
-        rest : ndarray, shape (N,)
-            Its residual torque, N·m.
-        size : ndarray, shape (3,)
-            Sizes of M, B and K between the perturbed joint and this one.
-        """
+        """Estimate the terms in the residual torque, (N,), of a joint with M, B and K of a size."""
         record, band, linear = self._record, self._band, self._linear
         k, kept = record.perturbed_joint, band.kept
         if not ((self._sizes > 0.0).all() and size.all()):
@@ -740,16 +714,10 @@ def _deviation(
     own: FloatArray,
     sizes: FloatArray,
 ) -> Deviation:
-    """Interpret the coefficient of a term.
+    """Interpret the coefficient of a term, N·m, with its standard error and degrees of freedom.
 
-    Parameters
-    ----------
-    name, estimate
-        Name of a term, and its coefficient, N·m, standard error and degrees of freedom.
-    alike, own : ndarray, shape (3,)
-        M, B and K that look like a term of 1 N·m, and those of the joint.
-    sizes : ndarray, shape (4,)
-        Rms of angle, angle and speed without slow motion, and torque: units of the term's signals.
+    `alike` and `own`, (3,), are the M, B and K that look like a term of 1 N·m, and those of the
+    joint; `sizes`, (4,), are the units of the term's signals.
     """
     term, (slope, error, freedom) = TERMS[name], estimate
     shift, held, slack = slope * term.rest * alike, 0.0, 0.0
@@ -919,13 +887,7 @@ def _step(
     (two-sample t test), which fails where voluntary torque comes and goes. How large the largest
     ratio may be by chance is therefore found by flipping the signs of the residuals, a few parts at
     a time (wild bootstrap: Wu, *Annals of Statistics* 14, 1986), and the error enlarged to match.
-
-    Returns
-    -------
-    change : tuple of float
-        As :func:`_ratio` gives it.
-    looks : int
-        Number of instants at which a change was looked for.
+    Returned as :func:`_ratio` does, with the number of instants at which a change was looked for.
     """
     products, squares = _by_parts(instrument, term, left, _SHORT)
     none = 0.0, np.inf, 1.0
@@ -1040,7 +1002,7 @@ def judge_linearity(
             if rival is not None and not (rival.significant and rival.errors > one.errors):
                 rival = None
             evidence = sum(other[name].evidence for other in elsewhere)
-            lowers = term.shared and (i == k or not term.couples_alone)
+            lowers = term.shared == "by all" or (term.shared == "by joints" and i == k)
             evidence = evidence if lowers else max(evidence, 0.0)
             doubt = one.doubt(evidence, declared=linearity is not None, rival=rival)
             gain[k] = np.hypot(gain[k], doubt * one.gain)
