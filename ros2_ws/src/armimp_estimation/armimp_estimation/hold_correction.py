@@ -317,14 +317,8 @@ def _chatter(
 def _lags(reading: TorqueReading, rate: float) -> tuple[FloatArray, FloatArray, int]:
     """Coefficients that give value and slope of the torque after a step from changes of readings.
 
-    Returns
-    -------
-    weights : ndarray
-        Coefficients of readings, newest first, that remove the poles of the low-pass.
-    to_parabola : ndarray, shape (2, lags)
-        Coefficients of their changes, from the first that shows a step on, in value and slope.
-    edge : int
-        Number of changes after which the step is complete.
+    First those of readings, newest first, that remove the poles of the low-pass. Then, (2, lags),
+    those of their changes from the first that shows a step on; last after how many it is complete.
     """
     weights = reading.whitening(rate)
     count = weights.size + 1 + _PERIODS

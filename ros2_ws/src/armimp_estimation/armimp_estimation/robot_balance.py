@@ -33,17 +33,8 @@ from armimp_estimation.estimators.estimate import variance_of
 from armimp_estimation.estimators.local_polynomial import LocalResponse
 from armimp_estimation.estimators.lpm import HiddenMotion, covariance_of, responses
 from armimp_estimation.estimators.welch import invert, multiply
-from armimp_estimation.fit import (
-    Calibration,
-    MBKFit,
-    covariance_of_sums,
-    fit_weights,
-)
-from armimp_estimation.hold_correction import (
-    HoldCorrection,
-    answers_to_rounding,
-    without_skew,
-)
+from armimp_estimation.fit import Calibration, MBKFit, covariance_of_sums, fit_weights
+from armimp_estimation.hold_correction import HoldCorrection, answers_to_rounding, without_skew
 from armimp_estimation.plausibility import least_eigenvalue, uneven
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
@@ -180,7 +171,7 @@ class RobotBalance:
         asymmetric = unlike | uneven(M, self.M_se, ASYMMETRY)
         return bool(value < -_ERRORS * error or asymmetric.any())
 
-    @property
+    @cached_property
     def scales(self) -> tuple[FloatArray, FloatArray]:
         """Relative difference of M_ij and M_ji, and its standard error, (n, n).
 
@@ -202,7 +193,7 @@ class RobotBalance:
     def scales_in_doubt(self, arm: MBKFit) -> list[FloatArray]:
         """Changes of M, B and K, (3, n, n), one for each scale of two that seem to differ."""
         ratio, error = self.scales
-        matrices, changes = np.stack((arm.mbk.M, arm.mbk.B, arm.mbk.K)), []
+        matrices, changes = arm.values, []
         for i, j in np.argwhere(np.abs(ratio) > _NOTICED * error):
             changes.append(np.zeros_like(matrices))
             changes[-1][:, :, j] = ratio[i, j] * matrices[:, :, j]
@@ -353,15 +344,8 @@ class RobotResponses:
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Fit a robot, friction of locked joints and a lag of their drives to an impedance.
 
-        Parameters
-        ----------
-        impedance, variance, driven : ndarray, shape (n, n, n_freq)
-            Impedance that the commands move, its variance, and the contribution of the commands.
-
-        Returns
-        -------
-        values, covariance, friction, damped : ndarray
-            As a :class:`RobotBalance` has them.
+        Returned are values, covariance, friction and damped of a :class:`RobotBalance`; `driven` is
+        the contribution of the commands to the impedance, (n, n, n_freq).
         """
         n, f = len(self.records), self.columns[0].f
         s, correlation = 2j * np.pi * f, self.columns[0].bin_correlation()
@@ -369,11 +353,10 @@ class RobotResponses:
         found, errors = np.zeros((3, n, n)), np.zeros((3, 3, n, n))
         friction, damped = np.zeros((n, n)), np.zeros((2, n, n))
         for i, j in np.ndindex(n, n):
-            terms = np.stack([s**2, s, np.ones_like(s)])
+            own = np.stack([s**2, s, np.ones_like(s)])
             held = np.stack([locked[i, j] * s, locked[i, j]])
             lag = np.stack([driven[i, j] * s, driven[i, j] * s**2])
-            if i != j:
-                terms = np.concatenate([terms, held, lag])
+            terms = own if i == j else np.concatenate([own, held, lag])
             given = f, impedance[i, j], variance[i, j], correlation
             values, covariance = _least_squares(*given, terms)
             free, spread, taken = values, covariance, np.zeros_like(s)
@@ -397,14 +380,8 @@ class RobotResponses:
         is uncorrelated with anything linear (Bussgang). The damper has the part
         ``(mean |v| / rms v)²`` of f², which is 2/π for Gaussian speeds. What is missing of that, as
         where a joint is pushed and then sticks away from its equilibrium, may act like a spring of
-        either sign.
-
-        Returns
-        -------
-        undamped : ndarray, shape (n, n)
-            This torque of each joint in each trial, relative to that of the damper.
-        pace : ndarray, shape (n,)
-            Rms speed over rms angle of each joint in its own trial, 1/s.
+        either sign. Returned relative to the damper's torque, by joint and trial; with the rms
+        speed over rms angle of each joint in its own trial, 1/s.
         """
         n = len(self.records)
         undamped, pace = np.zeros((n, n)), np.zeros(n)
@@ -488,8 +465,7 @@ def _imbalance(
     known = np.moveaxis(covariance[np.ix_(used, used)], (0, 1), (2, 3))
     information = others[:, :, None, None] * np.linalg.pinv(known)
     residual = robot.values[used]
-    arms = np.stack((arm.mbk.M, arm.mbk.B, arm.mbk.K))[used]
-    arms_se = np.stack((arm.M_se, arm.B_se, arm.K_se))[used]
+    arms, arms_se = arm.values[used], arm.errors[used]
     # Indices: joint i, row r of the arm whose torque its transducer may show, column j.
     part = np.einsum("arj,ijab,brj->irj", arms, information, arms)
     square = _TINY + np.sum(part, axis=2)
@@ -623,7 +599,9 @@ def judge_balance(
         transducer is refused.
     """
     if balance is None:
-        return _nothing_confirmed(names, calibration)
+        doubt = max(_UNCONFIRMED, calibration.gain) if calibration.assumed else 0.0
+        unconfirmed = [_unconfirmed(name, doubt) for name in names if doubt > 0.0]
+        return unconfirmed, doubt * np.eye(len(names))
     problems, wrong = [], []
     if balance.order != tuple(range(len(names))):
         order = ", ".join(names[row] for row in np.argsort(balance.order))
@@ -712,15 +690,6 @@ def _rounds(record: TrialRecord) -> bool:
     """Whether second differences of the angles are due to rounding rather than motion."""
     power = np.mean(np.diff(record.position, n=2) ** 2, axis=1)
     return bool((power <= _ROUNDED * record.resolution[JOINT_STATES] ** 2).all())
-
-
-def _nothing_confirmed(
-    names: Sequence[str], calibration: Calibration
-) -> tuple[list[Problem], FloatArray]:
-    """Result of :func:`judge_balance` without commands that could confirm the transducers."""
-    doubt = max(_UNCONFIRMED, calibration.gain) if calibration.assumed else 0.0
-    problems = [_unconfirmed(name, doubt) for name in names if doubt > 0.0]
-    return problems, doubt * np.eye(len(names))
 
 
 def _doubted(
