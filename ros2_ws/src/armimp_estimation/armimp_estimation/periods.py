@@ -10,7 +10,7 @@ ed., ch. 3 and 4).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import reduce
 
@@ -46,6 +46,14 @@ class Periods:
     """Whole periods at the end of the record; 2 or more."""
     lines: NDArray[np.intp]
     """Harmonics that have power; shape (n_lines,)."""
+
+    def alike(self, other: Periods | None) -> bool:
+        """Whether another perturbation has the same period and lines."""
+        return (
+            other is not None
+            and self.samples == other.samples
+            and np.array_equal(self.lines, other.lines)
+        )
 
     @property
     def used(self) -> int:
@@ -111,18 +119,6 @@ def _period(signal: FloatArray) -> int:
     same = np.flatnonzero(common - 2.0 * correlation < _SAME * total)
     same = same[same > differs[0]] if differs.size else same[:0]
     return int(same[0]) if same.size else 0
-
-
-def common_periods(found: Sequence[Periods | None]) -> Periods | None:
-    """Return the periods of the first trial if all have the same period and lines, else None."""
-    first = found[0] if found else None
-    if first is None:
-        return None
-    same = all(
-        one is not None and one.samples == first.samples and np.array_equal(one.lines, first.lines)
-        for one in found
-    )
-    return first if same else None
 
 
 def common_lines(

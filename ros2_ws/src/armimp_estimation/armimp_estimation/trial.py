@@ -23,7 +23,6 @@ import numpy as np
 from armimp_common.arrays import FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.local_polynomial import HALF_WIDTH, ORDER
-from armimp_estimation.periods import common_periods
 from armimp_estimation.problems import Problem
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.signal_quality import mended
@@ -129,10 +128,9 @@ def segment_for(trials: Sequence[Sequence[TrialRecord]]) -> int:
 
     If all trials have the same periodic perturbation, segments follow its period.
     """
-    longest = [max(parts, key=lambda part: part.samples) for parts in trials]
-    periods = common_periods([record.periods for record in longest])
-    if periods is not None:
-        return periods.segment
+    periods = [max(parts, key=lambda part: part.samples).periods for parts in trials]
+    if periods and periods[0] is not None and all(map(periods[0].alike, periods)):
+        return periods[0].segment
     sizes = [
         segment_for_samples(*(part.samples for part in parts), rate=parts[0].rate)
         for parts in trials
