@@ -178,8 +178,11 @@ def floating(record: TrialRecord) -> tuple[float, float]:
     k, f = record.perturbed_joint, np.fft.rfftfreq(record.samples, 1.0 / record.rate)
     top, s = min(_QUICK[1], 0.4 * record.rate), 2j * np.pi * f
     quick = (f > _QUICK[0]) & (f < top)
+    # A second at each end fades in and out: where ends do not meet, their leakage hides the motion.
+    ends = np.minimum(np.arange(record.samples), np.arange(record.samples)[::-1])
+    fading = np.sin(0.5 * np.pi * np.minimum(ends / record.rate, 1.0)) ** 2
     angles, torque = (
-        np.fft.rfft(one - one.mean(axis=-1, keepdims=True))
+        np.fft.rfft(fading * (one - one.mean(axis=-1, keepdims=True)))
         for one in (record.position, record.torque[k])
     )
     motion = np.concatenate([s[quick] ** order * angles[:, quick] for order in range(3)])
