@@ -382,7 +382,7 @@ def settle(
     estimator : parameters of the estimator, needed if it has stored no summary
     found : result of an estimator in this process
     problems : problems that the orchestrator observed
-    timing : timing up to the end of the experiment; the estimator does not see its last samples
+    timing : timing that the orchestrator knows; either may know more, the estimator not of the end
     """
     finish_bags(directory)  # a killed estimator could not
     path = directory / SUMMARY_FILE
@@ -404,8 +404,9 @@ def settle(
         return result
     result = Result(summary=read_summary(path)) if found is None else found
     summary = complete = result.summary
-    if timing is not None:
-        before = [] if summary.timing is None else summary.timing.problems
+    stored = summary.timing
+    if timing is not None and (stored is None or timing.ticks > stored.ticks):
+        before = [] if stored is None else stored.problems
         others = [one for one in summary.problems if one not in before]
         complete = summary.model_copy(
             update={"timing": timing, "problems": [*timing.problems, *others]}
