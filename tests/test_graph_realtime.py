@@ -81,9 +81,9 @@ def test_a_run_reports_its_timing_and_is_valid_unless_that_is_beyond_a_limit(
 
     assert_verdict_fits(summary)
     assert summary.timing is not None
-    bags = sorted((tmp_path / "out" / "bags").iterdir())
+    bags = [tmp_path / "out" / trial.bag for trial in summary.trials if trial.bag is not None]
     told = [*itertools.chain.from_iterable(map(told_of_timing, bags)), summary.timing]
-    assert len(told) > 2 * len(bags)
+    assert len(told) > sum(trial.ticks for trial in summary.trials) / 1000
     for one, later in itertools.pairwise(told):
         more = later.ticks - one.ticks
         assert 0 <= later.late - one.late <= more
