@@ -289,10 +289,6 @@ class _ComposedBare(NodeGroup):
             self._nodes.append(node)
             spinner.add_node(node)
 
-    def dead(self) -> Mapping[str, str]:
-        """Nodes of this process die with it."""
-        return {}
-
     def close(self) -> None:
         """Destroy the nodes."""
         for node in self._nodes:
