@@ -143,7 +143,9 @@ class HeartbeatMonitor:
         return self.presence.lost and self._alive + self._silent > 0
 
     def _on_identity(self, message: String) -> None:
-        self._process = message.data
+        # Others may publish here too: what cannot be looked up replaces no process that is there.
+        if state_of(message.data) is not None or not state_of(self._process):
+            self._process = message.data
         self.check()
 
     def _on_event(self, event: QoSLivelinessChangedInfo) -> None:

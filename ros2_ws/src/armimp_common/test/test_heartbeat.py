@@ -5,6 +5,7 @@ import subprocess
 
 import pytest
 from rclpy.node import Node
+from std_msgs.msg import String
 
 from armimp_common import qos
 from armimp_common.executor import Spinner
@@ -78,11 +79,12 @@ def test_when_a_process_is_stopped_for_a_moment_expect_it_stalled_and_alive_agai
     eventually(spinner, lambda: changes[-1] is Presence.ALIVE, "a sign of life")
 
 
-def test_when_the_lease_of_a_node_of_the_same_process_runs_out_expect_it_to_stay_alive(
+def test_when_the_lease_of_a_node_of_this_process_runs_out_expect_it_alive_whatever_others_say(
     node: Node, watch: HeartbeatMonitor, spinner: Spinner, changes: list[Presence]
 ) -> None:
     publisher = offer_heartbeat(node, "other")
     eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
+    watch._on_identity(String(data="what a stranger says"))
     report(watch, alive=0, silent=1)
     assert watch.presence is Presence.ALIVE
 
