@@ -110,18 +110,9 @@ def attack(
     return status
 
 
-@pytest.mark.parametrize(
-    ("target", "step"),
-    [
-        ("composed", CLOCK_STEPS[0]),
-        *(
-            pytest.param(target, step, marks=pytest.mark.slow)
-            for target in TARGETS
-            for step in CLOCK_STEPS
-            if (target, step) != ("composed", CLOCK_STEPS[0])
-        ),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize("step", CLOCK_STEPS)
 def test_when_the_clock_is_set_in_lockstep_expect_the_same_bits(
     composed: FinishedRun, wall_clock: Path, tmp_path: Path, target: str, step: float
 ) -> None:
