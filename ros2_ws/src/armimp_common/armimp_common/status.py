@@ -164,7 +164,6 @@ class Cause(str, Enum):
     EMERGENCY_STOP = "emergency_stop"
     NODE_ENDED = "node_ended"
     """The controller itself was deactivated, shut down or ended."""
-    OTHER = "other"
 
 
 class TrialStatus(Record):

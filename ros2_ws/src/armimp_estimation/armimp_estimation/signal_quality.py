@@ -179,8 +179,8 @@ def floating(record: TrialRecord) -> tuple[float, float]:
     top, s = min(_QUICK[1], 0.4 * record.rate), 2j * np.pi * f
     quick = (f > _QUICK[0]) & (f < top)
     # A second at each end fades in and out: where ends do not meet, their leakage hides the motion.
-    ends = np.minimum(np.arange(record.samples), np.arange(record.samples)[::-1])
-    fading = np.sin(0.5 * np.pi * np.minimum(ends / record.rate, 1.0)) ** 2
+    faded = np.minimum(np.arange(record.samples) / record.rate, 1.0)
+    fading = np.sin(0.5 * np.pi * np.minimum(faded, faded[::-1])) ** 2
     angles, torque = (
         np.fft.rfft(fading * (one - one.mean(axis=-1, keepdims=True)))
         for one in (record.position, record.torque[k])
