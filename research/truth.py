@@ -117,6 +117,28 @@ def _yielding(share: float) -> Change:
     return compress
 
 
+def _saturating(largest: float) -> Change:
+    """An encoder, such as a magnet over a Hall sensor, that shows no more than an angle."""
+    return lambda angle: angle[:, :1] + largest * np.tanh((angle - angle[:, :1]) / largest)
+
+
+def _one_way(share: float) -> Change:
+    """An encoder that shows more on one side of its first angle, by a share."""
+    return lambda angle: angle + share * np.maximum(angle - angle[:, :1], 0.0)
+
+
+def _faster(share: float) -> Callable[[Recording], Recording]:
+    """A transducer that shows more while the joint moves, by a share at 1 rad/s."""
+    step = Mismatch().torque_step
+
+    def show(recording: Recording) -> Recording:
+        speed = np.abs(np.gradient(recording.position, MILLI, axis=1))
+        shown = recording.torque * (1.0 + share * speed)
+        return replace(recording, torque=step * np.rint(shown / step))
+
+    return show
+
+
 def _dead(zone: float, *, less: bool) -> Change:
     """Dead zone: torques within it read 0; larger ones read as they are, or `less` by the zone."""
 
@@ -653,6 +675,20 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         add(MUST, "torque compressed", (f"{share:g}", compressed))
         periodic = compressed | {"waveform": "multisine"}
         add(MUST, "torque compressed, multisine", (f"{share:g}", periodic))
+    for name, size, spoil in (
+        *(
+            ("encoder that saturates", one, changed(position=_saturating(one)))
+            for one in (0.1, 0.2, 0.4)
+        ),
+        *(
+            ("angle larger in one direction", one, changed(position=_one_way(one)))
+            for one in (0.02, 0.1, 0.3)
+        ),
+        *(("gain by speed", one, _faster(one)) for one in (0.03, 0.1, 0.3)),
+    ):
+        for wave, slow in product(("noise", "multisine"), (0.0, 0.3)):
+            spoilt: dict[str, Any] = {"readings": spoil, "waveform": wave, "voluntary": slow}
+            add(MUST, f"{name}, {wave}, {slow:g} N·m", (f"{size:g}", spoilt))
     for share in (0.02, 0.1):
         add(
             MUST,

@@ -5,12 +5,14 @@ A small part of ``research/truth.py``, with fixed seeds.
 
 import itertools
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from armimp_bringup.offline_estimate import estimate_bags
 from research.independent_rig import Mismatch, arm_of, changed, simulate, write_bag
+from research.rigs import drawn
 from research.truth import MUST, cases, outcome
 
 CASES = cases()
@@ -46,6 +48,8 @@ ONCE_WRONG = {
     ("scale of encoder 1, 0.9 0.3 N·m", 3003),
     # What commands lack to overcome friction is no hysteresis of the arm.
     ("friction and a weak perturbation 2 joints, 500", 2),
+    # A person's torque nearly hides what the encoder of one joint shows too much.
+    ("angle larger in one direction, multisine, 0.3 N·m 0.1", 1),
 }
 REFUSED = {
     *("torque step 1 N·m", "angle step 0.02 rad", "sines 12 0 N·m"),
@@ -89,6 +93,14 @@ def test_one_torque_that_is_read_for_both_joints_is_refused(level: float) -> Non
     valid, _, _, problems = outcome(Mismatch(duration=10.0, level=level, readings=twice), seed=0)
     assert not valid
     assert any("inertia is symmetric" in one for one in problems), problems
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("one", [("three joints", 6222), ("fine angles 3 joints, 1000", 6382)])
+def test_friction_that_distorts_the_motion_of_a_wrist_makes_no_arm_uneven(one: Any) -> None:
+    valid, worst, _, problems = outcome(drawn(*one), one[1])
+    assert valid, problems
+    assert worst <= 3.5
 
 
 def test_a_joint_that_floats_in_its_cuff_is_refused_by_the_lines_alone() -> None:

@@ -1,4 +1,4 @@
-"""Nonlinearity of arms and transducers, found in the residual torque of the fitted linear arm.
+"""Nonlinearity of arms and sensors, found in the residual torque of the fitted linear arm.
 
 The residual torque of each joint in the band, ``e_i = τ_i - Σ_j Z_ij θ_j`` with the fitted
 impedance Z, is regressed on one term of the perturbed joint's motion at a time. Terms of the arm
@@ -10,8 +10,10 @@ that yields: Brokate & Sprekels, *Hysteresis and Phase Transitions*, ch. 2), the
 (friction), ``θ t`` or an abrupt change (a stiffness that changes over the trial) and ``θ exp(-t)``
 (one that is larger at the start). Terms of the transducer depend on the torque τ̂ over all
 perturbed frequencies: ``|τ̂|`` (its gain depends on the direction), ``|τ̂|`` times the sign of ``θ̇``
-(losses of a transmission), ``τ̂³`` (its gain changes with the torque), the sign of τ̂ (it does not
-show small torques), ``τ̂ t`` or an abrupt change (its gain drifts) and a play operator (hysteresis).
+(losses of a transmission), ``τ̂³`` and ``τ̂ |θ̇|`` (its gain changes with torque or speed), the sign
+of τ̂ (it does not show small torques), ``τ̂ t`` or an abrupt change (its gain drifts) and a play
+operator (hysteresis). Terms of the encoder are ``Z θ |θ|`` (its scale changes with the angle) and
+``Z |θ|`` (with the direction): the torque of the fitted arm at angles that are not shown.
 
 All linear responses to the angle and to the perturbation are projected out of the terms and of e.
 The instrument (Söderström & Stoica, *Instrumental Variable Methods for System Identification*) is
@@ -138,6 +140,8 @@ class Kind(Enum):
     """A transmission between transducer and arm, which loses torque; relative as for `FORCE`."""
     LOST = "lost"
     """The transducer, which shows too little torque, never too much; relative to the rms torque."""
+    SCALE = "scale"
+    """The encoder, whose scale changes, relative to which it is. The term is an angle."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -333,6 +337,15 @@ TERMS: Mapping[str, Term] = {
         sizes=(0.01, 0.03, 0.1),
         doubted=1.0,
     ),
+    "gain by speed": Term(
+        bend=lambda signals: signals[3] * np.abs(signals[2]),
+        code=ProblemCode.TORQUE_NOT_LINEAR,
+        kind=Kind.GAIN,
+        large=0.1,
+        likely=0.03,
+        sizes=(0.03, 0.1),
+        doubted=_NORMAL,
+    ),
     "drift": Term(
         bend=lambda signals: signals[3] * np.linspace(-0.5, 0.5, signals.shape[1]),
         code=ProblemCode.GAIN_DRIFTS,
@@ -343,6 +356,27 @@ TERMS: Mapping[str, Term] = {
         likely=0.05,
         sizes=(0.1,),
         doubted=0.5,
+    ),
+    "scale": Term(
+        bend=lambda signals: signals[0] * np.abs(signals[0]),
+        code=ProblemCode.ANGLE_NOT_LINEAR,
+        kind=Kind.SCALE,
+        slope=2.0,
+        large=0.1,
+        likely=0.03,
+        sizes=(0.03, 0.1),
+        doubted=_NORMAL,
+    ),
+    "scale by direction": Term(
+        bend=lambda signals: np.abs(signals[0]),
+        code=ProblemCode.ANGLE_NOT_LINEAR,
+        kind=Kind.SCALE,
+        slope=2.0,
+        large=0.2,
+        likely=0.03,
+        sizes=(0.1,),
+        doubted=0.5,
+        even=True,
     ),
 }
 """All terms, by name."""
@@ -363,6 +397,8 @@ class Deviation:
     """What it adds to M, B and K between the perturbed joint and this one, SI units; (3,)."""
     gain: float = 0.0
     """Relative uncertainty of the transducer's gain that follows from it."""
+    scale: float = 0.0
+    """The same of the encoder's scale."""
     held: float = 0.0
     """Torque of friction or of a yielding spring, N·m, which acts on the locked joint, too."""
     at_lines: bool = False
@@ -376,7 +412,7 @@ class Deviation:
 
     @property
     def of_transducer(self) -> bool:
-        """Whether it is the transducer that isn't linear, not the joint."""
+        """Whether it is the transducer that isn't linear."""
         return TERMS[self.name].kind in {Kind.GAIN, Kind.DRAG, Kind.LOST}
 
     @property
@@ -601,7 +637,10 @@ def deviations(
     elements = np.abs(np.stack((arm.M, arm.B, arm.K), axis=-1))
     own = np.sqrt(np.diagonal(elements).T)
     column = np.sqrt(elements[:, k] * own * own[k])
-    return [moved.deviations(joint, residuals[joint], column[joint]) for joint in range(n)]
+    Z = arm.impedance(band.f)[:, k]
+    return [
+        moved.deviations(joint, residuals[joint], column[joint], Z[joint]) for joint in range(n)
+    ]
 
 
 class _Motion:
@@ -653,8 +692,13 @@ class _Motion:
         turns = alone + turns if loaded else turns
         return self._band.of(np.stack((turns, whole, alone)))
 
-    def deviations(self, joint: int, rest: FloatArray, size: FloatArray) -> dict[str, Deviation]:
-        """Estimate the terms in the residual torque, (N,), of a joint with M, B and K of a size."""
+    def deviations(
+        self, joint: int, rest: FloatArray, size: FloatArray, Z: ComplexArray
+    ) -> dict[str, Deviation]:
+        """Estimate the terms in the residual torque, (N,), of a joint.
+
+        `size`, (3,), is that of M, B and K between it and the perturbed one; `Z` their impedance.
+        """
         record, band, linear = self._record, self._band, self._linear
         k, kept = record.perturbed_joint, band.kept
         if not ((self._sizes > 0.0).all() and size.all()):
@@ -674,11 +718,15 @@ class _Motion:
         # constant within each band, so some of that linear residual remains.
         between = 0.0 if joint == k else _BETWEEN * float(np.linalg.norm(whole - remains))
         found = {}
+        # Residuals have passed the band twice; inertia makes the upper edge of an angle matter.
+        of_angle = Z * band.passed
         for name, one in TERMS.items():
             if joint != k and not one.couples:
                 continue
             weights, _, remains = of_gains if one.kind is Kind.GAIN else usual
             bent = self._bent[name]
+            if one.kind is Kind.SCALE:
+                bent = np.asarray(bent * of_angle)
             cause, term, alone = band.signal(weights * bent)[:, kept]
             instrument = linear.unlike(cause)
             term = linear.removed(term)
@@ -722,9 +770,12 @@ def _deviation(
     term, (slope, error, freedom) = TERMS[name], estimate
     shift, held, slack = slope * term.rest * alike, 0.0, 0.0
     share = term.slope * slope / float(sizes[3])
-    gain = term.doubted * share
+    gain, scale = term.doubted * share, 0.0
     if term.kind is Kind.GAIN:
         shift = np.zeros(3)
+    elif term.kind is Kind.SCALE:
+        share = term.slope * slope / float(sizes[0])
+        shift, gain, scale = np.zeros(3), 0.0, term.doubted * share
     elif term.kind is Kind.LOST:
         slack = term.size * slope
         share = slack / float(sizes[3])
@@ -746,6 +797,7 @@ def _deviation(
         freedom=freedom,
         shift=shift,
         gain=gain,
+        scale=scale,
         held=held,
         slack=slack,
     )
@@ -980,7 +1032,7 @@ def judge_linearity(
     """
     n = len(records)
     problems: list[Problem] = []
-    doubts, gain = list[FloatArray](), np.zeros(n)
+    doubts, gain, scale = list[FloatArray](), np.zeros(n), np.zeros(n)
     late = 0.0 if fit.delay is None else fit.delay.delay
     jumps_known = jump is not None or reading.without_jumps
     found = [deviations(record, fit.mbk, jump, reading, late) for record in records]
@@ -1006,6 +1058,7 @@ def judge_linearity(
             evidence = evidence if lowers else max(evidence, 0.0)
             doubt = one.doubt(evidence, declared=linearity is not None, rival=rival)
             gain[k] = np.hypot(gain[k], doubt * one.gain)
+            scale[k] = np.hypot(scale[k], doubt * one.scale)
             for m in range(n) if i == k and doubt * one.held else ():
                 if m != k:
                     held = _held(records[m].whole_periods, k, term)
@@ -1021,7 +1074,8 @@ def judge_linearity(
             if rival is not None or not one.significant or (code, severity) in reported:
                 continue
             reported.add((code, severity))
-            concern = Concern.IMPEDANCE if one.of_transducer else Concern.PARAMETERS
+            of_sensor = one.of_transducer or term.kind is Kind.SCALE
+            concern = Concern.IMPEDANCE if of_sensor else Concern.PARAMETERS
             problems.append(
                 problem(
                     code,
@@ -1033,6 +1087,7 @@ def judge_linearity(
                     error=100.0 * one.error,
                 )
             )
+    doubts += list(np.einsum("pij,jk->kpij", fit.values, np.diag(scale)[:, scale > 0.0]))
     for (name, size), k in product(_lacking(own, linearity).items(), range(n)):
         parts = [_lost(record.whole_periods, k, TERMS[name], size) for record in records]
         lost = np.asarray(sum(of_torque(k, m, part) for m, part in enumerate(parts)))

@@ -117,6 +117,7 @@ class ProblemCode(str, Enum):
     HYSTERESIS = "hysteresis"
     TORQUE_HYSTERESIS = "torque_hysteresis"
     TORQUE_NOT_LINEAR = "torque_not_linear"
+    ANGLE_NOT_LINEAR = "angle_not_linear"
     GAIN_DRIFTS = "gain_drifts"
     DEPENDS_ON_SPEED = "depends_on_speed"
     DAMPING_CHANGES = "damping_changes"

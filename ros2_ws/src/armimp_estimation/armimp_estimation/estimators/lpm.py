@@ -187,7 +187,7 @@ class LpmFull:
             delay_uncertainty=delay_uncertainty,
             delay_unknown=half_period,
             unbiased=True,
-            uneven=_uneven(plain, columns, torque, joints),
+            uneven=_uneven(covariance_of(plain, coefficients), disturbance, torque, joints),
             without_slow=tuple(without_slow(records)) if whole else (),
             hold=jump,
             covariance=covariance_of(columns, every),
@@ -400,17 +400,17 @@ def _moved(columns: Sequence[LocalResponse], records: Sequence[TrialRecord]) -> 
 
 
 def _uneven(
-    plain: Sequence[LocalResponse],
-    scattered: Sequence[LocalResponse],
-    T: ComplexArray,
-    joints: Sequence[int],
+    plain: ComplexArray, scattered: ComplexArray, T: ComplexArray, joints: Sequence[int]
 ) -> tuple[float, ...]:
-    """Scatter of lines beyond noise, as a share of the power of each perturbed joint's torque T."""
-    n, _, lines = T.shape
-    limit = _BY_CHANCE + _SCATTER / math.sqrt(lines)
+    """Scatter of lines beyond noise, as a share of the power of each perturbed joint's torque T.
+
+    From the covariance (m, n, n, n_freq) of the torques that the estimated arm leaves, without it
+    and with it. The motion itself may be uneven, where friction of the robot distorts it.
+    """
+    limit = _BY_CHANCE + _SCATTER / math.sqrt(T.shape[-1])
     shares = []
     for column, joint in enumerate(joints):
-        noise, both = (np.sum(one[column].variance[n + joint]) for one in (plain, scattered))
+        noise, both = (np.sum(one[column, joint, joint].real) for one in (plain, scattered))
         share = (both - noise) / np.sum(np.abs(T[joint, column]) ** 2)
         shares.append(float(share) if both > limit * noise else 0.0)
     return tuple(shares)
