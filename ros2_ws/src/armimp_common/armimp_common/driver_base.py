@@ -84,7 +84,8 @@ class FlowControl:
         elif received < self._received < topics.RECORDER_GONE:
             return  # from another publisher: the count of one recorder never falls
         else:
-            self._under_way -= received - self._received
+            # It may also have received samples that were sent before its 0 arrived.
+            self._under_way = max(self._under_way - (received - self._received), 0)
         self.recorded = received != topics.RECORDER_GONE
         self._received = received
 

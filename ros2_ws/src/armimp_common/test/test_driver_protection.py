@@ -149,12 +149,13 @@ def sent(backlog: FlowControl, samples: int) -> FlowControl:
     return backlog
 
 
-def test_a_count_that_decreases_is_not_that_of_the_recorder() -> None:
-    backlog = FlowControl()
+def test_counts_include_what_came_before_the_first_one_and_never_decrease() -> None:
+    backlog = sent(FlowControl(), 30)
     backlog.acknowledge(0)
-    sent(backlog, 100).acknowledge(90)
+    sent(backlog, 70).acknowledge(100)
     backlog.acknowledge(10)
     assert not backlog.full
+    assert sent(backlog, MOST_UNDER_WAY).full
 
 
 # --- Flow control: the simulator waits for a recorder, and for nobody else ----------------------
