@@ -629,7 +629,8 @@ def deviations(
     if jump is not None:
         steps = band.of(command_steps(record))
         torques = torques + np.einsum("ijf,jf->if", coefficients[:, n:], steps)
-    residuals = band.signal(torques - np.einsum("ijf,jf->if", arm.impedance(band.f), angles))
+    impedance = arm.impedance(band.f)
+    residuals = band.signal(torques - np.einsum("ijf,jf->if", impedance, angles))
     # Angle of the perturbed joint, rad, and its first two derivatives, (3, N).
     motion = band.signal(angles[k] * (2j * np.pi * band.f) ** np.arange(3)[:, None])
     moved = _Motion(record, band, motion)
@@ -637,9 +638,9 @@ def deviations(
     elements = np.abs(np.stack((arm.M, arm.B, arm.K), axis=-1))
     own = np.sqrt(np.diagonal(elements).T)
     column = np.sqrt(elements[:, k] * own * own[k])
-    Z = arm.impedance(band.f)[:, k]
     return [
-        moved.deviations(joint, residuals[joint], column[joint], Z[joint]) for joint in range(n)
+        moved.deviations(joint, residuals[joint], column[joint], impedance[joint, k])
+        for joint in range(n)
     ]
 
 
