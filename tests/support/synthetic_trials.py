@@ -12,7 +12,7 @@ import numpy as np
 
 from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_estimation.estimators.estimate import ImpedanceEstimate, confidence_radius
-from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
+from armimp_estimation.estimators.lpm import LpmFull
 from armimp_estimation.fit import MBKFit
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
@@ -134,7 +134,7 @@ def _noise(rng: np.random.Generator, samples: int, shape: FloatArray, rms: float
 
 # Like 50 s at 1 kHz in resolution, band and number of segments, with an eighth of the samples.
 SEGMENT = 1024
-LPM = LpmFull(config=LpmConfig(reading=TorqueReading(timing=TorqueTiming.SIMULTANEOUS)))
+LPM = LpmFull(reading=TorqueReading(timing=TorqueTiming.SIMULTANEOUS))
 """Local polynomials for these records, whose angles and torques are simultaneous."""
 LOOP = SyntheticConfig(rate=125.0, samples=6144, viscosity=4.0, stiffness=30.0)
 THREE_JOINT_ARM = MBK(

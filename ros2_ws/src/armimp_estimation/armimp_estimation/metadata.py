@@ -24,7 +24,7 @@ from armimp_common.realtime import LATE_NS, TimingLimits
 from armimp_common.status import TimingFigures
 from armimp_common.topics import CONTROLLER_NODE, RATE
 from armimp_estimation.arm_models import AUTO, require_model
-from armimp_estimation.estimators.lpm import LpmConfig
+from armimp_estimation.estimators.lpm import LpmFull
 from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.fit import Calibration
 from armimp_estimation.json_model import first_complaint
@@ -197,9 +197,9 @@ class Metadata(BaseModel):
         return self.sampling_rate
 
     @property
-    def lpm(self) -> LpmConfig:
-        """Options of ``lpm_full`` that follow from the metadata."""
-        lpm = LpmConfig(reading=self.reading)
+    def lpm(self) -> LpmFull:
+        """The estimator ``lpm_full``, as the metadata tell that torques were read."""
+        lpm = LpmFull(reading=self.reading)
         if self.torque_uncertainty is None:
             return lpm
         return replace(lpm, timing_uncertainty=self.torque_uncertainty)

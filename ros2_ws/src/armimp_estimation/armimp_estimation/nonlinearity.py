@@ -395,10 +395,8 @@ class Deviation:
     """Degrees of freedom of that error."""
     shift: FloatArray
     """What it adds to M, B and K between the perturbed joint and this one, SI units; (3,)."""
-    gain: float = 0.0
-    """Relative uncertainty of the transducer's gain that follows from it."""
-    scale: float = 0.0
-    """The same of the encoder's scale."""
+    sensor: float = 0.0
+    """Relative uncertainty of the transducer's gain, or the encoder's scale, that follows."""
     held: float = 0.0
     """Torque of friction or of a yielding spring, N·m, which acts on the locked joint, too."""
     at_lines: bool = False
@@ -770,13 +768,10 @@ def _deviation(
     """
     term, (slope, error, freedom) = TERMS[name], estimate
     shift, held, slack = slope * term.rest * alike, 0.0, 0.0
-    share = term.slope * slope / float(sizes[3])
-    gain, scale = term.doubted * share, 0.0
-    if term.kind is Kind.GAIN:
+    share = term.slope * slope / float(sizes[0 if term.kind is Kind.SCALE else 3])
+    sensor = term.doubted * share
+    if term.kind in {Kind.GAIN, Kind.SCALE}:
         shift = np.zeros(3)
-    elif term.kind is Kind.SCALE:
-        share = term.slope * slope / float(sizes[0])
-        shift, gain, scale = np.zeros(3), 0.0, term.doubted * share
     elif term.kind is Kind.LOST:
         slack = term.size * slope
         share = slack / float(sizes[3])
@@ -797,8 +792,7 @@ def _deviation(
         error=abs(share * error / slope) if slope else 0.0,
         freedom=freedom,
         shift=shift,
-        gain=gain,
-        scale=scale,
+        sensor=sensor,
         held=held,
         slack=slack,
     )
@@ -1058,8 +1052,8 @@ def judge_linearity(
             lowers = term.shared == "by all" or (term.shared == "by joints" and i == k)
             evidence = evidence if lowers else max(evidence, 0.0)
             doubt = one.doubt(evidence, declared=linearity is not None, rival=rival)
-            gain[k] = np.hypot(gain[k], doubt * one.gain)
-            scale[k] = np.hypot(scale[k], doubt * one.scale)
+            sensors = scale if term.kind is Kind.SCALE else gain
+            sensors[k] = np.hypot(sensors[k], doubt * one.sensor)
             for m in range(n) if i == k and doubt * one.held else ():
                 if m != k:
                     held = _held(records[m].whole_periods, k, term)

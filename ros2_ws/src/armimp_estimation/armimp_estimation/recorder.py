@@ -38,7 +38,7 @@ from armimp_estimation.alignment.streams import Streams, stamps_in_step
 from armimp_estimation.bags import BagWriter, require_free_space
 from armimp_estimation.bags.reader import BAGS
 from armimp_estimation.bags.writer import definitions
-from armimp_estimation.estimators.lpm import FittedColumn, LpmConfig, LpmFull
+from armimp_estimation.estimators.lpm import FittedColumn, LpmFull
 from armimp_estimation.metadata import RECORD_KEY, Timing
 from armimp_estimation.problems import Problem, ProblemCode
 from armimp_estimation.record import TrialRecord
@@ -89,8 +89,8 @@ class TrialRecorder:
         Called with each finished trial, or with the problem that prevented its assembly.
     refuse : callable, optional
         Called with topic and error for each message that is too short to have a stamp.
-    lpm : LpmConfig, optional
-        Options for estimates of the column from the running trial.
+    lpm : LpmFull, optional
+        Estimator of the column from the running trial.
     target_error, least_duration : float
         Bound and least length (s) of the stopping rule; with a bound of 0, no trial ends early.
     """
@@ -103,14 +103,14 @@ class TrialRecorder:
         on_finished: Callable[[Trial | Problem], None],
         refuse: Callable[[str, MalformedMessageError], None] = lambda *_: None,
         *,
-        lpm: LpmConfig | None = None,
+        lpm: LpmFull | None = None,
         target_error: float = 0.0,
         least_duration: float = 20.0,
     ) -> None:
         self._joint_names = joint_names
         self._directory, self._metadata = directory, metadata
         self._on_finished, self._refuse = on_finished, refuse
-        self._lpm = LpmFull() if lpm is None else LpmFull(config=lpm)
+        self._lpm = lpm or LpmFull()
         self._target_error, self._least_duration = target_error, least_duration
         self._writer: BagWriter | None = None
         if directory is not None:

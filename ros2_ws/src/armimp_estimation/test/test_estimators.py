@@ -11,7 +11,7 @@ from armimp_common.arrays import FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.direct import Direct
 from armimp_estimation.estimators.estimate import Estimator
-from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
+from armimp_estimation.estimators.lpm import LpmFull
 from armimp_estimation.estimators.welch import WelchFull, WelchSiso
 from armimp_estimation.fit import fit_mbk
 from armimp_estimation.frf import stands_out
@@ -178,8 +178,8 @@ def test_a_delay_of_all_torques_is_corrected() -> None:
         torque = np.fft.irfft(np.fft.rfft(trial.record.torque, axis=1) * late, samples, axis=1)
         # Its spectra do not matter here.
         delayed.append(with_readings(trial, torque=torque))
-    told = LpmConfig(reading=TorqueReading(timing=TorqueTiming.INTERVAL_MEAN))
-    corrected = fit_mbk(LpmFull(config=told).estimate(delayed)).mbk
+    told = LpmFull(reading=TorqueReading(timing=TorqueTiming.INTERVAL_MEAN))
+    corrected = fit_mbk(told.estimate(delayed)).mbk
     assert max(worst_errors(corrected, TWO_JOINT_ARM).values()) < 0.005
     fit = fit_mbk(LpmFull().estimate(delayed))
     assert fit.delay is not None
@@ -237,7 +237,7 @@ def test_column_of_one_trial_is_that_of_the_whole_estimate_where_joints_are_lock
         position = np.where(np.arange(2)[:, None] == k, trial.record.position, 0.0)
         data.append(with_readings(trial, position=position))
     # Without a delay, of which each trial alone would find a different one.
-    exact = LpmFull(config=dataclasses.replace(LPM.config, timing_uncertainty=0.0))
+    exact = dataclasses.replace(LPM, timing_uncertainty=0.0)
     whole = fit_mbk(exact.estimate(data))
     for k, trial in enumerate(data):
         column = exact.column(trial.record)

@@ -9,7 +9,7 @@ import pytest
 
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.arm_models import require_model
-from armimp_estimation.estimators.lpm import LpmConfig
+from armimp_estimation.estimators.lpm import LpmFull
 from armimp_estimation.estimators.registry import IdentifyConfig, make_estimator
 from armimp_estimation.estimators.welch import WelchSiso, invert
 from armimp_estimation.frf import frf_matrix, order_trials
@@ -28,7 +28,7 @@ of_matrices = functools.partial(MBK, M=EYE, K=EYE)
     ("make", "message", "wrong"),
     [
         *(
-            (LpmConfig, "timing_uncertainty must not be negative", {"timing_uncertainty": error})
+            (LpmFull, "timing_uncertainty must not be negative", {"timing_uncertainty": error})
             for error in (-0.1, NAN)
         ),
         (of_matrices, r"B has shape \(3, 3\), expected \(2, 2\)", {"B": np.eye(3)}),

@@ -264,7 +264,7 @@ def test_a_transmission_that_takes_a_share_of_the_torque_while_it_drives_the_arm
     found = significant(elbow(source, angle, torque + 0.01 * random.standard_normal(angle.size)))
     assert loss or not found
     if loss:
-        assert found["efficiency"].gain == pytest.approx(-0.5 * loss, rel=0.3)
+        assert found["efficiency"].sensor == pytest.approx(-0.5 * loss, rel=0.3)
 
 
 @pytest.mark.parametrize(

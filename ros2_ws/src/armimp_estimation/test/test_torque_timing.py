@@ -10,7 +10,7 @@ from scipy import signal
 
 import armimp
 from armimp_common.arrays import ComplexArray, FloatArray
-from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
+from armimp_estimation.estimators.lpm import LpmFull
 from armimp_estimation.fit import fit_mbk
 from armimp_estimation.hold_correction import update_jump
 from armimp_estimation.mbk import MBK
@@ -104,7 +104,7 @@ def test_jumps_are_found_behind_delay_and_filter(reading: TorqueReading) -> None
 def test_known_delay_and_filter_leave_no_error_and_unknown_ones_do(reading: TorqueReading) -> None:
     records = rig_records(reading)
     known = [TrialData.of(record, reading=reading) for record in records]
-    estimate = LpmFull(config=LpmConfig(reading=reading)).estimate(known)
+    estimate = LpmFull(reading=reading).estimate(known)
     told = worst_errors(fit_mbk(estimate).mbk, ARM)
     assert told["M"] < 0.002
     assert told["B"] < 0.005
@@ -142,11 +142,10 @@ def test_spectra_are_corrected_for_delay_and_filter_and_coherences_stay() -> Non
 # --- Skew of torques that are read just before the command is updated: what it is, and its cure
 
 
-def viscosity(records: list[TrialRecord], config: LpmConfig | None = None) -> FloatArray:
+def viscosity(records: list[TrialRecord], estimator: LpmFull | None = None) -> FloatArray:
     """Fitted viscosity relative to the true one."""
     data = [TrialData.of(record) for record in records]
-    estimator = LpmFull() if config is None else LpmFull(config=config)
-    return fit_mbk(estimator.estimate(data)).mbk.B / ARM.B
+    return fit_mbk((estimator or LpmFull()).estimate(data)).mbk.B / ARM.B
 
 
 @pytest.mark.parametrize("law", ["tde", "observer"])
@@ -168,12 +167,12 @@ def test_commands_that_noise_of_the_angles_swamps_tell_no_jump() -> None:
 @pytest.mark.parametrize("law", ["tde", pytest.param("observer", marks=pytest.mark.slow)])
 def test_viscosity_is_right_with_commands_and_nearly_so_without(law: str) -> None:
     records = rig_records(law=law)
-    before = LpmConfig(reading=TorqueReading(timing=TorqueTiming.BEFORE_UPDATE))
+    before = LpmFull(reading=TorqueReading(timing=TorqueTiming.BEFORE_UPDATE))
     np.testing.assert_allclose(viscosity(records, before), 1.0, atol=0.005)
     without = [replace(record, command=None) for record in records]
     np.testing.assert_allclose(viscosity(without), 1.0, atol=0.025)
     # Where the records refute what is declared, it is not believed.
-    simultaneous = LpmConfig(reading=TorqueReading(timing=TorqueTiming.SIMULTANEOUS))
+    simultaneous = LpmFull(reading=TorqueReading(timing=TorqueTiming.SIMULTANEOUS))
     np.testing.assert_allclose(viscosity(without, simultaneous), 1.0, atol=0.025)
 
 

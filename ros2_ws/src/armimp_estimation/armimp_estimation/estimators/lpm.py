@@ -62,25 +62,6 @@ _RUBBING = 0.3
 within a control period, so that friction responds within the period."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class LpmConfig:
-    """Options of the estimator ``lpm_full``."""
-
-    reading: TorqueReading = field(default_factory=TorqueReading)
-    """How torques are read, and so what is corrected: see :mod:`armimp_estimation.torque_timing`.
-    :mod:`armimp_estimation.hold_correction` identifies the part of the torques that jumps with the
-    commands. Without commands in the records, the M-B-K fit estimates a common delay instead."""
-    timing_uncertainty: float = 20e-6
-    """Standard error of the instant of torque readings where that was declared, s. It is half a
-    period where it was not, or where the jumps that it implies were not identified."""
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.timing_uncertainty < np.inf:
-            raise ConfigurationError(
-                f"timing_uncertainty must not be negative, got {self.timing_uncertainty!r}"
-            )
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FittedColumn:
     """Column k of the fitted matrices, from the trial of joint k alone."""
@@ -101,9 +82,21 @@ class FittedColumn:
 class LpmFull:
     """``Z = T R⁻¹`` from local polynomials, at every bin of the record."""
 
-    config: LpmConfig = field(default_factory=LpmConfig)
+    reading: TorqueReading = field(default_factory=TorqueReading)
+    """How torques are read, and so what is corrected: see :mod:`armimp_estimation.torque_timing`.
+    :mod:`armimp_estimation.hold_correction` identifies the part of the torques that jumps with the
+    commands. Without commands in the records, the M-B-K fit estimates a common delay instead."""
+    timing_uncertainty: float = 20e-6
+    """Standard error of the instant of torque readings where that was declared, s. It is half a
+    period where it was not, or where the jumps that it implies were not identified."""
     name: str = "lpm_full"
     """Name of the estimator."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.timing_uncertainty < np.inf:
+            raise ConfigurationError(
+                f"timing_uncertainty must not be negative, got {self.timing_uncertainty!r}"
+            )
 
     def estimate(self, trials: Sequence[TrialData]) -> ImpedanceEstimate:
         """Estimate the whole matrix from n trials, one for each joint, in any order.
@@ -131,7 +124,7 @@ class LpmFull:
         If only m joints have a record, estimate their columns alone, (n, m, n_freq), as if all
         other joints were still.
         """
-        jump = update_jump(records, self.config.reading)
+        jump = update_jump(records, self.reading)
         rate, n = records[0].rate, records[0].joints
         joints = [record.perturbed_joint for record in records]
         channels = [np.concatenate([one.position, one.torque]) for one in records]
@@ -233,10 +226,10 @@ class LpmFull:
 
     def _delay_uncertainty(self, jump: HoldCorrection | None, rate: float) -> float:
         """Standard error of the delay between torques and angles, s."""
-        reading = self.config.reading
+        reading = self.reading
         jumps_told = jump is not None and reading.timing is not TorqueTiming.UNKNOWN
         if reading.without_jumps or jumps_told:
-            return self.config.timing_uncertainty
+            return self.timing_uncertainty
         return 0.5 / rate
 
     def _residuals(
@@ -251,7 +244,7 @@ class LpmFull:
         n, rate = reference.joints, records[0].rate
 
         def mixed(at: FloatArray) -> ComplexArray:
-            skew = without_skew(at, rate, n, self.config.reading, jump)
+            skew = without_skew(at, rate, n, self.reading, jump)
             chosen = _unit(3 * n, n + skew.shape[1], at)
             chosen[n : 2 * n, :n] = -reference.impedance(at)
             chosen[n:, n:] = np.concatenate((skew, skew))

@@ -7,7 +7,7 @@ from armimp_common.errors import ConfigurationError
 from armimp_estimation.arm_models import AUTO, require_model
 from armimp_estimation.estimators.direct import Direct
 from armimp_estimation.estimators.estimate import Estimator
-from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
+from armimp_estimation.estimators.lpm import LpmFull
 from armimp_estimation.estimators.welch import WelchFull, WelchSiso
 from armimp_estimation.fit import Calibration
 from armimp_estimation.mbk import MBK
@@ -23,8 +23,8 @@ class IdentifyConfig:
         If there is no model of that name.
     """
 
-    lpm: LpmConfig = field(default_factory=LpmConfig)
-    """Options of the estimator ``lpm_full``."""
+    lpm: LpmFull = field(default_factory=LpmFull)
+    """The estimator ``lpm_full``, as torques were read."""
     model: str = AUTO
     """Model of the arm to fit in addition to M, B and K, see :mod:`armimp_estimation.arm_models`.
     By default, all models are tried where M, B and K don't fit."""
@@ -41,7 +41,7 @@ class IdentifyConfig:
 _FACTORIES: dict[str, Callable[[IdentifyConfig], Estimator]] = {
     "welch_siso": lambda _: WelchSiso(),
     "welch_full": lambda _: WelchFull(),
-    "lpm_full": lambda c: LpmFull(config=c.lpm),
+    "lpm_full": lambda c: c.lpm,
     "direct": lambda _: Direct(),
 }
 
