@@ -108,6 +108,8 @@ class Mismatch:
     """Share by which stiffness differs between the two directions."""
     startled: float = 0.0
     """Share by which stiffness is larger at first; its time constant is 1/15 of the trial."""
+    tensed: float = 0.0
+    """The same of damping."""
     waxing: float = 0.0
     """Share by which stiffness grows over the trial."""
     rubbing: float = 0.0
@@ -232,7 +234,7 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0913, PLR091
             for age in range(7, 0, -1):
                 sent[i, age] = sent[i, age - 1]
             sent[i, 0] = command[i, k]
-        startle = nonlinear[6] * np.exp(-15.0 * k / ticks)
+        early = np.exp(-15.0 * k / ticks)
         for s in range(substeps):
             whole = 0
             left = s - command_steps
@@ -273,7 +275,7 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0913, PLR091
                     ends = BRISTLE * np.sign(v)
                     grip[i] = ends + (grip[i] - ends) * np.exp(-abs(v) / BRISTLE * step)
                     extra += nonlinear[7] * grip[i] / BRISTLE
-                extra += nonlinear[5] * abs(q) + startle * q
+                extra += nonlinear[5] * abs(q) + early * (nonlinear[6] * q + nonlinear[16] * v)
                 fast = 2.0 * abs(v) / (abs(v) + 0.5)
                 extra += (
                     nonlinear[13] * fast * q + (nonlinear[14] * fast + nonlinear[15] * abs(q)) * v
@@ -389,6 +391,7 @@ def simulate_trial(mismatch: Mismatch, joint: int, seed: int) -> Recording:
                 mismatch.stiffness_by_speed * float(K[0, 0]),
                 mismatch.damping_by_speed * float(B[0, 0]),
                 mismatch.damping_by_angle * float(B[0, 0]) / 0.05,
+                mismatch.tensed * float(B[0, 0]),
             ]
         ),
         1.0 - np.exp(-step / 0.02),

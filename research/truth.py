@@ -299,6 +299,18 @@ def _unsteady(share: float) -> Change:
     return _sampled(lambda k: k + share * np.random.default_rng(9).standard_normal(k.size))
 
 
+def _recorded(share: float, times: int) -> Callable[[Recording], Recording]:
+    """Single samples of all streams recorded 0 or 2 times by a recorder that stamps them itself."""
+
+    def record(values: FloatArray) -> FloatArray:
+        size = values.shape[-1]
+        chosen = np.random.default_rng(11).random(size) < share
+        return np.repeat(values, np.where(chosen, times, 1), axis=-1)[..., :size]
+
+    streams = dict.fromkeys(("position", "torque", "perturbation", "command"), record)
+    return changed(**streams, stamps=lambda stamps: stamps[: record(stamps).size])
+
+
 def _late(samples: float) -> Change:
     return _sampled(lambda k: k - samples)
 
@@ -540,6 +552,10 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     for share in (0.03, 0.1, 0.3):
         add(MUST, "stiffness of either direction", (f"{share:g}", {"one_sided": share}))
         add(MUST, "startled", (f"{share:g}", {"startled": share}))
+        for waveform in ("noise", "multisine"):
+            tense: dict[str, Any] = {"startled": 3.0 * share, "tensed": 1.5 * share}
+            tense["waveform"] = waveform
+            add(MUST, f"startled and tensed, {waveform}", (f"{share:g}", tense))
         add(MUST, "amplitude-dependent", (f"{share:g}", {"cubic": share}))
         bent = {"cubic": share, "voluntary": 0.3}
         add(MUST, "amplitude-dependent, voluntary 0.3 N·m", (f"{share:g}", bent))
@@ -720,6 +736,10 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         shaky = _unsteady(share)
         both = changed(position=shaky, torque=shaky)
         add(MUST, "instants jitter", (f"{share:g} periods", {"readings": both}))
+    for share, (times, name) in product((0.003, 0.01, 0.05), ((0, "lost"), (2, "recorded twice"))):
+        for waveform in ("noise", "multisine"):
+            whole: dict[str, Any] = {"waveform": waveform, "readings": _recorded(share, times)}
+            add(MUST, f"whole samples {name}, {waveform}", (f"{share:g}", whole))
     for size, poles in ((1e-3, 1.0), (5e-3, 1.0), (2e-4, 50.0), (1e-3, 50.0)):
         eccentric: dict[str, Any] = {"readings": changed(position=_bent(size, poles))}
         # A user who knows the size of such errors, but not their place, declares this.

@@ -19,7 +19,7 @@ from armimp_estimation.arm_models import ModelFit, supported
 from armimp_estimation.fit import Calibration
 from armimp_estimation.mbk import MBK
 from armimp_estimation.metadata import Metadata
-from armimp_estimation.problems import Problem
+from armimp_estimation.problems import Problem, Severity
 from armimp_estimation.record import TrialRecord
 
 
@@ -33,7 +33,7 @@ class Recording:
     """What else is known, such as how torques were read, and the arm that was simulated."""
     calibration: Calibration = field(default_factory=Calibration.undeclared)
     """Uncertainty of transducers and encoders; by default what is assumed of any: 1 % of gain and
-    of cross-talk, 1.5 % of angles. Use :func:`dataclasses.replace` to declare another one."""
+    of cross-talk, 1.5 % of angles."""
     problems: tuple[Problem, ...] = ()
     """Problems of the trials that were found when they were read."""
 
@@ -43,7 +43,7 @@ class Recording:
         return self.known.truth
 
     @classmethod
-    def from_arrays(
+    def from_arrays(  # noqa: PLR0913 (as many things are known of a recording)
         cls,
         perturbation: Sequence[ArrayLike] | ArrayLike,
         position: Sequence[ArrayLike] | ArrayLike,
@@ -54,6 +54,7 @@ class Recording:
         joint_names: Sequence[str] | None = None,
         timing: str = "unknown",
         torque_delay: float = 0.0,
+        calibration: Calibration | None = None,
     ) -> Recording:
         """Make a recording of one array of shape (n, N) for each trial and signal.
 
@@ -66,7 +67,7 @@ class Recording:
         torque : sequence of array_like
             Torques applied to the arm, N·m.
         rate : float
-            Samples per second, Hz.
+            Samples per second, Hz. Arrays have no stamps, so every sample has to be there.
         command : sequence of array_like, optional
             Torque commands, N·m, each in force from its sample to the next.
         joint_names : sequence of str, optional
@@ -77,6 +78,8 @@ class Recording:
             ``simultaneous``; ``unknown``: inferred from the records, with larger standard errors.
         torque_delay : float
             Delay of the torque readings beyond that instant, s.
+        calibration : Calibration, optional
+            Uncertainty of transducers and encoders; by default :meth:`Calibration.undeclared`.
 
         Raises
         ------
@@ -128,7 +131,8 @@ class Recording:
             )
             for number, trial in enumerate(trials, start=1)
         ]
-        return cls(trials=tuple(records), known=known)
+        known_as = calibration or Calibration.undeclared()
+        return cls(trials=tuple(records), known=known, calibration=known_as)
 
 
 def _numbers(values: ArrayLike) -> FloatArray:
@@ -163,7 +167,9 @@ class Result:
     impedance_valid: bool
     """Whether Z(f) and its variance can be trusted."""
     problems: tuple[str, ...]
-    """Problems of the result, and notes on what was found and corrected."""
+    """Why the result, or what of it, is not valid."""
+    notes: tuple[str, ...]
+    """What was found and corrected, or is in the standard errors."""
     models: dict[str, ModelFit] = field(default_factory=dict)
     """Models of the arm that were fitted in addition to M, B and K, with values and errors."""
     model: str | None = None
@@ -294,6 +300,10 @@ def identify(recording: Recording, estimator: str = "lpm_full", model: str | Non
     found = identify_records([[one] for one in recording.trials], [estimator], known, options)
     found = replace(found, problems=(*recording.problems, *found.problems))
     one = found.estimators[estimator]
+    sorted_by = {
+        severity: tuple(each.sentence for each in found.problems if each.severity is severity)
+        for severity in Severity
+    }
     return Result(
         joint_names=found.joint_names,
         M=one.fit.mbk.M,
@@ -307,7 +317,8 @@ def identify(recording: Recording, estimator: str = "lpm_full", model: str | Non
         Z_variance=one.estimate.variance,
         valid=found.valid,
         impedance_valid=found.verdict.impedance,
-        problems=tuple(problem.sentence for problem in found.problems),
+        problems=sorted_by[Severity.ERROR],
+        notes=sorted_by[Severity.NOTE],
         models=one.models,
         model=supported(one.models),
     )

@@ -12,7 +12,6 @@ import pytest
 
 import armimp
 from armimp_bringup.offline_estimate import estimate_bags
-from armimp_estimation.torque_timing import TorqueTiming
 from support.bag_files import write_bag
 from support.synthetic_bags import recorded_arm, synthetic_recording
 
@@ -218,13 +217,11 @@ def test_a_transducer_that_shows_the_torque_of_another_joint_is_named_with_its_s
 def test_an_undeclared_delay_of_the_torques_is_not_taken_for_a_nonlinear_arm() -> None:
     sensors = {"sensors.torque.delay": 0.0015, "substeps": 20}
     late = armimp.simulate(duration=20.0, arm_sim=sensors)
-    untold = dict.fromkeys(("torque_delay", "torque_uncertainty"))
-    untold |= {"torque_timing": TorqueTiming.UNKNOWN}
-    known = late.known.model_copy(update=untold)
-    found = armimp.identify(replace(late, known=known))
+    command = [one.command for one in late.trials]
+    found = armimp.identify(rebuilt(late, command=command, calibration=late.calibration))
     assert found.valid, found.problems
-    assert any("late against angles by 1.5" in one for one in found.problems), found.problems
-    assert not any("amplitude" in one or "hysteresis" in one for one in found.problems)
+    assert any("late against angles by 1.5" in one for one in found.notes), found.notes
+    assert not any("amplitude" in one or "hysteresis" in one for one in found.notes)
 
 
 def test_a_constant_in_the_perturbation_of_all_joints_perturbs_none(
@@ -236,13 +233,18 @@ def test_a_constant_in_the_perturbation_of_all_joints_perturbs_none(
     np.testing.assert_allclose(found.M, result.M, rtol=0.01)
 
 
+def test_sensors_that_are_declared_exact_narrow_the_intervals(recording: armimp.Recording) -> None:
+    exact = armimp.identify(rebuilt(recording, calibration=armimp.Calibration()))
+    assert (exact.M_se < armimp.identify(rebuilt(recording)).M_se).all()
+
+
 def test_commands_that_move_nothing_confirm_no_gain(recording: armimp.Recording) -> None:
     nothing = [np.zeros_like(one.torque) for one in recording.trials]
     with_nothing, without = (
         armimp.identify(rebuilt(recording, command=command)) for command in (nothing, None)
     )
     for found in (with_nothing, without):
-        assert sum("no command confirms the gain" in one for one in found.problems) == 2
+        assert sum("no command confirms the gain" in one for one in found.notes) == 2
     np.testing.assert_allclose(with_nothing.K_se, without.K_se, rtol=0.05)
 
 
@@ -251,5 +253,6 @@ def test_commands_that_are_the_perturbations_are_said_to_explain_no_torque(joint
     recording = armimp.simulate(joints=joints, duration=10.0, seed=1)
     command = [one.perturbation for one in recording.trials]
     found = armimp.identify(rebuilt(recording, command=command))
-    assert any("commands don't explain the torques" in one for one in found.problems)
-    assert not any("seems to show" in one for one in found.problems)
+    told = found.problems + found.notes
+    assert any("commands don't explain the torques" in one for one in told)
+    assert not any("seems to show" in one for one in told)

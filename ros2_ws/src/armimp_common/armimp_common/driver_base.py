@@ -70,23 +70,27 @@ class FlowControl:
     """
 
     def __init__(self) -> None:
-        self._under_way = self._received = 0
+        self._sent = self._under_way = self._received = 0
         self.recorded = self.silent = False
 
     def count_sent(self) -> None:
         """Count one more sample as under way."""
+        self._sent += 1
         self._under_way += 1
 
     def acknowledge(self, received: int) -> None:
         """Take a count of received samples from the recorder."""
-        if received == 0:
-            self._under_way = 0
-        elif received < self._received < topics.RECORDER_GONE:
-            return  # from another publisher: the count of one recorder never falls
-        else:
+        if received == topics.RECORDER_GONE:
+            self.recorded = False
+            return
+        if received == 0 or not self.recorded:
+            self._under_way, self._sent = 0, max(self._sent, received)
+        elif self._received <= received <= self._sent:
             # It may also have received samples that were sent before its 0 arrived.
             self._under_way = max(self._under_way - (received - self._received), 0)
-        self.recorded = received != topics.RECORDER_GONE
+        else:
+            return  # from another publisher: no count falls, or exceeds what was sent
+        self.recorded = True
         self._received = received
 
     @property

@@ -153,9 +153,13 @@ def test_counts_include_what_came_before_the_first_one_and_never_decrease() -> N
     backlog = sent(FlowControl(), 30)
     backlog.acknowledge(0)
     sent(backlog, 70).acknowledge(100)
-    backlog.acknowledge(10)
+    for foreign in (10, 1_000_000):
+        backlog.acknowledge(foreign)
+    backlog.acknowledge(100)
     assert not backlog.full
     assert sent(backlog, MOST_UNDER_WAY).full
+    backlog.acknowledge(100 + MOST_UNDER_WAY)
+    assert not backlog.full
 
 
 # --- Flow control: the simulator waits for a recorder, and for nobody else ----------------------

@@ -8,12 +8,13 @@ damping with the angle), ``θ̇ |θ̇|/(1 + |θ̇|)`` (damping that changes with
 as force-velocity curves of muscles flatten), a play operator of the angle (a short-range spring
 that yields: Brokate & Sprekels, *Hysteresis and Phase Transitions*, ch. 2), the sign of ``θ̇``
 (friction), ``θ t`` or an abrupt change (a stiffness that changes over the trial) and ``θ exp(-t)``
-(one that is larger at the start). Terms of the transducer depend on the torque τ̂ over all
-perturbed frequencies: ``|τ̂|`` (its gain depends on the direction), ``|τ̂|`` times the sign of ``θ̇``
-(losses of a transmission), ``τ̂³`` and ``τ̂ |θ̇|`` (its gain changes with torque or speed), the sign
-of τ̂ (it does not show small torques), ``τ̂ t`` or an abrupt change (its gain drifts) and a play
-operator (hysteresis). Terms of the encoder are ``Z θ |θ|`` (its scale changes with the angle) and
-``Z |θ|`` (with the direction): the torque of the fitted arm at angles that are not shown.
+and ``θ̇ exp(-t)`` (stiffness and damping that are larger at the start). Terms of the transducer
+depend on the torque τ̂ over all perturbed frequencies: ``|τ̂|`` (its gain depends on the
+direction), ``|τ̂|`` times the sign of ``θ̇`` (losses of a transmission), ``τ̂³`` and ``τ̂ |θ̇|``
+(its gain changes with torque or speed), the sign of τ̂ (it does not show small torques), ``τ̂ t``
+or an abrupt change (its gain drifts) and a play operator (hysteresis). Terms of the encoder are ``Z
+θ |θ|`` (its scale changes with the angle) and ``Z |θ|`` (with the direction): the torque of the
+fitted arm at angles that are not shown.
 
 All linear responses to the angle and to the perturbation are projected out of the terms and of e.
 The instrument (Söderström & Stoica, *Instrumental Variable Methods for System Identification*) is
@@ -90,6 +91,8 @@ _SATURATING = 0.59
 """Mean of ``d/dv v |v|/(1 + |v|)`` over a normal distribution of v with standard deviation 1."""
 _ENDS = 3.0
 """Seconds that are left out at either end, up to the share `_MOST_ENDS` of the record."""
+_RINGS = 100
+"""Samples at either end in which the jump from end to begin of a record rings most."""
 _WIDTH = 1.0
 """Width of the bands of the linear filters, Hz."""
 _SMOOTHING = 0.2
@@ -316,6 +319,15 @@ TERMS: Mapping[str, Term] = {
         large=0.3,
         likely=0.2,
         sizes=(0.1, 0.3, 1.0),
+    ),
+    "damping at onset": Term(
+        bend=lambda signals: signals[2] * np.exp(-np.linspace(0.0, ONSETS, signals.shape[1])),
+        code=ProblemCode.DAMPING_CHANGES,
+        kind=Kind.DAMPING,
+        in_time=True,
+        large=0.3,
+        likely=0.2,
+        sizes=(0.1, 0.3),
     ),
     "direction": Term(
         bend=lambda signals: np.abs(signals[3]),
@@ -669,8 +681,10 @@ class _Motion:
         self._load = np.array([0.0, 0.0, 0.0, 1.0])[:, None] * load / units
         self._bent = {name: self._bend(one) for name, one in TERMS.items()}
         # The M, B and K that look most like a term: its regression on derivatives 2, 1, 0.
-        shapes = band.signal(np.stack([one[1] for one in self._bent.values()]))[:, kept].T
-        alike = np.linalg.lstsq(motion[2::-1, kept].T, shapes, rcond=None)[0]
+        # The estimate contains the ends, where an arm that is startled shows most of that.
+        shapes = band.signal(np.stack([one[1] for one in self._bent.values()]))
+        near = slice(_RINGS, -_RINGS)
+        alike = np.linalg.lstsq(motion[2::-1, near].T, shapes[:, near].T, rcond=None)[0]
         self._alike = dict(zip(TERMS, alike.T, strict=True))
         self._linear = _Linear(record, band)
         # With one band for each line, the filters could follow an abrupt change.

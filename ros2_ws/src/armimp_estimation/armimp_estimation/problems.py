@@ -109,6 +109,7 @@ class ProblemCode(str, Enum):
     DEAD_ZONE = "dead_zone"
     TORQUE_REPEATS = "torque_repeats"
     ALIASED = "aliased"
+    TIME_JUMPS = "time_jumps"
     TORQUE_IS_COMMAND = "torque_is_command"
     TORQUE_FROM_COMMAND = "torque_from_command"
     UNRESOLVED = "unresolved"

@@ -13,6 +13,7 @@ from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
@@ -83,6 +84,15 @@ _BINS, _FOLDED, _FOLLOWING, _ALIKE = 10, 0.3, 0.85, 0.8
 """For :func:`aliased`: frequencies per bin; power of a perturbation near the Nyquist frequency,
 relative to that at 15 to 40 Hz, from which on it may have more beyond; least share of the motion
 that follows a sound one; ratio of that share at high and low frequencies if they are alike."""
+JUMPED = 0.001
+"""Share of lost or repeated samples from which on a trial is refused; M is off by twice that."""
+_ABOUT, _CLEAR, _COUNTS, _STEADY = 4, 12.0, 4.0, 0.5
+"""For :func:`time_jumps`: number of steps on either side of one; size of their mean, in usual
+differences from it and in counts of an encoder, at least; difference between both sides, at most,
+relative to it."""
+_SKIPPED, _REPEATS, _AS_WELL = 0.6, 0.3, 0.25
+"""Difference of a step from that mean, relative to it, over lost samples, at least, and for a copy,
+beside -1, at most; share of the jumps of a perturbation that angles have, at least."""
 _QUICK, _NEAR, _LINGERS, _STILL, _SURE = (3.0, 40.0), 0.2, 0.04, 0.5, 4.0
 """For :func:`floating`: band, Hz; width of a bin of torque, in standard deviations; least share of
 time in it; power of changes relative to what is usual, at most; standard deviations of chance."""
@@ -134,6 +144,8 @@ def _faults(record: TrialRecord, stream: str, joint: int) -> Iterator[tuple[Prob
             yield ProblemCode.DROPPED, {"count": dropped, "percent": 100.0 * share}
     if joint == k and not torques and (share := aliased(record)) < 1.0:
         yield ProblemCode.ALIASED, {"percent": 100.0 * share}
+    if joint == k and not torques and (share := time_jumps(record)) > JUMPED:
+        yield ProblemCode.TIME_JUMPS, {"percent": 100.0 * share}
     if torques and (count := zeros_beyond_chance(signal, step)):
         yield ProblemCode.DEAD_ZONE, {"count": count, "percent": 100.0 * count / signal.size}
     if torques and (share := repeating(signal)):
@@ -502,6 +514,36 @@ def aliased(record: TrialRecord) -> float:
     moved = np.maximum(1.0 - rounding * (2.0 * np.sin(np.pi * f / record.rate)) ** 4 / answer, 0.02)
     shares = [float(np.mean((share / moved)[one])) for one in (slow, quick)]
     return max(shares) if max(shares) < _FOLLOWING and shares[1] > _ALIKE * shares[0] else 1.0
+
+
+def time_jumps(record: TrialRecord) -> float:
+    """Share of samples that were lost, or recorded twice, in all streams alike.
+
+    A recorder that closes up what it lost, or fills it in, leaves regular stamps. But where a
+    signal changes steadily, its step over lost samples is a multiple of the steps about it, and
+    there is none between a sample and its copy. Such steps of the perturbation count if the angle
+    makes them, too, as a controller may itself skip or repeat a value of the perturbation.
+    """
+    k, counts, most = record.perturbed_joint, (0.0, _COUNTS), 0.0
+    if record.samples <= 2 * _ABOUT + 1:
+        return most
+    steps = np.diff(np.stack((record.perturbation[k], record.position[k])))
+    windows = sliding_window_view(steps, 2 * _ABOUT + 1, axis=1)
+    before, after = windows[..., :_ABOUT].mean(axis=-1), windows[..., -_ABOUT:].mean(axis=-1)
+    usual = 0.5 * (before + after)
+    apart = windows[..., _ABOUT] - usual
+    steady = np.abs(after - before) < _STEADY * np.abs(usual)
+    for channel, count in enumerate(counts):
+        noise, own = float(np.median(np.abs(apart[channel]))), usual[channel]
+        least = max(_CLEAR * noise, count * float(record.resolution[JOINT_STATES][k]))
+        # A signal that mostly keeps its value tells nothing.
+        clear = steady[channel] & (np.abs(own) > (least if noise else np.inf))
+        jumps = np.divide(apart[channel], own, out=np.zeros_like(own), where=clear)
+        jumps *= (jumps > _SKIPPED) | (np.abs(jumps + 1.0) < _REPEATS)
+        expected = jumps * usual[1]
+        if expected @ apart[1] > _AS_WELL * (expected @ expected):
+            most = max(most, np.count_nonzero(jumps) / np.count_nonzero(clear))
+    return most
 
 
 def speed_of(angle: FloatArray, rate: float, band_end: float) -> FloatArray:

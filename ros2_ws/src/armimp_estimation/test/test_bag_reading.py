@@ -36,11 +36,7 @@ from support.bag_files import (
     write_foreign,
     write_mcap,
 )
-from support.synthetic_bags import (
-    Message,
-    assert_same,
-    synthetic_recording,
-)
+from support.synthetic_bags import Message, assert_same, synthetic_recording
 
 RECORDING = synthetic_recording(perturbed=(0, 1), ticks=120, settle=30, rest=20)
 METADATA = {"schema": "1", "seed": "1", "joint_names": '["shoulder", "elbow"]'}

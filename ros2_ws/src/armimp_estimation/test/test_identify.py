@@ -9,13 +9,7 @@ from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.fit import Calibration
 from armimp_estimation.identify import identify
-from armimp_estimation.problems import (
-    Concern,
-    Problem,
-    ProblemCode,
-    Severity,
-    kinds,
-)
+from armimp_estimation.problems import Concern, Problem, ProblemCode, Severity, kinds
 from armimp_estimation.trial import TrialData
 from armimp_estimation.verdict import Verdict, judge_coherence, judge_locking
 from support.synthetic_trials import (

@@ -8,13 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from armimp_estimation.mbk import MBK
-from armimp_estimation.report.plots import (
-    bode_chart,
-    circle_radius,
-    envelope,
-    phase_of,
-    rows_of,
-)
+from armimp_estimation.report.plots import bode_chart, circle_radius, envelope, phase_of, rows_of
 from armimp_estimation.scores import Coherences
 from armimp_estimation.summary import ImpedanceCurve
 from support.synthetic_trials import (

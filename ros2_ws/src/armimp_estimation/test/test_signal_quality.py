@@ -20,6 +20,7 @@ from armimp_estimation.signal_quality import (
     mended,
     repeating,
     sticking,
+    time_jumps,
     without_slow,
     zeros_beyond_chance,
 )
@@ -341,6 +342,17 @@ def test_a_white_perturbation_that_is_recorded_as_it_acts_is_sound(
     keep: int, hold: int, person: float
 ) -> None:
     assert aliased(pushed(keep, hold=hold, person=person)) == 1.0
+
+
+@pytest.mark.parametrize("many", [0, 2])
+def test_samples_that_were_lost_or_recorded_twice_in_all_streams_are_found(many: int) -> None:
+    push = motion(1, 1e-9)
+    angle = np.round(np.cumsum(push) / RATE, 5)
+    times = np.where(np.random.default_rng(2).random(push.size) < 0.01, many, 1)
+    spoiled = [np.repeat(one, times)[None, :49_000] for one in (angle, push)]
+    assert time_jumps(made_record(spoiled[0], None, spoiled[1])) == pytest.approx(0.01, rel=0.3)
+    # A controller may itself skip values of the perturbation, or repeat them.
+    assert time_jumps(made_record(angle[None, :49_000], None, spoiled[1])) == 0.0
 
 
 def shaken(kind: str) -> np.ndarray:

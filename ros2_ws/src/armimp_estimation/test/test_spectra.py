@@ -3,13 +3,7 @@ import pytest
 import scipy.signal
 
 from armimp_common.arrays import FloatArray
-from armimp_estimation.spectra import (
-    BAND,
-    SEGMENT,
-    cross_spectra,
-    segment_averages,
-    step_of,
-)
+from armimp_estimation.spectra import BAND, SEGMENT, cross_spectra, segment_averages, step_of
 
 RATE = 30.0
 """So that the band ends at half of it, Hz: the Nyquist frequency, which is not estimated."""
