@@ -552,6 +552,8 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     for share in (0.03, 0.1, 0.3):
         add(MUST, "stiffness of either direction", (f"{share:g}", {"one_sided": share}))
         add(MUST, "startled", (f"{share:g}", {"startled": share}))
+        tense_alone: dict[str, Any] = {"tensed": 3.0 * share, "duration": 33.0}
+        add(MUST, "tensed", (f"{3.0 * share:g}", tense_alone))
         for waveform in ("noise", "multisine"):
             tense: dict[str, Any] = {"startled": 3.0 * share, "tensed": 1.5 * share}
             tense["waveform"] = waveform

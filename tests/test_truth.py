@@ -34,6 +34,9 @@ ONCE_WRONG = {
     # Stiffness or damping falls while a person pushes.
     *(("amplitude-dependent, voluntary 0.3 N·m 0.1", seed) for seed in (0, 3)),
     ("damping by speed, 0.3 0.3 N·m", 3033),
+    ("tensed 0.9", 2),
+    # A recorder that stamps samples itself hides which ones it lost.
+    ("whole samples lost, noise 0.01", 1),
     # All lines of a multisine make neither an arm look bent nor a transducer linear.
     ("multisine 2000", 0),
     ("torque compressed, multisine 0.03", 0),

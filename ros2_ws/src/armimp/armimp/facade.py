@@ -131,8 +131,8 @@ class Recording:
             )
             for number, trial in enumerate(trials, start=1)
         ]
-        known_as = calibration or Calibration.undeclared()
-        return cls(trials=tuple(records), known=known, calibration=known_as)
+        sensors = calibration or Calibration.undeclared()
+        return cls(trials=tuple(records), known=known, calibration=sensors)
 
 
 def _numbers(values: ArrayLike) -> FloatArray:
@@ -300,7 +300,7 @@ def identify(recording: Recording, estimator: str = "lpm_full", model: str | Non
     found = identify_records([[one] for one in recording.trials], [estimator], known, options)
     found = replace(found, problems=(*recording.problems, *found.problems))
     one = found.estimators[estimator]
-    sorted_by = {
+    sentences = {
         severity: tuple(each.sentence for each in found.problems if each.severity is severity)
         for severity in Severity
     }
@@ -317,8 +317,8 @@ def identify(recording: Recording, estimator: str = "lpm_full", model: str | Non
         Z_variance=one.estimate.variance,
         valid=found.valid,
         impedance_valid=found.verdict.impedance,
-        problems=sorted_by[Severity.ERROR],
-        notes=sorted_by[Severity.NOTE],
+        problems=sentences[Severity.ERROR],
+        notes=sentences[Severity.NOTE],
         models=one.models,
         model=supported(one.models),
     )
