@@ -85,14 +85,12 @@ _BINS, _FOLDED, _FOLLOWING, _ALIKE = 10, 0.3, 0.85, 0.8
 relative to that at 15 to 40 Hz, from which on it may have more beyond; least share of the motion
 that follows a sound one; ratio of that share at high and low frequencies if they are alike."""
 JUMPED = 0.001
-"""Share of lost or repeated samples from which on a trial is refused; M is off by twice that."""
-_ABOUT, _CLEAR, _COUNTS, _STEADY = 4, 12.0, 4.0, 0.5
+"""Share of lost or repeated time from which on a trial is refused; M is off by twice that."""
+_ABOUT, _CLEAR, _COUNTS, _STEADY, _WHOLE, _AS_WELL = 4, 16.0, 4.0, 0.5, 0.4, 0.25
 """For :func:`time_jumps`: number of steps on either side of one; size of their mean, in usual
 differences from it and in counts of an encoder, at least; difference between both sides, at most,
-relative to it."""
-_SKIPPED, _REPEATS, _AS_WELL = 0.6, 0.3, 0.25
-"""Difference of a step from that mean, relative to it, over lost samples, at least, and for a copy,
-beside -1, at most; share of the jumps of a perturbation that angles have, at least."""
+relative to it; distance of a jump from whole samples, relative to it, at most; share of the jumps
+of a perturbation that angles have, at least."""
 _QUICK, _NEAR, _LINGERS, _STILL, _SURE = (3.0, 40.0), 0.2, 0.04, 0.5, 4.0
 """For :func:`floating`: band, Hz; width of a bin of torque, in standard deviations; least share of
 time in it; power of changes relative to what is usual, at most; standard deviations of chance."""
@@ -517,19 +515,23 @@ def aliased(record: TrialRecord) -> float:
 
 
 def time_jumps(record: TrialRecord) -> float:
-    """Share of samples that were lost, or recorded twice, in all streams alike.
+    """Share of the time that is lost, or too much, as all streams lack samples or repeat them.
 
     A recorder that closes up what it lost, or fills it in, leaves regular stamps. But where a
     signal changes steadily, its step over lost samples is a multiple of the steps about it, and
     there is none between a sample and its copy. Such steps of the perturbation count if the angle
-    makes them, too, as a controller may itself skip or repeat a value of the perturbation.
+    makes them, too, as a controller may itself skip or repeat a value of the perturbation. Readings
+    that are only late, so that a double step follows where there was none, leave time as it is.
     """
-    k, counts, most = record.perturbed_joint, (0.0, _COUNTS), 0.0
+    k, counts = record.perturbed_joint, (0.0, _COUNTS)
     if record.samples <= 2 * _ABOUT + 1:
-        return most
+        return 0.0
+    lost = looked = 0.0
     steps = np.diff(np.stack((record.perturbation[k], record.position[k])))
     windows = sliding_window_view(steps, 2 * _ABOUT + 1, axis=1)
-    before, after = windows[..., :_ABOUT].mean(axis=-1), windows[..., -_ABOUT:].mean(axis=-1)
+    # Without the steps next to it, as after a reading that comes too late one is too long.
+    before = windows[..., : _ABOUT - 1].mean(axis=-1)
+    after = windows[..., 1 - _ABOUT :].mean(axis=-1)
     usual = 0.5 * (before + after)
     apart = windows[..., _ABOUT] - usual
     steady = np.abs(after - before) < _STEADY * np.abs(usual)
@@ -538,12 +540,15 @@ def time_jumps(record: TrialRecord) -> float:
         least = max(_CLEAR * noise, count * float(record.resolution[JOINT_STATES][k]))
         # A signal that mostly keeps its value tells nothing.
         clear = steady[channel] & (np.abs(own) > (least if noise else np.inf))
-        jumps = np.divide(apart[channel], own, out=np.zeros_like(own), where=clear)
-        jumps *= (jumps > _SKIPPED) | (np.abs(jumps + 1.0) < _REPEATS)
+        # Samples that each step is too long: those that were lost, or -1 for one recorded twice.
+        ratio = np.divide(apart[channel], own, out=np.zeros_like(own), where=clear)
+        jumps = np.rint(ratio)
+        jumps *= (jumps >= -1.0) & (np.abs(ratio - jumps) < _WHOLE * np.abs(jumps))
         expected = jumps * usual[1]
         if expected @ apart[1] > _AS_WELL * (expected @ expected):
-            most = max(most, np.count_nonzero(jumps) / np.count_nonzero(clear))
-    return most
+            lost += abs(float(np.sum(jumps)))
+        looked += np.count_nonzero(clear)
+    return lost / max(looked, 1.0)
 
 
 def speed_of(angle: FloatArray, rate: float, band_end: float) -> FloatArray:

@@ -351,6 +351,9 @@ def test_samples_that_were_lost_or_recorded_twice_in_all_streams_are_found(many:
     times = np.where(np.random.default_rng(2).random(push.size) < 0.01, many, 1)
     spoiled = [np.repeat(one, times)[None, :49_000] for one in (angle, push)]
     assert time_jumps(made_record(spoiled[0], None, spoiled[1])) == pytest.approx(0.01, rel=0.3)
+    # A reading that comes too late leaves time as it is.
+    late = np.where(times == 1, angle, np.roll(angle, 1))[None]
+    assert time_jumps(made_record(late, None, push[None])) < 0.001
     # A controller may itself skip values of the perturbation, or repeat them.
     assert time_jumps(made_record(angle[None, :49_000], None, spoiled[1])) == 0.0
 
