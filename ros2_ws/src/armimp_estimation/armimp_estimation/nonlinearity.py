@@ -313,7 +313,7 @@ TERMS: Mapping[str, Term] = {
         most=3.0,
     ),
     "onset": Term(
-        bend=lambda signals: signals[0] * np.exp(-np.linspace(0.0, ONSETS, signals.shape[1])),
+        bend=lambda signals: calming(signals[0]),
         code=ProblemCode.CHANGES_OVER_TIME,
         in_time=True,
         large=0.3,
@@ -321,7 +321,7 @@ TERMS: Mapping[str, Term] = {
         sizes=(0.1, 0.3, 1.0),
     ),
     "damping at onset": Term(
-        bend=lambda signals: signals[2] * np.exp(-np.linspace(0.0, ONSETS, signals.shape[1])),
+        bend=lambda signals: calming(signals[2]),
         code=ProblemCode.DAMPING_CHANGES,
         kind=Kind.DAMPING,
         in_time=True,
@@ -593,6 +593,11 @@ def play(angle: FloatArray, half: float) -> FloatArray:
         least[run:], most[run:] = joined
         run *= 2
     return np.asarray((angle - np.clip(0.0, least, most)) / half)
+
+
+def calming(signal: FloatArray) -> FloatArray:
+    """A signal, (N,), as large as a startled arm still is unlike one at rest."""
+    return np.asarray(signal * np.exp(-np.linspace(0.0, ONSETS, signal.size)))
 
 
 def _onto(forces: FloatArray) -> Callable[[FloatArray], FloatArray]:
