@@ -438,8 +438,9 @@ def _perturbation(mismatch: Mismatch, ticks: int, rng: np.random.Generator) -> F
 
     "noise" up to the cut-off; "multisine", which repeats itself every 10 s, with all lines up to
     20 Hz; a number of "sines", from 0.15 Hz up to the cut-off, that never repeat themselves;
-    a "chirp" from 0.1 Hz to the cut-off and back every 20 s; "binary" noise, whose sign is drawn
-    anew every 50 ms.
+    a "chirp" from 0.1 Hz to the cut-off and back every 20 s; a "sweep" from 0.3 Hz to it every
+    10 s, whose torque grows with the frequency so that the motion is steady, as that of position
+    servos; "binary" noise, whose sign is drawn anew every 50 ms.
     """
     t = np.arange(ticks) / mismatch.rate
     kind, _, number = mismatch.waveform.partition(" ")
@@ -450,6 +451,11 @@ def _perturbation(mismatch: Mismatch, ticks: int, rng: np.random.Generator) -> F
     if kind == "chirp":
         sweep = 0.1 * (mismatch.cutoff / 0.1) ** (0.5 - 0.5 * np.cos(2.0 * np.pi * t / 20.0))
         return np.sin(2.0 * np.pi * np.cumsum(sweep) / mismatch.rate)
+    if kind == "sweep":
+        since = t % 10.0
+        rate = 0.1 * (mismatch.cutoff - 0.3)
+        f = 0.3 + rate * since
+        return np.asarray((4.0 + f**2) * np.sin(2.0 * np.pi * (0.3 + 0.5 * rate * since) * since))
     if kind == "binary":
         held = rng.choice((-1.0, 1.0), round(20.0 * t[-1]) + 1)
         return np.asarray(held[(20.0 * t).astype(int)])

@@ -640,7 +640,7 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         for size in (0.0, 0.3):
             hidden = {"waveform": "multisine", "cubic": share, "voluntary": size}
             add(MUST, "bent, multisine", (f"{share:g}, {size:g} N·m", hidden))
-    for waveform in ("sines 12", "sines 20", "sines 40", "chirp", "binary"):
+    for waveform in ("sines 12", "sines 20", "sines 40", "chirp", "sweep", "binary"):
         # In much of the band there is no perturbation except its leakage.
         for size in (0.0, 0.1, 0.3, 1.0):
             sparse: dict[str, Any] = {"waveform": waveform, "voluntary": size}

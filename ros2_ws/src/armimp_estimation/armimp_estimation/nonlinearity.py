@@ -670,7 +670,10 @@ class _Motion:
     def __init__(self, record: TrialRecord, band: _Band, motion: FloatArray) -> None:
         self._record, self._band = record, band
         k, kept = record.perturbed_joint, band.kept
-        wide, moving = _Band(record, WIDE), _Band(record, MOVING)
+        # Line by line, the person's torque would seem to be caused by the perturbation, too.
+        smooth, wide, moving = (
+            _Band(record, edges, by_lines=False) for edges in (BAND, WIDE, MOVING)
+        )
         position = record.position[k]
         angle = moving.signal(moving.of(position))
         quick = np.vstack((2j * np.pi * wide.f * wide.of(position), wide.of(record.torque)))
@@ -679,7 +682,7 @@ class _Motion:
         load = band.inner(np.full(torque.size, record.torque[k].mean()))
         caused = wide.caused(np.stack((speed, self._torques[k])))
         actual = np.stack((angle, motion[0], speed, torque + load))
-        known = (moving.caused(angle), band.caused(motion[0]), caused[0], band.inner(caused[1]))
+        known = (moving.caused(angle), smooth.caused(motion[0]), caused[0], band.inner(caused[1]))
         self._sizes = np.std(actual[:, kept], axis=1)
         units = np.where(self._sizes > 0.0, self._sizes, 1.0)[:, None]
         self._signals, self._known = actual / units, np.stack(known) / units
@@ -695,7 +698,7 @@ class _Motion:
         # With one band for each line, the filters could follow an abrupt change.
         self._smooth = self._linear
         if record.periods is not None:
-            self._smooth = _Linear(record, _Band(record, by_lines=False))
+            self._smooth = _Linear(record, smooth)
 
     def _bend(self, term: Term) -> ComplexArray:
         """Spectra, (3, n_freq), of a term's instrument, of the term, and of it without the person.
@@ -722,7 +725,7 @@ class _Motion:
         if not ((self._sizes > 0.0).all() and size.all()):
             return {}
         inner, torque = band.inner(rest), band.inner(self._torques[joint])
-        left, moved, shown = map(band.of, (rest, record.position[k], record.torque[joint]))
+        left, pushes, shown = map(band.of, (rest, band.pushes, record.torque[joint]))
 
         def weighed(*noise: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
             weights = band.weights(*noise)
@@ -756,8 +759,7 @@ class _Motion:
             estimate = slope, error, freedom
             at_lines = False
             if record.periods is not None and not one.in_time:
-                signal = shown if one.kind in {Kind.GAIN, Kind.LOST} else moved
-                of_lines = _slope_at_lines(band.lines, signal, bent[2], bent[1], left, shown)
+                of_lines = _slope_at_lines(band.lines, pushes, bent[2], bent[1], left, shown)
                 at_lines = of_lines[1] < estimate[1]
                 estimate = of_lines if at_lines else estimate
             alike, sizes = self._alike[name], self._sizes
@@ -912,7 +914,7 @@ def _by_parts(
 
 def _slope_at_lines(
     lines: NDArray[np.intp],
-    signal: ComplexArray,
+    pushes: ComplexArray,
     instrument: ComplexArray,
     term: ComplexArray,
     left: ComplexArray,
@@ -920,10 +922,11 @@ def _slope_at_lines(
 ) -> tuple[float, float, float]:
     """As :func:`_ratio`, from spectra (n_freq,) at the lines of a periodic perturbation.
 
-    Where all harmonics are lines, distortion of a signal falls on them, too, but differs from line
-    to line, while the output of a linear filter of the signal is smooth over frequency. So from
-    each `_GROUP` lines a multiple of the signal is projected out that changes linearly with the
-    frequency, and likewise the leakage of the record's ends, which is smooth in itself.
+    Where all harmonics are lines, distortion falls on them, too, but differs from line to line,
+    while the output of a linear filter of the perturbation, `pushes`, is smooth over frequency. So
+    from each `_GROUP` lines a multiple of it is projected out that changes linearly with the
+    frequency, and likewise the leakage of the record's ends, which is smooth in itself. Angles and
+    torques would not do: they contain what the person adds.
     """
     if lines.size < _GROUP:
         return 0.0, np.inf, 1.0
@@ -931,7 +934,7 @@ def _slope_at_lines(
     for group in np.array_split(lines, lines.size // _GROUP):
         steps = np.linspace(-1.0, 1.0, group.size)
         multiples = np.stack((np.ones_like(steps), steps), axis=1)
-        known = np.concatenate((signal[group, None] * multiples, multiples), axis=1)
+        known = np.concatenate((pushes[group, None] * multiples, multiples), axis=1)
         smooth = np.linalg.qr(known)[0]
         cause, bent, rest = (
             one[group] - smooth @ (np.conj(smooth.T) @ one[group])

@@ -219,6 +219,17 @@ def test_a_slow_torque_that_comes_and_goes_is_no_change_of_arm_or_transducer() -
     assert len(changing) <= 1
 
 
+def test_the_torque_of_a_person_beside_repeated_sweeps_of_a_servo_is_no_bent_transducer() -> None:
+    low_pass = butter(2, 2.0, fs=1000.0, output="sos")
+    since = np.resize(np.arange(10_000) / 1000.0, 30_000)
+    angle = 0.045 * np.sin(2.0 * np.pi * (0.3 + 0.7 * since) * since)
+    bent: list[str] = []
+    for seed in range(3):
+        push = 3.0 * sosfilt(low_pass, np.random.default_rng(seed).standard_normal(angle.size))
+        bent += significant(elbow(angle, angle, torque_of(angle) + push)).keys() - IN_TIME
+    assert not bent
+
+
 @pytest.mark.parametrize(
     ("bend", "found"),
     [(lambda x: 0.0 * x, set()), (lambda x: x**2, {"even"}), (lambda x: x**3, {"odd"})],
