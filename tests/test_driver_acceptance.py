@@ -30,12 +30,10 @@ MOCK = {
 }
 """Imperfections of transducers and drives."""
 CALIBRATION: dict[str, Any] = {
-    "torque_delay": 0.0017,
     "imbic_controller": {
         "tare": {"duration": 1.0},
         "known": {"torque_delay": 0.0017, "torque_cutoff": 200.0, "actuator_lag": 0.0003},
     },
-    "impedance_estimator": {"torque": {"cutoff": 200.0, "actuator_lag": 0.0003}},
 }
 """What the experiment is told of these imperfections."""
 LEAST = {"VAF": 99.98, "R2": 0.9998, "coherence": 0.94}

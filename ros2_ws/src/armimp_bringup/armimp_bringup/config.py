@@ -98,7 +98,8 @@ class ExperimentConfig(Schema):
     )
     """End a trial once relative standard errors of M, B, K are below this: 2% or 0.02; 0: never."""
     torque_delay: float | None = Field(default=None, ge=0.0, le=0.1)
-    """Delay of torque readings, s, which the estimates correct; by default as simulated."""
+    """Delay of torque readings, s, which the estimates correct; by default known.torque_delay of
+    the controller."""
     arm_sim: Overrides = Field(default_factory=dict)
     """Parameters of arm_sim to override."""
     imbic_controller: Overrides = Field(default_factory=dict)

@@ -19,8 +19,8 @@ from armimp_common.versions import software
 from armimp_control.parameters import ControllerParameters
 from armimp_control.presets import LawName
 from armimp_control.rig import RigDynamics
-from armimp_estimation.metadata import CALIBRATION_KEYS
-from armimp_estimation.parameters import EstimatorParameters, TorqueParameters
+from armimp_estimation.metadata import CALIBRATION_KEYS, READING_KEYS
+from armimp_estimation.parameters import EstimatorParameters
 from armimp_sim.parameters import SimulatorParameters
 
 _LARGEST = 1e20
@@ -125,18 +125,10 @@ def _estimator(
         joints=simulator.joints,
         estimators=config.estimators,
         target_error=config.target_error,
-        torque=TorqueParameters(
-            delay=simulator.sensors.torque.delay,
-            cutoff=simulator.sensors.torque.cutoff,
-            order=simulator.sensors.torque.order,
-            actuator_lag=simulator.actuators.lag,
-        ),
         directory="" if directory is None else str(directory),
         metadata=json.dumps(bag_metadata(config, simulator, controller)),
     )
-    delay = {} if config.torque_delay is None else {"torque.delay": config.torque_delay}
-    overrides = {**config.impedance_estimator, **delay}
-    estimator = _overridden(preset, ESTIMATOR_NODE, overrides)
+    estimator = _overridden(preset, ESTIMATOR_NODE, config.impedance_estimator)
     estimator.bag_metadata()
     return estimator
 
@@ -170,8 +162,13 @@ def _time_of(config: ExperimentConfig) -> Overrides:
 def bag_metadata(
     config: ExperimentConfig, simulator: SimulatorParameters, controller: ControllerParameters
 ) -> dict[str, str]:
-    """Return the metadata of every bag: configuration, truth, versions."""
+    """Return the metadata of every bag: configuration, truth, versions, torque readings."""
     arm = simulator.arm
+    readings = {key: getattr(controller.known, key) for key in READING_KEYS}
+    if config.torque_delay is not None:
+        readings["torque_delay"] = config.torque_delay
+    if not controller.known.torque_cutoff:
+        del readings["torque_order"]
     described = {
         "experiment": config.model_dump(mode="json"),
         SIM_NODE: flatten(simulator),
@@ -187,6 +184,7 @@ def bag_metadata(
         "truth": json.dumps(truth),
         "torque_timing": json.dumps(simulator.sensors.sampling.value),
         "torque_uncertainty": "0",
+        **{key: json.dumps(value) for key, value in readings.items() if value},
         # Sensors with simulated calibration errors must not be declared exact.
         **(dict.fromkeys(CALIBRATION_KEYS, "0") if simulator.sensors.torque.calibrated else {}),
         **({"arm_model": json.dumps("cuff")} if simulator.cuff.stiffness else {}),

@@ -75,8 +75,8 @@ def test_the_estimator_knows_what_is_simulated_unless_it_is_told_otherwise() -> 
     assert known() == everything
     assert known(torque_delay=0.001) == everything.model_copy(update={"delay": 0.001})
     assert known(torque_delay=0.0) == everything.model_copy(update={"delay": 0.0})
-    blind = {"torque": {"delay": 0.0, "cutoff": 0.0, "actuator_lag": 0.0}}
-    assert known(impedance_estimator=blind) == prompt
+    blind = {"torque_delay": 0.0, "torque_cutoff": 0.0, "actuator_lag": 0.0}
+    assert known(imbic_controller={**slow, "known": blind}) == prompt
 
 
 @pytest.mark.parametrize("joints", [1, pytest.param(7, marks=pytest.mark.slow)])

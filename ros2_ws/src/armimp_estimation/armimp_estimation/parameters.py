@@ -2,38 +2,13 @@
 
 from __future__ import annotations
 
-import json
-
 from pydantic import Field, TypeAdapter, ValidationError
 
 from armimp_common.errors import ConfigurationError
 from armimp_common.realtime import TimingLimits
 from armimp_common.schema import Schema
 from armimp_estimation.estimators.registry import estimator_names
-from armimp_estimation.metadata import READING_KEYS
 from armimp_estimation.result import MOST_EXCLUDED
-from armimp_estimation.torque_timing import HIGHEST_ORDER
-
-
-class TorqueParameters(Schema):
-    """Known properties of the torque readings, which are corrected."""
-
-    delay: float = Field(default=0.0, ge=0.0, le=0.1)
-    """delay of the torque readings (s); 0: use that of the metadata"""
-    cutoff: float = Field(default=0.0, ge=0.0)
-    """cut-off frequency of the anti-alias filter of the torque readings (Hz); 0: use that of the
-    metadata"""
-    order: int = Field(default=1, ge=1, le=HIGHEST_ORDER)
-    """order of the anti-alias filter of the torque readings (Butterworth)"""
-    actuator_lag: float = Field(default=0.0, ge=0.0, le=0.1)
-    """time constant of the drives (s); 0: use that of the metadata"""
-
-    def metadata(self) -> dict[str, str]:
-        """Return the known properties as entries for the metadata of bags."""
-        known = {key: getattr(self, name) for key, name in READING_KEYS.items()}
-        if not self.cutoff:
-            del known["torque_order"]
-        return {key: json.dumps(value) for key, value in known.items() if value}
 
 
 class EstimatorParameters(Schema):
@@ -50,14 +25,13 @@ class EstimatorParameters(Schema):
     directory: str = ""
     """where bags/, summary.json and frf.npz go; empty: nowhere"""
     metadata: str = "{}"
-    """JSON object of strings to store in the bags: configuration, truth, versions"""
+    """JSON object of strings to store in the bags: configuration, truth, versions and more"""
     allow_gaps: bool = False
     """estimate from the intact parts of trials that lost samples"""
     most_excluded: float = Field(default=MOST_EXCLUDED, ge=0.0, le=1.0)
     """largest share of a trial that may be left out of a valid result"""
     progress_period: float = Field(default=0.2, ge=0.05, le=10.0)
     """time between progress messages (s)"""
-    torque: TorqueParameters = TorqueParameters()
     realtime: TimingLimits = TimingLimits()
     target_error: float = Field(default=0.0, ge=0.0, lt=1.0)
     """relative standard error below which a trial ends early; 0: never"""
@@ -65,7 +39,7 @@ class EstimatorParameters(Schema):
     """least length of a trial that ends early (s)"""
 
     def bag_metadata(self) -> dict[str, str]:
-        """Return the metadata as a dictionary, with the known properties of the torque readings.
+        """Return the metadata as a dictionary.
 
         Raises
         ------
@@ -83,9 +57,8 @@ class EstimatorParameters(Schema):
                     f"{', '.join(estimator_names())}"
                 )
         try:
-            values = TypeAdapter(dict[str, str]).validate_json(self.metadata)
+            return TypeAdapter(dict[str, str]).validate_json(self.metadata)
         except ValidationError:
             raise ConfigurationError(
                 f"parameter 'metadata' is not a JSON object of strings: {self.metadata[:60]!r}"
             ) from None
-        return {**values, **self.torque.metadata()}
