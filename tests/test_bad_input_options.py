@@ -72,7 +72,7 @@ OF_OTHERS: list[tuple[tuple[str, ...], int, str]] = [
             (("--seeds", "1:"), "--seeds '1:': '1:' is neither a seed nor a range"),
             (("--workers", "two"), "Invalid value for '--workers'"),
             (("--workers", "2", "--scheduler", "tcp://x:1"), "--workers is for processes"),
-            (("--estimator", "guess"), "there is no 'guess', only welch_siso"),
+            (("--estimator", "guess"), "unknown estimator 'guess', known are welch_siso"),
             (("--config", "nowhere.yaml"), "nowhere.yaml: No such file or directory"),
         )
     ),
@@ -116,8 +116,8 @@ WRONG = {
     "arm_sim: {1: 2}": "arm_sim[1]",
     "arm_sim: {arm: {inertai: [1.0]}}": "'arm.inertai' does not exist; the nearest valid name",
     # Types
-    "estimators: []": "'estimators' needs distinct names",
-    "estimators: [guess]": "there is no 'guess'",
+    "estimators: []": "estimators must be distinct",
+    "estimators: [guess]": "unknown estimator 'guess'",
     "impedance_estimator: {metadata: '[1]'}": "'metadata' is not a JSON object of strings: '[1]'",
     # Shapes of matrices
     "arm_sim: {arm: {inertia: [[1, 0], [0]]}}": "'arm.inertia' = [[1, 0], [0]]: rows differ",

@@ -130,6 +130,23 @@ def _deciding(results: Mapping[str, EstimatorResult]) -> tuple[str, ...]:
     return tuple(unbiased or results)
 
 
+def make_estimators(
+    estimators: Sequence[str | Estimator], options: IdentifyConfig
+) -> list[Estimator]:
+    """Make the estimators that are given by name; others are taken as they are.
+
+    Raises
+    ------
+    ConfigurationError
+        If there is none, one twice, or one of unknown name.
+    """
+    made = [make_estimator(one, options) if isinstance(one, str) else one for one in estimators]
+    names = [one.name for one in made]
+    if not names or len(set(names)) != len(names):
+        raise ConfigurationError(f"estimators must be distinct, at least one: {names}")
+    return made
+
+
 def identify_records(
     trials: Sequence[Sequence[TrialRecord]],
     estimators: Sequence[str | Estimator],
@@ -173,12 +190,7 @@ def identify(
         If a joint has no trial or the data cannot be estimated.
     """
     options = config if config is not None else IdentifyConfig()
-    workers = [make_estimator(one, options) if isinstance(one, str) else one for one in estimators]
-    distinct = {worker.name for worker in workers}
-    if not workers or len(distinct) != len(workers):
-        raise ConfigurationError(
-            f"estimators must be distinct, at least one: {[worker.name for worker in workers]}"
-        )
+    workers = make_estimators(estimators, options)
     ordered = order_trials(trials)
     names = ordered[0].record.joint_names
     if truth is not None and truth.joints != len(names):
@@ -216,7 +228,7 @@ def identify(
     problems += verdict.judge_trials(records)
     motion, torque = best.coherence.motion.mean(axis=-1), best.coherence.torque.mean(axis=-1)
     problems += verdict.judge_coherence(names, motion, torque, level)
-    if verdict.SINGLE in distinct:
+    if verdict.SINGLE in results:
         problems += verdict.judge_locking(names, locks, bounds)
     postures = np.stack([record.position.mean(axis=1) for record in records])
     apart = float(np.max(np.ptp(postures, axis=0)))

@@ -61,6 +61,8 @@ from armimp_estimation.trial import TrialData
 
 _POLL_PERIOD = 0.001
 """Period at which messages are fetched (s); on a fast machine, that of 20 samples in lockstep."""
+_PROGRESS_PERIOD = 0.2
+"""Time between progress messages (s)."""
 _STRAGGLERS = 5.0
 """Time after the end of the last trial in which its samples may still arrive (s)."""
 _SHOWN = 16
@@ -129,9 +131,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             )
             for topic, kind in _RECORDED_BESIDE.items()
         ]
-        self._timer = steady_timer(
-            self, self._settings.progress_period, self._on_timer, autostart=False
-        )
+        self._timer = steady_timer(self, _PROGRESS_PERIOD, self._on_timer, autostart=False)
         self.own(self._timer, self._poll, *self._streams, *beside)
         self.own(self._received.publisher, self._stopping, self._progress, self._result)
         return TransitionCallbackReturn.SUCCESS
@@ -335,7 +335,6 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             joint_names=self._settings.joints,
             estimators=self._settings.estimators,
             allow_gaps=self._settings.allow_gaps,
-            most_excluded=self._settings.most_excluded,
             problems=self._problems,
         )
         if self._directory is not None:

@@ -7,8 +7,8 @@ from pydantic import Field, TypeAdapter, ValidationError
 from armimp_common.errors import ConfigurationError
 from armimp_common.realtime import TimingLimits
 from armimp_common.schema import Schema
-from armimp_estimation.estimators.registry import estimator_names
-from armimp_estimation.result import MOST_EXCLUDED
+from armimp_estimation.estimators.registry import IdentifyConfig, estimator_names
+from armimp_estimation.identify import make_estimators
 
 
 class EstimatorParameters(Schema):
@@ -28,10 +28,6 @@ class EstimatorParameters(Schema):
     """JSON object of strings to store in the bags: configuration, truth, versions and more"""
     allow_gaps: bool = False
     """estimate from the intact parts of trials that lost samples"""
-    most_excluded: float = Field(default=MOST_EXCLUDED, ge=0.0, le=1.0)
-    """largest share of a trial that may be left out of a valid result"""
-    progress_period: float = Field(default=0.2, ge=0.05, le=10.0)
-    """time between progress messages (s)"""
     realtime: TimingLimits = TimingLimits()
     target_error: float = Field(default=0.0, ge=0.0, lt=1.0)
     """relative standard error below which a trial ends early; 0: never"""
@@ -46,16 +42,7 @@ class EstimatorParameters(Schema):
         ConfigurationError
             If `metadata` is not a JSON object of strings, or `estimators` can't be used.
         """
-        if not self.estimators or len(set(self.estimators)) != len(self.estimators):
-            raise ConfigurationError(
-                f"parameter 'estimators' needs distinct names, at least one: {self.estimators}"
-            )
-        for name in self.estimators:
-            if name not in estimator_names():
-                raise ConfigurationError(
-                    f"parameter 'estimators': there is no {name!r}, only "
-                    f"{', '.join(estimator_names())}"
-                )
+        make_estimators(self.estimators, IdentifyConfig())
         try:
             return TypeAdapter(dict[str, str]).validate_json(self.metadata)
         except ValidationError:

@@ -29,9 +29,6 @@ from armimp_estimation.summary import (
     write_summary,
 )
 
-MOST_EXCLUDED = 0.05
-"""Largest share of the samples of a trial that may be left out of a valid result."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Result:
@@ -78,7 +75,6 @@ def conclude(
     joint_names: Sequence[str],
     estimators: Sequence[str | Estimator],
     allow_gaps: bool = False,
-    most_excluded: float = MOST_EXCLUDED,
     problems: Sequence[Problem] = (),
 ) -> Result:
     """Identify the impedance from the trials, and collect the problems of the result.
@@ -100,9 +96,6 @@ def conclude(
         Estimate from the intact parts of trials that lost samples or were aborted; else such
         trials are refused. With an aborted trial the result is not valid.
         Intervals in which the controller clipped its command are left out in any case.
-    most_excluded : float
-        Largest share of the samples of a trial that may be left out, from 0 to 1. If more are, the
-        result has an estimate, but is not valid.
     problems : sequence of Problem
         Problems that are known beforehand.
 
@@ -115,7 +108,7 @@ def conclude(
     """
     known = Metadata.of(metadata, len(joint_names))
     found = list(problems)
-    for one in problems_of(trials, known, allow_gaps=allow_gaps, most_excluded=most_excluded):
+    for one in problems_of(trials, known, allow_gaps=allow_gaps):
         if one not in found:
             found.append(one)
     identification = None
@@ -150,17 +143,13 @@ def conclude(
 
 
 def problems_of(
-    trials: Sequence[Trial],
-    known: Metadata,
-    *,
-    allow_gaps: bool = False,
-    most_excluded: float = MOST_EXCLUDED,
+    trials: Sequence[Trial], known: Metadata, *, allow_gaps: bool = False
 ) -> list[Problem]:
     """Find the problems of a recording before anything is estimated from it.
 
     Parameters
     ----------
-    trials, allow_gaps, most_excluded
+    trials, allow_gaps
         As :func:`conclude` takes them.
     known : Metadata
         What was recorded or declared beside the samples.
@@ -168,7 +157,7 @@ def problems_of(
     found = [] if known.timing is None else known.timing.problems
     declared = known.planned_rate
     for trial in trials:
-        judged = trial.judged(allow_gaps=allow_gaps, most_excluded=most_excluded)
+        judged = trial.judged(allow_gaps=allow_gaps)
         if declared is not None:
             judged = [one for one in judged if one.code is not ProblemCode.RATE_UNCUSTOMARY]
             rate = trial.segments[0].rate if trial.segments else declared

@@ -77,7 +77,7 @@ class Desk:
         self.echoes += 1
 
     def make(self, changes: Mapping[str, Value] | None = None) -> None:
-        settings = EstimatorParameters(directory=str(self.directory / "out"), progress_period=0.05)
+        settings = EstimatorParameters(directory=str(self.directory / "out"))
         self.estimator: ImpedanceEstimatorNode = self.launch(
             ImpedanceEstimatorNode, settings, changes
         )
@@ -213,7 +213,7 @@ class TestParameters:
     @pytest.mark.parametrize(
         ("name", "value", "reason"),
         [
-            ("estimators", ["welch_sisi"], "parameter 'estimators': there is no 'welch_sisi'"),
+            ("estimators", ["welch_sisi"], "unknown estimator 'welch_sisi'"),
             ("metadata", '{"seed": 1}', "parameter 'metadata' is not a JSON object of strings"),
             ("metadata", '{"config": "[]"}', "parameter 'metadata': metadata: config: Input"),
         ],

@@ -42,6 +42,8 @@ from armimp_estimation.alignment.trial_windows import (
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
 
+MOST_EXCLUDED = 0.05
+"""Largest share of the samples of a trial that may be left out of a valid result."""
 _HEALED = frozenset(
     {
         ProblemCode.SAMPLES_MISSING,
@@ -118,15 +120,10 @@ class Trial:
         refused = _REFUSED if allow_gaps and self.segments else _ANY_REFUSED
         return [one for one in self.problems if one.code in refused]
 
-    def judged(self, *, allow_gaps: bool, most_excluded: float) -> list[Problem]:
+    def judged(self, *, allow_gaps: bool = False) -> list[Problem]:
         """Return all problems; with `allow_gaps`, those that spare the intact parts are notes.
 
-        Parameters
-        ----------
-        allow_gaps : bool
-            As in :meth:`refusals`.
-        most_excluded : float
-            Largest share of the samples that may be left out of a valid result, from 0 to 1.
+        If more than :data:`MOST_EXCLUDED` of the samples are left out, that is another problem.
         """
         healed = _HEALED if allow_gaps and self.segments else frozenset()
         found = [
@@ -134,8 +131,8 @@ class Trial:
             for one in self.problems
         ]
         share = self.statistics.excluded_share
-        if self.segments and not share <= most_excluded:
-            percent, limit = 100.0 * share, 100.0 * most_excluded
+        if self.segments and not share <= MOST_EXCLUDED:
+            percent, limit = 100.0 * share, 100.0 * MOST_EXCLUDED
             code = ProblemCode.MUCH_EXCLUDED
             found.append(problem(code, trial=self.trial, percent=percent, limit=limit))
         return found
