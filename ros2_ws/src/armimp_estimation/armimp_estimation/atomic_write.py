@@ -2,8 +2,8 @@
 
 import errno
 import os
-import secrets
 import stat
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO, Final
@@ -17,16 +17,15 @@ _SPARSEST: Final = 20
 
 
 def write_atomically(path: Path, write: Callable[[Path], object], *, anew: bool = False) -> None:
-    """Write a file under a new random name in its directory, then give it its own name.
+    """Write a file in a new directory beside it, to which only this user has access, then move it.
 
-    No existing file of that random name is opened, and no link is followed. If writing fails, an
-    existing file at `path` stays as it is.
+    If writing fails, an existing file at `path` stays as it is.
 
     Parameters
     ----------
     path : Path
     write : callable
-        Writes the file at the path that it is given, which has the same suffix.
+        Writes the file at the path that it is given, which has the same name.
     anew : bool
         Whether to replace an existing file.
 
@@ -35,18 +34,14 @@ def write_atomically(path: Path, write: Callable[[Path], object], *, anew: bool 
     DataError
         If the file cannot be written, or exists already and `anew` is false.
     """
-    part = path.with_name(f".{secrets.token_hex(8)}{path.suffix}")
-    exclusively = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     try:
-        os.close(os.open(part, exclusively, 0o666))
-        try:
+        with tempfile.TemporaryDirectory(prefix=".", dir=path.parent) as work:
+            part = Path(work) / path.name
             write(part)
             if anew:
                 part.replace(path)
             else:
                 _name(part, path)
-        finally:
-            part.unlink(missing_ok=True)
     except FileExistsError:
         raise DataError(f"{path}: exists already") from None
     except OSError as error:
