@@ -61,7 +61,7 @@ def synthetic_recording(
         perturbation = np.zeros(torque.shape)
         perturbation[joint] = rng.uniform(0.1, 1.0, ticks)
         position = np.cumsum(rng.normal(scale=1e-3, size=torque.shape), axis=1)
-        told = {"perturbed_joint": joint, "joint_names": names, "seed": seed}
+        told = {"perturbed_joint": joint, "joint_names": names}
         command = torque + perturbation
         records.append(made_record(position, torque, perturbation, command=command, **told))
     made = recording_of(records, settle=settle, rest=rest, start_ns=start_ns)
@@ -90,7 +90,7 @@ def recording_of(
             tick=(stamp - start_ns) // PERIOD_NS,
             start_ns=None if phase is Phase.SETTLE else record.start_ns,
             ticks=record.samples,
-            seed=record.seed or 0,
+            seed=1,
             valid=True,
         )
         messages.append((TRIAL, stamp, encode_trial_status(status)))

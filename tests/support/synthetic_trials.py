@@ -82,7 +82,6 @@ def synthetic_trial(arm: MBK, joint: int, config: SyntheticConfig, seed: int) ->
         trial=joint + 1,
         perturbed_joint=joint,
         rate=config.rate,
-        seed=seed,
     )
 
 
@@ -104,7 +103,6 @@ def made_record(
         "position": position,
         "torque": none if torque is None else torque,
         "start_ns": 0,
-        "seed": None,
     }
     return TrialRecord(**{**values, **changes})
 

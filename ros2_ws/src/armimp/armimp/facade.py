@@ -128,7 +128,6 @@ class Recording:
                 torque=trial[2],
                 command=None if command is None else trial[3],
                 start_ns=0,
-                seed=None,
             )
             for number, trial in enumerate(trials, start=1)
         ]

@@ -181,7 +181,6 @@ def run_offline(
                     torque=torque,
                     command=command,
                     start_ns=segment.first * PERIOD_NS,
-                    seed=one.seed,
                 )
             )
     return trials

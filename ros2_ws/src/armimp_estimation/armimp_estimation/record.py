@@ -48,8 +48,6 @@ class TrialRecord:
     """Torques applied to the arm as the transducers read them, N·m; shape (n, N)."""
     start_ns: int
     """Stamp of the first sample, ns."""
-    seed: int | None
-    """Seed of the perturbation, if known."""
     command: FloatArray | None = None
     """Torque command sent in answer to each sample, in force until the next, N·m, if known; shape
     (n, N)."""

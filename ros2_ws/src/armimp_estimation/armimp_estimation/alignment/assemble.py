@@ -330,7 +330,6 @@ def _record(
         position=aligned[JOINT_STATES].values[:, start:stop],
         torque=aligned[TORQUE_SENSORS].values[:, start:stop],
         start_ns=int(leading.stamps[np.searchsorted(leading.numbers, start)]),
-        seed=window.seed,
         command=command if np.isfinite(command).all() else None,
         bag=bag,
     )
