@@ -10,7 +10,8 @@ from armimp_bringup.bench import Measured
 from armimp_bringup.offline_estimate import estimate_bags
 from armimp_common.cdr import decode_trial_status
 from armimp_common.topics import TRIAL as TRIAL_TOPIC
-from armimp_estimation.bags import BagWriter, read_bag
+from armimp_estimation.bags.reader import read_bag
+from armimp_estimation.bags.writer import BagWriter
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.result import conclude
 from benchmarks.shortest import shortest

@@ -20,7 +20,7 @@ import pytest
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_common.topics import TRIAL
-from armimp_estimation.bags import read_bag
+from armimp_estimation.bags.reader import read_bag
 from support.bag_files import iterate_messages, write_bag
 from support.command import call, interrupted, program
 from support.processes import processes_of, wait_until

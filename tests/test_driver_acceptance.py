@@ -11,7 +11,7 @@ from armimp_bringup.config import Declared, ExperimentConfig
 from armimp_bringup.offline_estimate import estimate_bags
 from armimp_bringup.orchestrator import run_experiment
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE
-from armimp_estimation.bags import read_bag
+from armimp_estimation.bags.reader import read_bag
 from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.result import Result

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from armimp_bringup.replay import BagPlayer, replay_bags
-from armimp_estimation.bags import BagContent
+from armimp_estimation.bags.reader import BagContent
 from support.graph import free_domain
 from support.places import ROOT
 

@@ -8,7 +8,7 @@ import pytest
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import run_offline
 from armimp_bringup.parameters import node_parameters
-from armimp_estimation.bags import read_bag
+from armimp_estimation.bags.reader import read_bag
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.summary import read_frf
 from support.runs import FinishedRun, Run

@@ -20,7 +20,7 @@ from armimp_bringup.graph import LOOPBACK
 from armimp_bringup.nodes import MODULES, NODES
 from armimp_common.status import Phase, TrialStatus
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
-from armimp_estimation.bags import read_bag
+from armimp_estimation.bags.reader import read_bag
 from support.bag_files import assert_other_readers_open
 from support.command import program
 from support.fault_figures import Figures

@@ -15,7 +15,7 @@ from armimp_bringup.parameters import bag_metadata, node_parameters
 from armimp_common import qos
 from armimp_common.status import values_of
 from armimp_common.topics import MESSAGE_TYPES
-from armimp_estimation.bags import read_bag
+from armimp_estimation.bags.reader import read_bag
 from armimp_estimation.estimators.registry import estimator_names
 from armimp_estimation.metadata import READING_KEYS
 from armimp_estimation.node import column_message, result_message

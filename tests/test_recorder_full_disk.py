@@ -15,9 +15,8 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import run_experiment
 from armimp_common.errors import ArmimpError, BagError
 from armimp_common.status import Progress
-from armimp_estimation.bags import BagWriter
 from armimp_estimation.bags.reader import BAGS
-from armimp_estimation.bags.writer import finish_bag
+from armimp_estimation.bags.writer import BagWriter, finish_bag
 from armimp_estimation.recorder import TrialRecorder
 from support.bag_files import assert_other_readers_open, iterate_messages, write_all
 from support.streams import record

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import pytest
 
-from armimp_estimation.report import write_report
+from armimp_estimation.report.run import write_report
 from armimp_estimation.result import load_result
 from support.browser import EXECUTABLE, Browser, started
 from support.command import call

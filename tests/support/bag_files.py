@@ -11,10 +11,10 @@ from rosbags.typesys import Stores, get_typestore
 
 from armimp_common.errors import BagError
 from armimp_common.topics import MESSAGE_TYPES
-from armimp_estimation.bags import BagContent, BagWriter
 from armimp_estimation.bags.metadata_yaml import message_definition
 from armimp_estimation.bags.raw import absolute
-from armimp_estimation.bags.reader import read_storage, resolve_topics
+from armimp_estimation.bags.reader import BagContent, read_storage, resolve_topics
+from armimp_estimation.bags.writer import BagWriter
 from armimp_estimation.record import TrialRecord
 from support.synthetic_bags import Message
 

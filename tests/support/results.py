@@ -13,7 +13,7 @@ from pydantic import TypeAdapter
 from armimp_bringup.study import StudyEntry
 from armimp_bringup.study.engine import Backend
 from armimp_estimation.arm_models import ModelFit, ParameterFit
-from armimp_estimation.bags import read_bag
+from armimp_estimation.bags.reader import read_bag
 from armimp_estimation.result import conclude
 from armimp_estimation.summary import EstimatorSummary
 from support.bag_files import write_bag

@@ -9,7 +9,7 @@ import numpy as np
 
 from armimp_common.cdr import decode_trial_status, stamp_of
 from armimp_common.topics import COMMANDS, DATA_STREAMS, PERTURBATION, TRIAL
-from armimp_estimation.bags import read_bag
+from armimp_estimation.bags.reader import read_bag
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.summary import Summary
 from support.bag_files import iterate_messages

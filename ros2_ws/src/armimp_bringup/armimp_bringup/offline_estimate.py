@@ -9,8 +9,7 @@ from pathlib import Path
 
 from armimp_bringup.config import Declared
 from armimp_common.errors import DataError
-from armimp_estimation.bags import BagContent, read_bag
-from armimp_estimation.bags.reader import find_bags
+from armimp_estimation.bags.reader import BagContent, find_bags, read_bag
 from armimp_estimation.bags.writer import finish_bag
 from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.metadata import Metadata, latest_metadata

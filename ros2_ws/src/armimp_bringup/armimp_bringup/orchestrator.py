@@ -43,8 +43,7 @@ from armimp_common.status import (
     TimingFigures,
     values_of,
 )
-from armimp_estimation.bags import require_free_space
-from armimp_estimation.bags.writer import finish_bags
+from armimp_estimation.bags.writer import finish_bags, require_free_space
 from armimp_estimation.metadata import RECORD_KEY, Timing
 from armimp_estimation.node import RESULT_NAME
 from armimp_estimation.parameters import EstimatorParameters

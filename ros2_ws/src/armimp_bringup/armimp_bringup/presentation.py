@@ -147,7 +147,7 @@ def complaints(summary: Summary) -> list[str]:
 
 def _draw(directory: Path, result: Result) -> None:
     """Write report and figures, each even if the other cannot be written."""
-    from armimp_estimation.report import write_report
+    from armimp_estimation.report.run import write_report
 
     try:
         write_report(directory, result)

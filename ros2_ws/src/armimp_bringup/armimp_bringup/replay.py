@@ -30,7 +30,7 @@ from armimp_common.pubsub import subscribe_raw
 from armimp_common.schema import to_params_yaml
 from armimp_common.status import Phase, Progress, TrialStatus
 from armimp_estimation.alignment.trial_windows import TrialWindow
-from armimp_estimation.bags import BagContent
+from armimp_estimation.bags.reader import BagContent
 from armimp_estimation.metadata import latest_metadata
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.result import Result

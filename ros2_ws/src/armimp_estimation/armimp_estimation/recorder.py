@@ -35,9 +35,8 @@ from armimp_common.topics import (
 )
 from armimp_estimation.alignment.assemble import Trial, assemble_trials
 from armimp_estimation.alignment.streams import Streams, stamps_in_step
-from armimp_estimation.bags import BagWriter, require_free_space
 from armimp_estimation.bags.reader import BAGS
-from armimp_estimation.bags.writer import definitions
+from armimp_estimation.bags.writer import BagWriter, definitions, require_free_space
 from armimp_estimation.estimators.lpm import FittedColumn, LpmFull
 from armimp_estimation.metadata import RECORD_KEY, Timing
 from armimp_estimation.problems import Problem, ProblemCode

@@ -11,7 +11,7 @@ from armimp_common.errors import BagError, DataError
 from armimp_common.topics import NS_PER_S, PERIOD_NS, PERTURBATION
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.alignment.trial_windows import TOLERANCE
-from armimp_estimation.bags import read_bag
+from armimp_estimation.bags.reader import read_bag
 from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.identify import Identification, TrialScores, identify_records
 from armimp_estimation.metadata import Metadata

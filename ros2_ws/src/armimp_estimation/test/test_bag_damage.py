@@ -9,7 +9,7 @@ import pytest
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from armimp_common.errors import BagError, DataError
-from armimp_estimation.bags import read_bag
+from armimp_estimation.bags.reader import read_bag
 from support.bag_files import records_of, typed, write_bag, write_foreign
 from support.fault_figures import Figures
 from support.synthetic_bags import synthetic_recording

@@ -12,10 +12,17 @@ from rosbags.highlevel import AnyReader
 from armimp_common import topics
 from armimp_common.errors import BagError
 from armimp_common.topics import CLOCK, DATA_STREAMS, MESSAGE_TYPES, PERIOD_NS, TORQUE_SENSORS
-from armimp_estimation.bags import BagWriter, read_bag, require_free_space
 from armimp_estimation.bags.metadata_yaml import FILE_NAME, qos_profiles
 from armimp_estimation.bags.raw import absolute
-from armimp_estimation.bags.writer import FLUSH_INTERVAL_NS, RECORDED, finish_bag, finish_bags
+from armimp_estimation.bags.reader import read_bag
+from armimp_estimation.bags.writer import (
+    FLUSH_INTERVAL_NS,
+    RECORDED,
+    BagWriter,
+    finish_bag,
+    finish_bags,
+    require_free_space,
+)
 from support.bag_files import iterate_messages, write_all, write_bag
 from support.fault_figures import Figures
 from support.synthetic_bags import Message, synthetic_recording

@@ -20,7 +20,7 @@ from armimp_common.pubsub import subscribe_raw, wait_for_partners
 from armimp_common.schema import Value
 from armimp_common.status import Level, Phase
 from armimp_common.topics import COMMANDS, RESULT, TRIAL
-from armimp_estimation.bags import read_bag
+from armimp_estimation.bags.reader import read_bag
 from armimp_estimation.node import RESULT_NAME, ImpedanceEstimatorNode
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.problems import ProblemCode

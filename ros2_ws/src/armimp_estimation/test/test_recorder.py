@@ -30,7 +30,7 @@ from armimp_common.topics import (
 )
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.alignment.streams import Streams
-from armimp_estimation.bags import read_bag
+from armimp_estimation.bags.reader import read_bag
 from armimp_estimation.bags.writer import definitions
 from armimp_estimation.estimators.lpm import LpmFull
 from armimp_estimation.problems import Problem, ProblemCode

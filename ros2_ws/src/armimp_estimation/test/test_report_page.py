@@ -11,8 +11,8 @@ import pytest
 from armimp_common import topics
 from armimp_estimation.figures import write_figures
 from armimp_estimation.problems import ProblemCode, problem
-from armimp_estimation.report import REPORT_FILE, report_page, write_report
 from armimp_estimation.report.formats import difference, number, percent, plain, uncertain
+from armimp_estimation.report.run import REPORT_FILE, report_page, write_report
 from armimp_estimation.result import Result, load_result
 from armimp_estimation.summary import Summary
 from support.pages import Page
