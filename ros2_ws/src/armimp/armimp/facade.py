@@ -30,10 +30,8 @@ class Recording:
     trials: tuple[TrialRecord, ...]
     """Perturbation (N·m), position (rad) and torque on the arm (N·m), of shape (n, N)."""
     known: Metadata = field(default_factory=Metadata)
-    """What else is known, such as how torques were read, and the arm that was simulated."""
-    calibration: Calibration = field(default_factory=Calibration.undeclared)
-    """Uncertainty of transducers and encoders; by default what is assumed of any: 1 % of gain and
-    of cross-talk, 1.5 % of angles."""
+    """What else is known: how torques were read, how well sensors are calibrated, and the arm that
+    was simulated."""
     problems: tuple[Problem, ...] = ()
     """Problems of the trials that were found when they were read."""
 
@@ -80,7 +78,8 @@ class Recording:
         torque_delay : float
             Delay of the torque readings beyond that instant, s.
         calibration : Calibration, optional
-            Uncertainty of transducers and encoders; by default :meth:`Calibration.undeclared`.
+            Uncertainty of transducers and encoders; by default what is assumed of any: 1 % of gain
+            and of cross-talk, 1.5 % of angles.
 
         Raises
         ------
@@ -131,8 +130,9 @@ class Recording:
             )
             for number, trial in enumerate(trials, start=1)
         ]
-        sensors = calibration or Calibration.undeclared()
-        return cls(trials=tuple(records), known=known, calibration=sensors)
+        if calibration is not None:
+            known = known.model_copy(update={"calibration": calibration})
+        return cls(trials=tuple(records), known=known)
 
 
 def _numbers(values: ArrayLike) -> FloatArray:
@@ -219,8 +219,7 @@ def simulate(**options: Any) -> Recording:
 
     config = load_config(None, options)
     (experiment,) = run_without_ros([config])
-    known = experiment.known
-    return Recording(trials=experiment.records, known=known, calibration=known.calibration)
+    return Recording(trials=experiment.records, known=experiment.known)
 
 
 def read_bag(*bags: str | Path, rate: float | None = None) -> Recording:
@@ -261,7 +260,6 @@ def read_bag(*bags: str | Path, rate: float | None = None) -> Recording:
     return Recording(
         trials=tuple(records),
         known=known,
-        calibration=known.calibration,
         problems=tuple(problems_of(trials, known)),
     )
 
@@ -293,8 +291,7 @@ def identify(recording: Recording, estimator: str = "lpm_full", model: str | Non
         raise ConfigurationError(f"estimator: {estimator!r} is no name of one")
     if not recording.trials:
         raise DataError("there is no trial in the recording")
-    known = recording.known
-    options = replace(known.options, calibration=recording.calibration)
+    known, options = recording.known, recording.known.options
     if model is not None:
         options = replace(options, model=model)
     found = identify_records([[one] for one in recording.trials], [estimator], known, options)

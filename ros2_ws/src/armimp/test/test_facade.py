@@ -135,7 +135,7 @@ def test_when_an_option_is_unknown_or_out_of_range_expect_its_name() -> None:
         armimp.simulate(frictoin=3)
     with pytest.raises(armimp.ArmimpError, match="'friction' = 7"):
         armimp.simulate(friction=7)
-    with pytest.raises(armimp.ArmimpError, match=r"torque_timing: .* got 'never'"):
+    with pytest.raises(armimp.ArmimpError, match=r"timing: .* got 'never'"):
         armimp.Recording.from_arrays([], [], [], rate=1.0, timing="never")
 
 
@@ -180,13 +180,13 @@ def test_the_declared_linearity_of_transducers_decides_the_errors_beside_a_perso
     person = {"voluntary.rms": 0.3, "substeps": 20}
     bending = {**person, "sensors.torque.hysteresis": 0.05}
     bent = armimp.simulate(duration=2.0, arm_sim=bending)
-    assert bent.calibration.linearity is None
+    assert bent.known.calibration.linearity is None
     recording = armimp.simulate(duration=20.0, seed=1, arm_sim=person)
-    known = recording.calibration
-    assert known.linearity == 0.0
+    known = recording.known
+    assert known.calibration.linearity == 0.0
     declared, unknown, poor = (
-        armimp.identify(replace(recording, calibration=replace(known, linearity=one)))
-        for one in (0.0, None, 0.1)
+        armimp.identify(replace(recording, known=known.model_copy(update={"calibration": one})))
+        for one in (replace(known.calibration, linearity=error) for error in (0.0, None, 0.1))
     )
     assert np.array_equal(declared.B, unknown.B)
     assert (unknown.B_se > declared.B_se).all()
@@ -218,7 +218,7 @@ def test_an_undeclared_delay_of_the_torques_is_not_taken_for_a_nonlinear_arm() -
     sensors = {"sensors.torque.delay": 0.0015, "substeps": 20}
     late = armimp.simulate(duration=20.0, arm_sim=sensors)
     command = [one.command for one in late.trials]
-    found = armimp.identify(rebuilt(late, command=command, calibration=late.calibration))
+    found = armimp.identify(rebuilt(late, command=command, calibration=late.known.calibration))
     assert found.valid, found.problems
     assert any("late against angles by 1.5" in one for one in found.notes), found.notes
     assert not any("amplitude" in one or "hysteresis" in one for one in found.notes)

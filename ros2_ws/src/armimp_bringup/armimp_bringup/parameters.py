@@ -164,11 +164,11 @@ def bag_metadata(
 ) -> dict[str, str]:
     """Return the metadata of every bag: configuration, truth, versions, torque readings."""
     arm = simulator.arm
-    readings = {key: getattr(controller.known, key) for key in READING_KEYS}
+    dynamics = {key: value for key, value in controller.known if key in READING_KEYS}
     if config.torque_delay is not None:
-        readings["torque_delay"] = config.torque_delay
+        dynamics["torque_delay"] = config.torque_delay
     if not controller.known.torque_cutoff:
-        del readings["torque_order"]
+        del dynamics["torque_order"]
     described = {
         "experiment": config.model_dump(mode="json"),
         SIM_NODE: flatten(simulator),
@@ -184,7 +184,7 @@ def bag_metadata(
         "truth": json.dumps(truth),
         "torque_timing": json.dumps(simulator.sensors.sampling.value),
         "torque_uncertainty": "0",
-        **{key: json.dumps(value) for key, value in readings.items() if value},
+        **{key: json.dumps(value) for key, value in dynamics.items() if value},
         # Sensors with simulated calibration errors must not be declared exact.
         **(dict.fromkeys(CALIBRATION_KEYS, "0") if simulator.sensors.torque.calibrated else {}),
         **({"arm_model": json.dumps("cuff")} if simulator.cuff.stiffness else {}),

@@ -16,6 +16,7 @@ from pydantic import (
     Field,
     PlainSerializer,
     PlainValidator,
+    TypeAdapter,
     ValidationError,
 )
 
@@ -30,7 +31,7 @@ from armimp_estimation.fit import Calibration
 from armimp_estimation.json_model import first_complaint
 from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import Problem, ProblemCode, problem
-from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
+from armimp_estimation.torque_timing import TorqueReading
 
 CALIBRATION_KEYS = {
     "gain_uncertainty": "gain",
@@ -40,12 +41,13 @@ CALIBRATION_KEYS = {
 }
 """Attribute of `Calibration` by the metadata key that declares it."""
 READING_KEYS = {
+    "torque_timing": "timing",
     "torque_delay": "delay",
     "torque_cutoff": "cutoff",
     "torque_order": "order",
     "actuator_lag": "actuator_lag",
 }
-"""Attribute of :class:`TorqueReading`, except for the timing, by the key that declares it."""
+"""Attribute of :class:`TorqueReading` by the key that declares it."""
 
 _LARGEST_TRUTH = 1e12
 """Limit of the elements of true matrices, SI units: beyond any arm, but squares don't overflow."""
@@ -115,7 +117,7 @@ def _lists(truth: MBK | None) -> dict[str, list[list[float]]] | None:
 
 Truth = Annotated[MBK | None, PlainValidator(_matrices), PlainSerializer(_lists)]
 """True matrices, if they are known; in JSON, lists of rows in SI units."""
-_Known = Annotated[float | None, Field(strict=True)]
+_Declared = TypeAdapter(dict[str, Annotated[float, Field(strict=True)]])
 
 
 class Metadata(BaseModel):
@@ -131,21 +133,13 @@ class Metadata(BaseModel):
     """Seed of all random signals."""
     timing: Timing | None = None
     """Timing of a run in real time."""
-    torque_timing: TorqueTiming = TorqueTiming.UNKNOWN
-    """When torques are read."""
+    reading: TorqueReading = TorqueReading()
+    """How torques were read."""
     torque_uncertainty: Annotated[float | None, Field(strict=True, ge=0.0, le=1.0)] = None
-    """Standard error of that instant, s."""
-    torque_delay: _Known = None
-    torque_cutoff: _Known = None
-    torque_order: Annotated[int | None, Field(strict=True)] = None
-    actuator_lag: _Known = None
-    """Other known properties of the readings, see :class:`TorqueReading`."""
-    gain_uncertainty: _Known = None
-    cross_talk_uncertainty: _Known = None
-    angle_uncertainty: _Known = None
-    linearity_uncertainty: _Known = None
-    """Declared standard errors of the sensors, see :class:`Calibration`."""
-    sampling_rate: _Known = None
+    """Standard error of the instant of the readings, s."""
+    calibration: Calibration = Calibration.undeclared()
+    """Standard errors of the sensors: declared ones, or else those assumed for any sensor."""
+    sampling_rate: Annotated[float | None, Field(strict=True)] = None
     """Declared sampling rate, if it is not a customary one, Hz."""
     arm_model: Annotated[str, AfterValidator(require_model)] = AUTO
     """Model of the arm that was requested."""
@@ -166,11 +160,16 @@ class Metadata(BaseModel):
         DataError
             If an entry is invalid, or the truth has another number of joints.
         """
+        keys = (*cls.model_fields, *READING_KEYS, *CALIBRATION_KEYS)
+        told = {key: _parsed(metadata, key) for key in keys if key in metadata}
         try:
-            found = cls.model_validate(
-                {key: _parsed(metadata, key) for key in cls.model_fields if key in metadata}
-            )
-            _ = found.reading, found.calibration  # making them checks their ranges
+            declared = _Declared.validate_python(_named(told, CALIBRATION_KEYS))
+            assumed = not declared.keys() >= {"gain", "cross_talk", "angle"}
+            sensors = replace(Calibration.undeclared(), assumed=assumed, **declared)
+            # Of JSON, as only there the name of a timing stands for it strictly.
+            properties = json.dumps(_named(told, READING_KEYS))
+            reading = TorqueReading.model_validate_json(properties, strict=True)
+            found = cls.model_validate({**told, "reading": reading, "calibration": sensors})
         except ValidationError as error:
             given = f"{error.errors()[0]['input']!r:.60}"
             raise DataError(f"metadata: {first_complaint(error)}, got {given}") from None
@@ -181,13 +180,6 @@ class Metadata(BaseModel):
                 f"metadata: truth is of {found.truth.joints} joints, the data of {joints}"
             )
         return found
-
-    @property
-    def reading(self) -> TorqueReading:
-        """How torques were read."""
-        known = {name: getattr(self, key) for key, name in READING_KEYS.items()}
-        given = {name: value for name, value in known.items() if value is not None}
-        return TorqueReading(timing=self.torque_timing, **given)
 
     @property
     def planned_rate(self) -> float | None:
@@ -226,13 +218,10 @@ class Metadata(BaseModel):
             target=self.target,
         )
 
-    @property
-    def calibration(self) -> Calibration:
-        """Standard errors of the sensors: declared ones, or else those assumed for any sensor."""
-        known = {name: getattr(self, key) for key, name in CALIBRATION_KEYS.items()}
-        given = {name: value for name, value in known.items() if value is not None}
-        assumed = not given.keys() >= {"gain", "cross_talk", "angle"}
-        return replace(Calibration.undeclared(), assumed=assumed, **given)
+
+def _named(told: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, Any]:
+    """Return what metadata tell under some keys, by the names of attributes; null tells nothing."""
+    return {name: told[key] for key, name in names.items() if told.get(key) is not None}
 
 
 def _parsed(metadata: Mapping[str, str], key: str) -> Any:
