@@ -285,25 +285,17 @@ class ImpedanceCurve(ImpedanceEstimate):
     def of(cls, result: EstimatorResult) -> ImpedanceCurve:
         """Return the curve of a result, in the precision of the file."""
         estimate = result.estimate
-        kept = {name: getattr(estimate, name) for name in _ARRAYS.values()}
+        kept = {name: getattr(estimate, name) for name in _ARRAYS}
         for name in ("covariance", "disturbance"):
             kept[name] = None if kept[name] is None else kept[name].astype(np.complex64)
         return cls(name=estimate.name, f=estimate.f, coherence=result.coherence, **kept)
 
 
-_ARRAYS: Final = {
-    "Z": "Z",
-    "T": "T",
-    "R": "R",
-    "var": "variance",
-    "averages": "averages",
-    "correlation": "bin_correlation",
-    "covariance": "covariance",
-    "disturbance": "disturbance",
-    "inverse": "inverse",
-    "systematics": "systematics",
-}
-"""Attribute of a curve by the prefix of its array in ``frf.npz``; the estimator's name follows."""
+_ARRAYS: Final = (
+    *("Z", "T", "R", "variance", "averages", "bin_correlation"),
+    *("covariance", "disturbance", "inverse", "systematics"),
+)
+"""Attributes of a curve that ``frf.npz`` holds, as arrays that also have the estimator's name."""
 
 
 def write_frf(path: Path, curves: Mapping[str, ImpedanceCurve]) -> None:
@@ -326,7 +318,7 @@ def write_frf(path: Path, curves: Mapping[str, ImpedanceCurve]) -> None:
     }
     for name, curve in curves.items():
         arrays[f"f_{name}"] = None if np.array_equal(curve.f, first.f) else curve.f
-        arrays |= {f"{key}_{name}": getattr(curve, one) for key, one in _ARRAYS.items()}
+        arrays |= {f"{one}_{name}": getattr(curve, one) for one in _ARRAYS}
         arrays[f"systematics_{name}"] = np.array(curve.systematics).reshape(-1, *curve.Z.shape)
         arrays[f"derived_{name}"] = curve.coherence.derived
 
@@ -356,9 +348,8 @@ def read_frf(path: Path) -> dict[str, ImpedanceCurve]:
 
 def _curve(file: Mapping[str, NDArray[Any]], name: str) -> ImpedanceCurve:
     """Make the curve of one estimator from its arrays."""
-    found: dict[str, Any] = {
-        one: file[f"{key}_{name}"] for key, one in _ARRAYS.items() if f"{key}_{name}" in file
-    }
+    kept = [one for one in _ARRAYS if f"{one}_{name}" in file]
+    found: dict[str, Any] = {one: file[f"{one}_{name}"] for one in kept}
     found["averages"], found["systematics"] = float(found["averages"]), tuple(found["systematics"])
     coherence = Coherences(
         f=file["f_coherence"],
