@@ -46,7 +46,7 @@ else:
     (experiment,) = simulate([ExperimentConfig(duration=50.0)])
     found = experiment.identify(estimators)
     viscosities = {name: one.fit.mbk.B for name, one in found.estimators.items()}
-    truth = found.truth
+    truth = experiment.truth
 
 for name, viscosity in viscosities.items():
     values = ", ".join(f"{value:.4f}" for value in viscosity.ravel())

@@ -104,8 +104,6 @@ class Identification:
     """Results by name of the estimator, in the order asked for."""
     problems: tuple[Problem, ...]
     """What is wrong with the result, and what was found and corrected."""
-    truth: MBK | None
-    """True matrices, if known."""
     balance: RobotBalance | None = None
     """Identified dynamics of the robot itself, if commands are known."""
 
@@ -287,6 +285,5 @@ def identify(
         ),
         estimators=results,
         problems=tuple(problems),
-        truth=truth,
         balance=balance,
     )

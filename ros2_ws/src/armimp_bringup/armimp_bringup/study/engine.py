@@ -108,7 +108,7 @@ def estimate_condition(
     entry = StudyEntry.of(
         identification,
         joint_names=identification.joint_names,
-        truth=identification.truth,
+        truth=experiment.truth,
         # The software that the study as a whole is made with, wherever this runs.
         config=experiment.known.config | dict(made_with),
         seed=condition.seed,
