@@ -80,8 +80,7 @@ def test_the_keys_of_column_and_conclusion_are_those_of_the_code(
 
 def test_the_metadata_keys_of_the_page_are_those_that_a_run_stores() -> None:
     torque = {"sensors.torque.delay": 0.0002, "sensors.torque.cutoff": 900.0}
-    values = {"rig": "realistic", "internal_model": "observer", "arm_sim": torque}
-    config = ExperimentConfig.model_validate(values)
+    config = ExperimentConfig.model_validate({"rig": "realistic", "arm_sim": torque})
     parameters = node_parameters(config, None)
     stored = bag_metadata(config, parameters.simulator, parameters.controller)
     rows = _table("Bags", "key")
