@@ -41,7 +41,7 @@ from armimp_common.status import (
     values_of,
 )
 from armimp_control.parameters import ControllerParameters
-from armimp_control.safety_limiter import Limit
+from armimp_control.safety_limiter import COMMAND_LIMITS
 from armimp_control.trial_sequencer import (
     Reading,
     SamplePairs,
@@ -389,7 +389,7 @@ class ImbicControllerNode(ManagedNode):
             {
                 "fault": self._fault,
                 "tick": 0 if sequencer is None else sequencer.tick,
-                **{f"clipped_{limit.value}": clipped.get(limit, 0) for limit in Limit},
+                **{f"clipped_{one.value}": clipped.get(one, 0) for one in COMMAND_LIMITS},
             },
         )
         self._diagnostics.publish(make_array(self._stamp_ns, [status]))

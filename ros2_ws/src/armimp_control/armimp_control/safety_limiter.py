@@ -11,11 +11,11 @@ sample before anything of it is used; :func:`limit_command` limits the command b
    study; over 5 it is 0.025 rad/s. The price is that it lags by 2.5 ticks.
 3. Torque, its rate, and its power, in this order.
 
-Beyond a limit one of two things is done. *Stop*: the fault is latched, and the torque falls to zero
-in a straight line, tick by tick. *Clip*: the command is changed by as little as the limit needs.
-Beyond a limit of position or velocity that means: no torque that drives the joint farther out, or
-that makes it faster. Beyond the torque limit all joints get less in proportion: the links are
-coupled, so a joint that gives less than its share would throw the others about.
+Beyond a limit of position or velocity, the limiter *stops*: the fault is latched, and the torque
+falls to zero in a straight line, tick by tick. Beyond one of the others it stops or *clips*: the
+command is changed by as little as the limit needs. Beyond the torque limit all joints get less in
+proportion: the links are coupled, so a joint that gives less than its share would throw the others
+about.
 
 Every output u satisfies, whatever comes in (T, R, P: limits of torque, rate, power)::
 
@@ -55,11 +55,11 @@ LIMITS = 5
 """Number of limits."""
 
 # Rows of the rules, an array (RULE_ROWS, n): the limits by index, in rad, rad/s, N·m, N·m per tick
-# and W; then in the same order whether each means a stop, 1 or 0; the posture, rad; the number of
-# ticks of a ramp.
-STOPS = LIMITS
-CENTRE, RAMP = 2 * LIMITS, 2 * LIMITS + 1
-RULE_ROWS = 2 * LIMITS + 2
+# and W; then, at STOPS + index, whether a limit of commands means a stop, 1 or 0; the posture, rad;
+# the number of ticks of a ramp.
+STOPS = LIMITS - TORQUE
+CENTRE, RAMP = STOPS + LIMITS, STOPS + LIMITS + 1
+RULE_ROWS = RAMP + 1
 
 # Rows of the memory, an array (LIMITER_ROWS, n), zeros before the first tick: what was sent last,
 # what the law asked for, N·m; distance from the posture, rad; velocity, rad/s; the last positions,
@@ -94,7 +94,7 @@ _BEYOND = {
 
 
 class Action(str, Enum):
-    """What is done with a command beyond a limit."""
+    """What is done with a command beyond a limit of torque, rate or power."""
 
     CLIP = "clip"
     STOP = "stop"
@@ -110,18 +110,18 @@ class Limit(str, Enum):
     POWER = "power"
 
 
+COMMAND_LIMITS = (Limit.TORQUE, Limit.RATE, Limit.POWER)
+"""The limits of commands, which may be clipped."""
+
+
 class SafetyParameters(Schema):
     """Limits of commands, what is done beyond them, and the patience of the watchdog."""
 
     position_limit: PositiveVector = (0.5,)
     """Largest distance of a joint from the target posture (rad); one value for all joints or one
     for each."""
-    position_action: Action = Action.STOP
-    """What is done beyond the position limit: clip or stop."""
     velocity_limit: PositiveVector = (4.0,)
     """Largest speed of a joint over 5 ticks (rad/s); one value for all joints or one for each."""
-    velocity_action: Action = Action.STOP
-    """What is done beyond the velocity limit: clip or stop."""
     torque_limit: float = Field(default=80.0, gt=0.0)
     """Largest commanded torque of any joint (N·m)."""
     torque_action: Action = Action.CLIP
@@ -166,6 +166,7 @@ class SafetyParameters(Schema):
         for i, limit in enumerate(Limit):
             name = f"{limit.value}_limit"
             rows[i] = each(f"safety.{name}", np.atleast_1d(getattr(self, name)).tolist(), n)
+        for i, limit in enumerate(COMMAND_LIMITS, TORQUE):
             rows[STOPS + i] = getattr(self, f"{limit.value}_action") is Action.STOP
         rows[RATE] *= PERIOD
         rows[CENTRE] = posture
@@ -320,8 +321,7 @@ def check_sample(
         _remember(theta, rules, memory, journal)
         for i in range(theta.size):
             for number, row in ((POSITION, EXCURSION), (VELOCITY, SPEED)):
-                within = abs(memory[row, i]) <= rules[number, i]
-                if not within and rules[STOPS + number, i] != 0.0 and cause == NO_CAUSE:
+                if not abs(memory[row, i]) <= rules[number, i] and cause == NO_CAUSE:
                     cause, joint, value = LIMIT_CAUSE + number, i, memory[row, i]
                     ticks = rules[RAMP, i]
     _note(journal, PRESENT, cause, joint, value)
@@ -367,12 +367,6 @@ def _limit(
 
     Returns index of the limit, joint and value if a stop is due; otherwise the index is -1.
     """
-    for i in range(command.size):
-        for number, row in ((POSITION, EXCURSION), (VELOCITY, SPEED)):
-            # Where this means a stop, the sample has already led to one.
-            outward = command[i] * memory[row, i] > 0.0
-            if outward and not abs(memory[row, i]) <= rules[number, i]:
-                _clip(command, i, 0.0, number, journal)
     joint = _within_torque(command, rules, journal)
     if joint >= 0:
         return TORQUE, joint, command[joint]

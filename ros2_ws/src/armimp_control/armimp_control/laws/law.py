@@ -25,6 +25,7 @@ from armimp_control.laws.imbic import Imbic, forgo, imbic
 from armimp_control.laws.pd import Pd, pd
 from armimp_control.safety_limiter import (
     CLIPPED,
+    COMMAND_LIMITS,
     FAULT,
     JOURNAL,
     LIMITER_ROWS,
@@ -33,6 +34,7 @@ from armimp_control.safety_limiter import (
     RULE_ROWS,
     SENT,
     STOPPED,
+    TORQUE,
     Limit,
     SafetyParameters,
     check_sample,
@@ -182,8 +184,9 @@ class Controller:
 
     @property
     def clipped(self) -> dict[Limit, int]:
-        """Number of clipped joint commands for each limit."""
-        return {limit: int(self._journal[CLIPPED + i]) for i, limit in enumerate(Limit)}
+        """Number of clipped joint commands for each limit of commands."""
+        counts = enumerate(COMMAND_LIMITS, TORQUE)
+        return {limit: int(self._journal[CLIPPED + i]) for i, limit in counts}
 
     def perturb_joint(self, joint: int | None) -> None:
         """Make ``joint`` (0-based; None: all) compliant and lock the others, without a jump.
