@@ -15,7 +15,6 @@ from armimp_common.topics import PERIOD
 from armimp_control import presets as control_presets
 from armimp_control.laws import Law
 from armimp_control.laws.law import Controller
-from armimp_control.perturbation import perturbation
 from armimp_control.safety_limiter import SafetyParameters
 from armimp_sim import presets as sim_presets
 from armimp_sim.parameters import SimulatorParameters
@@ -145,8 +144,8 @@ def _fastest(friction: int, resolution: int, stop_tick: int, ramp_time: float) -
     """Largest speed of a joint in the 50 ms before a stop, and after it, rad/s; 0 s: at once."""
     config = study_plant(friction, sensors=sim_presets.sensors(resolution))
     safety = control_presets.safety(2, 9.0).model_copy(update={"ramp_time": ramp_time})
-    kind = control_presets.perturbation(3, 2)
-    signal = perturbation(kind, joint=0, trial=1, ticks=stop_tick, seed=1)
+    nodes = node_parameters(ExperimentConfig(), None)
+    signal = nodes.controller.signal(0, trial=1, ticks=stop_tick)
     stop = Controller.stop if ramp_time > 0.0 else Controller.cut
     tau_delta = np.append(signal, np.zeros(AFTER))
     theta, _, command = _run(

@@ -289,7 +289,7 @@ class ImbicControllerNode(ManagedNode):
                 sequencer.stop(Cause.SAMPLES_STOPPED, _NO_SAMPLE)
             else:
                 sequencer.stop(Cause.DECISION_MISSING, _NO_DECISION)
-        sequencer.continue_ramp(self._watchdog.ticks_due(now))
+        sequencer.controller.continue_ramp(self._watchdog.ticks_due(now))
         self._commands.publish(sequencer.command)
         if sequencer.at_rest:
             self._timer.cancel()
@@ -371,7 +371,7 @@ class ImbicControllerNode(ManagedNode):
             return "a trial is running"
         if self._watchdog.expired(time.monotonic()):
             return f"the cause persists: {_NO_SAMPLE}"
-        persisting = self._garbled or sequencer.present_fault
+        persisting = self._garbled or sequencer.controller.present_fault
         return f"the cause persists: {persisting}" if persisting else ""
 
     def _report(self) -> None:
@@ -379,7 +379,7 @@ class ImbicControllerNode(ManagedNode):
         sequencer = self._sequencer
         if self._diagnostics is None:
             return
-        clipped = {} if sequencer is None else sequencer.clipped
+        clipped = {} if sequencer is None else sequencer.controller.clipped
         before, self._reported_clips = self._reported_clips, sum(clipped.values())
         level = Level.WARN if self._reported_clips > before else Level.OK
         status = make_status(

@@ -12,7 +12,6 @@ from pydantic import Field
 
 from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.compiled import compiled_entry
-from armimp_common.errors import ConfigurationError
 from armimp_common.schema import NonNegativeVector, PositiveVector, Schema
 from armimp_common.topics import RATE
 
@@ -99,7 +98,7 @@ def perturbation(
     trial: int,
     ticks: int,
     seed: int,
-    prior: JointPrior | None = None,
+    prior: JointPrior,
 ) -> FloatArray:
     """Return the signal τ_Δ of one trial; the same for the same arguments.
 
@@ -118,17 +117,10 @@ def perturbation(
     -------
     (ticks,) NDArray
         N·m. The largest absolute value of noise is the peak, unless the angle limit reduces it.
-
-    Raises
-    ------
-    ConfigurationError
-        If a prior is needed and missing.
     """
     peak = parameters.peak[joint]
     limits = parameters.angle_limit
     limit = limits[joint if len(limits) > 1 else 0]
-    if prior is None and (limit or parameters.kind == "optimal"):
-        raise ConfigurationError("limits of the angle need an expectation of the arm")
     random = np.random.default_rng(np.random.SeedSequence([seed, _STREAM, trial]))
     if parameters.kind == "noise":
         white = random.uniform(-1.0, 1.0, ticks)
@@ -138,14 +130,14 @@ def perturbation(
     else:
         lines, period = multisine_lines(parameters, ticks=ticks, seed=seed)
         power = np.full(lines.size, (peak / CREST_OF_NOISE) ** 2 / lines.size)
-        if prior is None or parameters.kind == "multisine":
+        if parameters.kind == "multisine":
             signal = multisine(lines, power, period, random)
         else:
             f = np.asarray(lines * (RATE / period), dtype=np.float64)
             limit = limit or prior.rms_angle(f, power)
             cutoff = parameters.disturbance_cutoff
             signal = _optimal(lines, period, random, prior, peak=peak, angle=limit, cutoff=cutoff)
-    if prior is not None and limit:
+    if limit:
         f = np.asarray(np.fft.rfftfreq(signal.size, 1.0 / RATE), dtype=np.float64)
         power = 2.0 * np.abs(np.fft.rfft(signal) / signal.size) ** 2
         signal *= min(1.0, limit / prior.rms_angle(f, power))

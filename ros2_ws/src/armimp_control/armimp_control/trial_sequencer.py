@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -15,7 +16,7 @@ from armimp_common.topics import PERIOD, PERIOD_NS, clock_step
 from armimp_control.laws import NO_JOINT
 from armimp_control.laws.law import Controller, compile_law
 from armimp_control.parameters import ControllerParameters
-from armimp_control.safety_limiter import Limit, SafetyParameters, SaturationCounter
+from armimp_control.safety_limiter import SafetyParameters, SaturationCounter
 from armimp_control.sequence import Segment, Tare, timetable
 
 Reading = tuple[float, ...]
@@ -38,6 +39,7 @@ class TrialSequencer:
     cause, fault : why the experiment has ended early, as a code and in words; else NONE and empty
     lost : number of samples that were missing between others in the present trial
     finished : whether all trials are over, in good order or not
+    controller : the law and its safety limiter
     tick : number of samples answered
     warnings : of the stability check
 
@@ -53,12 +55,12 @@ class TrialSequencer:
         self.warnings = parameters.check()
         self._parameters, self._announce = parameters, announce
         n = len(parameters.joints)
-        self._law = Controller(parameters.control_law(), safety=parameters.safety)
+        self.controller = Controller(parameters.control_law(), safety=parameters.safety)
         self._segments = timetable(parameters.sequence, joints=n, tare=parameters.tare)
         self._planned = round(parameters.sequence.duration / PERIOD)
         self._ticks = self._planned
         self._next_segment = self._until = 0
-        self._segment: Segment | None = None
+        self._segment = self._segments[0]
         self._due: int | None = None
         self._start_ns: int | None = None
         self._next_ns: int | None = None  # stamp that is expected
@@ -66,16 +68,16 @@ class TrialSequencer:
         # In lockstep each is made when its trial begins, as memory then matters more than time.
         prepared = range(n) if parameters.mode == "realtime" else ()
         self._signals = {joint: self._make_signal(joint) for joint in prepared}
-        self._fill = partial(struct.Struct(f"{2 * n}d").pack_into, self._law.sample.data, 0)
+        self._fill = partial(struct.Struct(f"{2 * n}d").pack_into, self.controller.sample.data, 0)
         self._at_rest = np.zeros((n, parameters.tare.ticks))
         self._tare: Tare | None = None
-        self.command, self.tau_delta = self._law.command, self._law.sample[2]
-        self._compute = self._law.compute
+        self.command, self.tau_delta = self.controller.command, self.controller.sample[2]
+        self._compute = self.controller.compute
         self._saturation = SaturationCounter()
         self.cause, self.fault = Cause.NONE, ""
         self.tick = self.lost = 0
         self.finished = False
-        compile_law(self._law.law, parameters.safety)
+        compile_law(self.controller.law, parameters.safety)
 
     def answer(self, stamp_ns: int, theta: Sequence[float], tau_h: Sequence[float]) -> None:
         """Compute :attr:`command` and :attr:`tau_delta` for one sample.
@@ -103,16 +105,6 @@ class TrialSequencer:
         return self.finished and not self.command.any()
 
     @property
-    def clipped(self) -> dict[Limit, int]:
-        """Number of clipped joint commands for each limit, in all phases of all trials."""
-        return self._law.clipped
-
-    @property
-    def present_fault(self) -> str:
-        """What was wrong with the last sample, in words; else empty."""
-        return self._law.present_fault
-
-    @property
     def awaits_decision(self) -> bool:
         """Whether a decision that the estimator has announced is due before the next sample."""
         return self._due is not None and self._place >= self._due + NOTICE_TICKS
@@ -124,7 +116,7 @@ class TrialSequencer:
         it is too late for that, as many samples from now. Its end is announced at once.
         """
         segment = self._segment
-        if self.finished or segment is None or segment.phase is not Phase.PERTURB:
+        if self.finished or segment.phase is not Phase.PERTURB:
             return
         if decision.trial != segment.trial or decision.samples > self._place:
             return  # the decision is on another experiment
@@ -140,24 +132,20 @@ class TrialSequencer:
     @property
     def _place(self) -> int:
         """Number of samples answered in the present phase."""
-        return 0 if self._segment is None else self.tick - self._segment.first
+        return self.tick - self._segment.first
 
     def abort(self, cause: Cause, reason: str) -> None:
         """End the experiment with zero torque at once. The first reason is kept."""
-        self._law.cut()
+        self.controller.cut()
         self._end(cause, reason)
 
     def stop(self, cause: Cause, reason: str) -> None:
         """End the experiment and let the torque ramp down to zero. The first reason is kept.
 
-        The ramp advances by one tick with each further answer, or by :meth:`continue_ramp`.
+        The ramp advances by one tick with each further answer, or is continued by `controller`.
         """
-        self._law.stop()
+        self.controller.stop()
         self._end(cause, reason)
-
-    def continue_ramp(self, ticks: int) -> None:
-        """Advance the ramp after :meth:`stop` by some ticks, where no samples come."""
-        self._law.continue_ramp(ticks)
 
     def _end(self, cause: Cause, reason: str) -> None:
         self.tau_delta[:] = 0.0
@@ -186,7 +174,7 @@ class TrialSequencer:
         self._due = None
         if self._next_segment == len(self._segments):
             self.finished = True
-            self._law.release()
+            self.controller.release()
             self._tell(Phase.DONE)
             return
         before = self._segment
@@ -194,13 +182,13 @@ class TrialSequencer:
         segment = self._enter(replace(self._segments[self._next_segment], first=self.tick))
         self._next_segment += 1
         self.tau_delta[:] = 0.0
-        if before is not None and before.tare:
+        if self.tick and before.tare:
             self._tare = self._parameters.tare.of(self._at_rest)
             if refusal := self._parameters.tare.refusal(self._tare, self._parameters.joints):
                 self.stop(Cause.TARE, refusal)
                 return
-            self._law.tare(self._tare.offset)
-            self._law.perturb_joint(segment.joint)
+            self.controller.tare(self._tare.offset)
+            self.controller.perturb_joint(segment.joint)
             return
         if segment.phase is Phase.SETTLE:
             self._prepare(segment)
@@ -213,7 +201,7 @@ class TrialSequencer:
         return segment
 
     def _prepare(self, settle: Segment) -> None:
-        self._law.perturb_joint(NO_JOINT if settle.tare else settle.joint)
+        self.controller.perturb_joint(NO_JOINT if settle.tare else settle.joint)
         self._tare = None
         self._start_ns = None
         self._saturation = SaturationCounter()
@@ -229,20 +217,20 @@ class TrialSequencer:
         segment = self._segment
         place: int | None = None  # within the perturbation
         # All other values of the perturbation were set to zero when the phase began.
-        if not self.finished and segment is not None and segment.phase is Phase.PERTURB:
+        if not self.finished and segment.phase is Phase.PERTURB:
             place = self.tick - segment.first
             self.tau_delta[segment.joint] = self._signal[place]
-        elif not self.finished and segment is not None and segment.tare:
+        elif not self.finished and segment.tare:
             self._at_rest[:, self.tick - segment.first] = tau_h
         self._fill(*theta, *tau_h)
         clipped = self._compute()
         if clipped and place is not None:
             self._saturation.add(place, clipped)
-        if not self.finished and self._law.stopped:
-            self._end(*self._law.fault)
+        if not self.finished and self.controller.stopped:
+            self._end(*self.controller.fault)
 
     def _tell(self, phase: Phase) -> None:
-        segment = self._segment or self._segments[0]
+        segment = self._segment
         cause, reason = self.cause, self.fault
         if self.lost and cause is Cause.NONE:
             what = "sample" if self.lost == 1 else "samples"
@@ -306,7 +294,7 @@ class Watchdog:
     def __init__(self, safety: SafetyParameters, *, slowest_tick: float) -> None:
         self._patience = safety.watchdog_ticks * slowest_tick
         self._longest = safety.ramp_ticks
-        self._last: float | None = None
+        self._last = math.inf  # no sample yet
         self._given = 0
 
     def feed(self, now: float) -> None:
@@ -316,17 +304,15 @@ class Watchdog:
 
     def expired(self, now: float) -> bool:
         """Whether samples have stayed away for too long (never before the first one)."""
-        return self._last is not None and not now - self._last < self._patience
+        return not now - self._last < self._patience
 
     def ticks_due(self, now: float) -> int:
         """Return the ticks of the ramp that have become due since the last call.
 
-        The first is due when the patience ends; if ``now`` is NaN, all are.
+        To be called once the patience has ended: then the first is due. If ``now`` is NaN, all are.
         """
-        if self._last is None or not self.expired(now):
-            return 0
         overdue = (now - self._last - self._patience) / PERIOD
-        due = min(int(overdue) + 1, self._longest) if overdue < self._longest else self._longest
+        due = int(overdue) + 1 if overdue < self._longest else self._longest
         new = max(due - self._given, 0)
         self._given = max(due, self._given)
         return new

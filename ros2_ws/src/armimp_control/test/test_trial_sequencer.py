@@ -13,7 +13,6 @@ from armimp_common.arrays import FloatArray
 from armimp_common.status import NOTICE_TICKS, Phase, StoppingDecision, TrialStatus
 from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_control.parameters import ControllerParameters
-from armimp_control.perturbation import perturbation
 from armimp_control.safety_limiter import Limit, SafetyParameters
 from armimp_control.sequence import TareParameters
 from armimp_control.trial_sequencer import SamplePairs, TrialSequencer, Watchdog
@@ -152,7 +151,7 @@ def test_clipped_commands_are_counted_where_the_arm_is_perturbed() -> None:
     clipped = np.any(np.abs(commands) == 1e-3, axis=1, keepdims=True) & (commands != 0.0)
     trial = clipped[SETTLE : SETTLE + PERTURB]
     assert np.abs(bench.commands).max() <= 1e-3
-    assert bench.experiment.clipped[Limit.TORQUE] == clipped.sum() > TRIAL
+    assert bench.experiment.controller.clipped[Limit.TORQUE] == clipped.sum() > TRIAL
     settle, perturb, rest, *_ = bench.statuses
     assert (settle.clipped, perturb.clipped, rest.clipped) == (0, 0, trial.sum())
     ticks = np.concatenate(
@@ -233,7 +232,7 @@ def test_when_a_trial_is_good_enough_expect_its_end_announced_and_kept(
     assert first.start_ns == second.start_ns
     (rest,) = bench.said(Phase.REST, 1)
     assert (rest.tick, rest.ticks, rest.valid) == (SETTLE + END, END, True)
-    signal = perturbation(LONG.perturbation, joint=0, trial=1, ticks=PLANNED, seed=LONG.seed)
+    signal = LONG.signal(0, trial=1, ticks=PLANNED)
     start = SETTLE
     torques = [one[0] for one in bench.perturbations]
     np.testing.assert_array_equal(torques[start : start + END], signal[:END])
