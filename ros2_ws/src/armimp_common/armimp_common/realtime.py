@@ -9,7 +9,6 @@ import math
 import os
 import random
 import sys
-import threading
 import time
 from array import array
 from collections.abc import Callable, Iterator
@@ -225,22 +224,12 @@ def require_precedence(priority: int) -> None:
     ConfigurationError
         If it does not.
     """
-    if priority == 0:
-        return
-    refused: list[OSError] = []
-
-    def attempt() -> None:
-        try:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-        except OSError as error:
-            refused.append(error)
-
-    # In a thread of its own, since the scheduling of a thread ends with it.
-    thread = threading.Thread(target=attempt)
-    thread.start()
-    thread.join()
-    if refused:
-        raise ConfigurationError(f"priority = {priority}: {_REFUSAL}")
+    scheduling = RealtimeScheduling()
+    try:
+        scheduling.take(priority)
+    except GraphError:
+        raise ConfigurationError(f"priority = {priority}: {_REFUSAL}") from None
+    scheduling.give_back()
 
 
 @contextmanager
