@@ -19,16 +19,6 @@ from armimp_common.schema import Leaf, build, defaults, flatten, leaves
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 
-_TYPES: Final = {
-    (bool, False): Parameter.Type.BOOL,
-    (int, False): Parameter.Type.INTEGER,
-    (float, False): Parameter.Type.DOUBLE,
-    (str, False): Parameter.Type.STRING,
-    (bool, True): Parameter.Type.BOOL_ARRAY,
-    (int, True): Parameter.Type.INTEGER_ARRAY,
-    (float, True): Parameter.Type.DOUBLE_ARRAY,
-    (str, True): Parameter.Type.STRING_ARRAY,
-}
 _OWN_OF_ROS: Final = ("use_sim_time", "start_type_description_service")
 _OWN_PREFIX_OF_ROS: Final = "qos_overrides."
 _INT64: Final = (-(2**63), 2**63 - 1)
@@ -88,10 +78,7 @@ class ParameterSet(Generic[ModelT]):
         # the value and takes an empty array for one of bytes.
         node.declare_parameters(
             "",
-            [
-                (leaf.name, _TYPES[leaf.item, leaf.array], _descriptor(leaf))
-                for leaf in known.values()
-            ],
+            [(leaf.name, _type(leaf), _descriptor(leaf)) for leaf in known.values()],
             ignore_override=True,
         )
         result = node.set_parameters_atomically(as_parameters(instance))
@@ -144,24 +131,25 @@ class ParameterSet(Generic[ModelT]):
 def as_parameters(instance: BaseModel) -> list[Parameter]:
     """Return all values of a schema as ROS parameters, each of its declared type."""
     known = leaves(type(instance))
-    return [
-        Parameter(name, _TYPES[known[name].item, known[name].array], value)
-        for name, value in flatten(instance).items()
-    ]
+    return [Parameter(name, _type(known[name]), value) for name, value in flatten(instance).items()]
+
+
+def _type(leaf: Leaf) -> Parameter.Type:
+    return Parameter.Type[leaf.type_name.upper().replace(" ", "_")]
 
 
 def _descriptor(leaf: Leaf) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(description=leaf.description, read_only=False)
     if leaf.minimum is None and leaf.maximum is None:
         return descriptor
-    if leaf.item is float:
+    if leaf.type_name == "double":
         descriptor.floating_point_range = [
             FloatingPointRange(
                 from_value=-float("inf") if leaf.minimum is None else leaf.minimum,
                 to_value=float("inf") if leaf.maximum is None else leaf.maximum,
             )
         ]
-    if leaf.item is int:
+    if leaf.type_name == "integer":
         descriptor.integer_range = [
             IntegerRange(
                 from_value=_INT64[0] if leaf.minimum is None else int(leaf.minimum),

@@ -33,9 +33,7 @@ from pydantic.fields import FieldInfo
 
 from armimp_common.errors import ConfigurationError
 
-Scalar: TypeAlias = bool | int | float | str
-Value: TypeAlias = Scalar | list[bool] | list[int] | list[float] | list[str]
-ItemType: TypeAlias = type[bool] | type[int] | type[float] | type[str]
+Value: TypeAlias = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
 Vector: TypeAlias = tuple[float, ...]
 """One value for each joint, one for all of them, or a matrix row by row, as the field says."""
 PositiveVector: TypeAlias = tuple[Annotated[float, Field(gt=0.0)], ...]
@@ -52,13 +50,8 @@ Loader: Final[Any] = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 TextLoader: Final[Any] = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
 """Loads every value as a string: what is written stays as it is."""
 
-_TYPE_NAMES: dict[ItemType, str] = {bool: "bool", int: "integer", float: "double", str: "string"}
-_ITEMS: Final[Mapping[str | None, ItemType]] = {
-    "boolean": bool,
-    "integer": int,
-    "number": float,
-    "string": str,
-}
+_TYPES: Final = {"boolean": "bool", "integer": "integer", "number": "double", "string": "string"}
+"""Types of ROS parameters by those of JSON schemas."""
 _ENDS: Final = ("minimum", "maximum")
 
 
@@ -76,10 +69,8 @@ class Leaf:
 
     name: str
     """Dotted name."""
-    item: ItemType
-    """Python type of the value, or of its items."""
-    array: bool
-    """True if the value is a sequence."""
+    type_name: str
+    """The type as ROS names it: ``double``, ``string array``..."""
     description: str
     """Meaning of the parameter."""
     minimum: float | None
@@ -87,9 +78,9 @@ class Leaf:
     """Bounds of the allowed numbers, which may or may not include them; None: no bound."""
 
     @property
-    def type_name(self) -> str:
-        """The type as ROS names it: ``double``, ``string array``..."""
-        return _TYPE_NAMES[self.item] + (" array" if self.array else "")
+    def array(self) -> bool:
+        """Whether the value is a sequence."""
+        return self.type_name.endswith(" array")
 
 
 @functools.cache
@@ -117,16 +108,15 @@ def _leaves(
             yield from _leaves(sub_model, spec, known, f"{prefix}{key}.")
             continue
         array = spec.get("type") == "array"
-        item = _ITEMS.get((spec.get("items", {}) if array else spec).get("type"))
-        if item is None:
+        item = (spec.get("items", {}) if array else spec).get("type")
+        if item not in _TYPES:
             raise TypeError(
                 f"{model.__name__}.{key}: ROS parameters cannot have type {field.annotation}"
             )
         low, high = (spec.get(end, spec.get(f"exclusive{end.title()}")) for end in _ENDS)
         yield Leaf(
             name=f"{prefix}{key}",
-            item=item,
-            array=array,
+            type_name=_TYPES[item] + (" array" if array else ""),
             description=described[key],
             minimum=None if low is None else float(low),
             maximum=None if high is None else float(high),
