@@ -18,7 +18,6 @@ from armimp_common import topics
 from armimp_common.driver_base import FlowControl, ProtectedDriver
 from armimp_common.errors import ArmimpError, GraphError
 from armimp_common.executor import run_node, steady_timer
-from armimp_common.lifecycle import reported
 from armimp_common.protection import Protection
 from armimp_common.pubsub import subscribe_counts
 from armimp_common.realtime import wake_up_exactly
@@ -53,7 +52,6 @@ class ExoDriver(ProtectedDriver[DriverParameters]):
         super().__init__(DriverParameters(), "the drives are on", **kwargs)
 
     # Step 2: configuration. Parameters are read and checked, the device is made, topics appear.
-    @reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Make the device and the topics."""
         parameters = self._settings = self.declared.load()
@@ -73,7 +71,6 @@ class ExoDriver(ProtectedDriver[DriverParameters]):
         return TransitionCallbackReturn.SUCCESS
 
     # Step 3: activation. The driver waits for the controller; then the device sets the pace.
-    @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start the thread that listens to the device."""
         self.declared.require_unchanged()

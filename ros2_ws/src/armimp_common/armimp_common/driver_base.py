@@ -23,7 +23,7 @@ from armimp_common.cdr import CommandDecoder
 from armimp_common.errors import ArmimpError, GraphError
 from armimp_common.executor import steady_timer
 from armimp_common.heartbeat import HeartbeatMonitor
-from armimp_common.lifecycle import ManagedNode, reported
+from armimp_common.lifecycle import ManagedNode
 from armimp_common.parameters import ParameterSet
 from armimp_common.protection import CommandSequence, Protection, TorqueLatch
 from armimp_common.pubsub import (
@@ -329,7 +329,6 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
 
     # Transitions that end an experiment: none of them leaves torque behind.
 
-    @reported
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop: no torque acts, and further commands are ignored."""
         self.rest()
@@ -337,14 +336,12 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         self._sequence.restart()
         return super().on_deactivate(state)
 
-    @reported
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Forget the rig, so that new parameters can be used; an emergency stop stays in force."""
         self.disown()
         self.configured = self._accused = False
         return TransitionCallbackReturn.SUCCESS
 
-    @reported
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop for good."""
         self.rest()

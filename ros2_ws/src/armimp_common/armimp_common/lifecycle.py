@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import functools
 import math
 import time
 import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Final, Literal, TypeAlias, TypeVar
+from functools import partial
+from typing import Any, Final, Literal, TypeAlias, get_args
 
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
@@ -182,16 +182,41 @@ class ManagedNode(LifecycleNode):
     It offers a heartbeat under its name. Subclasses hand what they create at configuration to
     :meth:`own`, and call :meth:`disown` in `on_cleanup`.
 
+    An `ArmimpError` of an ``on_configure``... method is logged on one line and fails the
+    transition, so that the node stays as it was; any other exception is logged with its traceback.
+    (rclpy turns every exception into the state "error processing" and says nothing.)
+
     Attributes
     ----------
-    transition_error : why the last transition failed; see :func:`reported`
+    transition_error : the line that says why the last transition failed, empty if it did not
     """
 
     def __init__(self, name: str, **kwargs: Any) -> None:
         self.transition_error = ""
         self._owned: list[Publisher | Subscription | Timer] = []
+        for transition in get_args(TransitionName):
+            called = f"on_{transition}"
+            setattr(self, called, partial(self._change, called, getattr(self, called)))
         super().__init__(name, **kwargs)
         offer_heartbeat(self, name)
+
+    def _change(
+        self,
+        called: str,
+        act: Callable[[LifecycleState], TransitionCallbackReturn],
+        state: LifecycleState,
+    ) -> TransitionCallbackReturn:
+        self.transition_error = ""
+        try:
+            return act(state)
+        except ArmimpError as error:
+            self.transition_error = str(error)
+            self.get_logger().error(f"{called}: {error}")
+            return TransitionCallbackReturn.FAILURE
+        except Exception as error:  # noqa: BLE001 (a transition must return, whatever happens)
+            self.transition_error = f"{type(error).__name__}: {error}"
+            self.get_logger().error(f"{called}: {traceback.format_exc()}")
+            return TransitionCallbackReturn.ERROR
 
     def own(self, *things: Publisher | Subscription | Timer) -> None:
         """Register what :meth:`disown` is to destroy."""
@@ -231,33 +256,3 @@ class ManagedNode(LifecycleNode):
             self.get_logger().error(f"transition {request.transition.id} is refused: {error}")
             response.success = False
             return response
-
-
-NodeT = TypeVar("NodeT", bound=ManagedNode)
-_Callback: TypeAlias = Callable[[NodeT, LifecycleState], TransitionCallbackReturn]
-
-
-def reported(callback: _Callback[NodeT]) -> _Callback[NodeT]:
-    """Decorate an ``on_configure``... method so that its errors do not vanish.
-
-    rclpy turns every exception in a transition into the state "error processing" and says
-    nothing. Here an `ArmimpError` is logged on one line and fails the transition, so that the
-    node stays as it was; any other exception is logged with its traceback. In both cases
-    ``node.transition_error`` holds the line, otherwise it is empty.
-    """
-
-    @functools.wraps(callback)
-    def wrapper(node: NodeT, state: LifecycleState) -> TransitionCallbackReturn:
-        node.transition_error = ""
-        try:
-            return callback(node, state)
-        except ArmimpError as error:
-            node.transition_error = str(error)
-            node.get_logger().error(f"{callback.__name__}: {error}")
-            return TransitionCallbackReturn.FAILURE
-        except Exception as error:  # noqa: BLE001 (a transition must return, whatever happens)
-            node.transition_error = f"{type(error).__name__}: {error}"
-            node.get_logger().error(f"{callback.__name__}: {traceback.format_exc()}")
-            return TransitionCallbackReturn.ERROR
-
-    return wrapper

@@ -10,7 +10,7 @@ from rclpy.node import Node
 
 from armimp_common.errors import ConfigurationError, GraphError
 from armimp_common.executor import Spinner
-from armimp_common.lifecycle import LifecycleManager, ManagedNode, reported
+from armimp_common.lifecycle import LifecycleManager, ManagedNode
 from armimp_common.schema import Schema
 from support.graph import PATIENCE, Launch
 
@@ -18,7 +18,6 @@ from support.graph import PATIENCE, Launch
 class Managed(ManagedNode):
     fault: Exception | None = None
 
-    @reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         if self.fault is not None:
             raise self.fault

@@ -17,7 +17,7 @@ from armimp_common.cdr import JointStateDecoder
 from armimp_common.errors import ArmimpError, GraphError, MalformedMessageError
 from armimp_common.executor import run_node, steady_timer
 from armimp_common.heartbeat import HeartbeatMonitor
-from armimp_common.lifecycle import ManagedNode, reported
+from armimp_common.lifecycle import ManagedNode
 from armimp_common.parameters import ParameterSet
 from armimp_common.protection import first_bad
 from armimp_common.pubsub import (
@@ -89,7 +89,6 @@ class ImbicControllerNode(ManagedNode):
             locked=lambda: "a trial is running" if self._active else None,
         )
 
-    @reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Check the parameters and the stability of the loop; create the topics."""
         parameters = self._settings = self._declared.load()
@@ -119,7 +118,6 @@ class ImbicControllerNode(ManagedNode):
         self.own(self._diagnostics, *self._sensors, self._timer, self._ramp)
         return TransitionCallbackReturn.SUCCESS
 
-    @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Wait for the other nodes, then answer samples; refused while a fault is latched."""
         self._declared.require_unchanged()
@@ -143,14 +141,12 @@ class ImbicControllerNode(ManagedNode):
         self._timer.reset()
         return super().on_activate(state)
 
-    @reported
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Take torque away; the next activation starts a new experiment."""
         self._rest("the controller was deactivated")
         self._sequencer = None
         return super().on_deactivate(state)
 
-    @reported
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Forget everything, so that new parameters can be used."""
         self.disown()
@@ -158,7 +154,6 @@ class ImbicControllerNode(ManagedNode):
         self._sequencer = None
         return TransitionCallbackReturn.SUCCESS
 
-    @reported
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Take torque away for good."""
         if self._active:

@@ -29,7 +29,7 @@ from armimp_common.errors import (
 )
 from armimp_common.executor import run_node, steady_timer
 from armimp_common.heartbeat import HeartbeatMonitor
-from armimp_common.lifecycle import ManagedNode, reported
+from armimp_common.lifecycle import ManagedNode
 from armimp_common.parameters import ParameterSet
 from armimp_common.pubsub import (
     PollingNode,
@@ -91,7 +91,6 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             locked=lambda: "a trial is being recorded" if self._active else None,
         )
 
-    @reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Load the parameters and create publishers, subscriptions and timers."""
         self._settings = self._declared.load()
@@ -136,7 +135,6 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         self.own(self._received.publisher, self._stopping, self._progress, self._result)
         return TransitionCallbackReturn.SUCCESS
 
-    @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Wait for the other nodes, then record."""
         self._declared.require_unchanged()
@@ -154,20 +152,17 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         self._poll.reset()
         return super().on_activate(state)
 
-    @reported
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Close the bag and conclude from the trials so far."""
         self._stop()
         self._reset()
         return super().on_deactivate(state)
 
-    @reported
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Forget everything, so that new parameters can be used."""
         self.disown()
         return TransitionCallbackReturn.SUCCESS
 
-    @reported
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Close the bag and conclude from the trials so far."""
         if self._active:

@@ -14,7 +14,6 @@ from sensor_msgs.msg import JointState
 from armimp_common.driver_base import ProtectedDriver
 from armimp_common.errors import MalformedMessageError
 from armimp_common.executor import run_node, steady_timer
-from armimp_common.lifecycle import reported
 from armimp_common.protection import Protection
 from armimp_common.pubsub import CommandPublisher, subscribe_raw
 from armimp_common.realtime import RealtimeScheduling
@@ -39,7 +38,6 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
         self._scheduling = RealtimeScheduling()
         super().__init__(BridgeParameters(), "the drives are on", **kwargs)
 
-    @reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Read the parameters, and create the topics of both sides."""
         parameters = self._settings = self.declared.load()
@@ -54,7 +52,6 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
         self.own(self._efforts.publisher, timer)
         return TransitionCallbackReturn.SUCCESS
 
-    @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Begin to pass on samples and commands, once both sides are there."""
         self.declared.require_unchanged()
@@ -131,7 +128,6 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
             return {}
         return {"lost": self._stamps.lost, "left_out": self._stamps.left_out}
 
-    @reported
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Forget the topics; an emergency stop stays in force."""
         self.destroy_subscription(self._states)

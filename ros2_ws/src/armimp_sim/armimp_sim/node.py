@@ -14,7 +14,6 @@ from armimp_common.driver_base import DriverBase, FlowControl
 from armimp_common.errors import ArmimpError, GraphError
 from armimp_common.executor import run_node, steady_timer
 from armimp_common.heartbeat import HeartbeatMonitor
-from armimp_common.lifecycle import reported
 from armimp_common.pubsub import subscribe_counts, wait_for_partners
 from armimp_common.realtime import Pacer, RealtimeScheduling
 from armimp_common.status import make_array, status_message, to_time
@@ -41,7 +40,6 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
         super().__init__(SimulatorParameters.preset(), "the simulation is running", **kwargs)
         self._recorder = HeartbeatMonitor(self, topics.ESTIMATOR_NODE, self._on_recorder)
 
-    @reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Build the rig and its topics from the parameters."""
         parameters = self._settings = self.declared.load()
@@ -56,7 +54,6 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
         self.own(steady_timer(self, _FAULT_PERIOD, self._on_fault_timer))
         return TransitionCallbackReturn.SUCCESS
 
-    @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Send the first sample, once somebody listens and commands."""
         self.declared.require_unchanged()
