@@ -73,9 +73,7 @@ def test_an_installed_node_takes_part_in_the_graph(install: Path, node: Node) ->
     )
     try:
         with Spinner([node]) as spinner:
-            manager = LifecycleManager(
-                node, [SIM_NODE], spin_until=spinner.spin_until, timeout=PATIENCE
-            )
+            manager = LifecycleManager(node, [SIM_NODE], spinner=spinner, timeout=PATIENCE)
             manager.wait_for_nodes()
             state = manager.state(SIM_NODE)
         process.send_signal(signal.SIGINT)

@@ -69,7 +69,7 @@ class Stranger(Node):
 
     def last_number(self) -> int:
         """Listen for a moment; return the number of the newest command."""
-        with Spinner([self], context=self.context) as spinner:
+        with Spinner([self]) as spinner:
             spinner.spin_until(Future(), 0.1)
         return self._last
 

@@ -67,7 +67,7 @@ class AskedParameters(ServiceClients):
     ) -> None:
         # Made early, so that discovery goes on while processes of nodes start. Parameter clients of
         # rclpy would block for a quarter of a second wherever discovery takes a moment.
-        super().__init__(node, models, _SERVICES, spin_until=spinner.spin_until, timeout=_TO_ANSWER)
+        super().__init__(node, models, _SERVICES, spinner=spinner, timeout=_TO_ANSWER)
         self.asked = {name: as_parameters(model) for name, model in models.items()}
         self._record = record
 

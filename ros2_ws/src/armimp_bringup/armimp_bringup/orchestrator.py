@@ -112,7 +112,7 @@ def run_experiment(
         file = _prepare(directory, parameters)
         supervisor = Supervisor(graph, on_progress, on_phase=on_phase)
         supervisor.realtime = config.mode == "realtime"
-        with Spinner([supervisor], context=graph.context) as spinner:
+        with Spinner([supervisor]) as spinner:
             asked = AskedParameters(supervisor, spinner, parameters.by_node(), file)
             nodes: NodeGroup
             if external:
@@ -260,7 +260,7 @@ class Course:
         self._manager = LifecycleManager(
             supervisor,
             nodes.names,
-            spin_until=spinner.spin_until,
+            spinner=spinner,
             timeout=_LONG,
             check=self._check,
         )

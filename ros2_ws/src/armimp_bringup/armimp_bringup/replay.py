@@ -196,7 +196,7 @@ def replay_bags(
                 to_params_yaml({topics.ESTIMATOR_NODE: parameters}), encoding="utf-8"
             )
             supervisor = Supervisor(graph, on_progress)
-            with Spinner([supervisor], context=graph.context) as spinner:
+            with Spinner([supervisor]) as spinner:
                 player = BagPlayer(graph, spinner)
                 spinner.add_node(player)
                 nodes = ComposedNodes(

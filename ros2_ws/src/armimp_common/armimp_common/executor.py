@@ -17,7 +17,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Final
 
@@ -117,21 +117,16 @@ class Spinner:
     Parameters
     ----------
     nodes
-        Nodes to execute; more can be added.
-    context
-        Context of the nodes; by default that of the first node.
+        Nodes of one context to execute, at least one; more can be added.
     """
 
-    def __init__(self, nodes: Iterable[Node] = (), *, context: Context | None = None) -> None:
+    def __init__(self, nodes: Sequence[Node]) -> None:
         self._nodes: list[Node] = []
         self._timer: Timer | None = None
         self._done: Future = Future()
         self._deadline = math.inf
         self._closed = threading.Event()
-        nodes = list(nodes)
-        if context is None and nodes:
-            context = nodes[0].context
-        self.executor = EventsExecutor(context=context)
+        self.executor = EventsExecutor(context=nodes[0].context)
         for node in nodes:
             self.add_node(node)
         threading.Thread(target=self._look_at_clock, name="wall clock", daemon=True).start()

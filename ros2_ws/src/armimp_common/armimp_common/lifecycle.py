@@ -21,10 +21,10 @@ from rclpy.timer import Timer
 from std_srvs.srv import Trigger
 
 from armimp_common.errors import ArmimpError, GraphError
+from armimp_common.executor import Spinner
 from armimp_common.heartbeat import offer_heartbeat
 
 TransitionName: TypeAlias = Literal["configure", "activate", "deactivate", "cleanup", "shutdown"]
-SpinUntil: TypeAlias = Callable[[Future, float], bool]
 
 _SERVICES: Final[dict[str, Any]] = {
     "change_state": ChangeState,
@@ -43,15 +43,13 @@ class ServiceClients:
     Parameters
     ----------
     node
-        The node that holds the clients; it must be spun by `spin_until`.
+        The node that holds the clients; it must be spun by `spinner`.
     names
         Names of the nodes, absolute or relative to the namespace of `node`.
     kinds
         Types of the services by name.
-    spin_until
-        Spins until a future is done or a time (s) is over, and returns whether it is done;
-        usually `armimp_common.executor.Spinner.spin_until`. If the nodes are in the same process it
-        must spin them too.
+    spinner
+        Spins during each wait; if the nodes are in the same process, it must spin them too.
     timeout
         Longest wait for each service to appear, and for each answer (s).
     check
@@ -65,11 +63,11 @@ class ServiceClients:
         names: Iterable[str],
         kinds: Mapping[str, Any],
         *,
-        spin_until: SpinUntil,
+        spinner: Spinner,
         timeout: float,
         check: Callable[[], None] = lambda: None,
     ) -> None:
-        self._node, self._spin_until = node, spin_until
+        self._node, self._spin_until = node, spinner.spin_until
         self._timeout, self._check = timeout, check
         self._clients: dict[tuple[str, str], Client] = {
             (name, service): node.create_client(kind, f"{name}/{service}")

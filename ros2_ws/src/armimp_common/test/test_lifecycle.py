@@ -32,7 +32,7 @@ def managed(launch: Launch) -> Managed:
 
 @pytest.fixture
 def manager(node: Node, spinner: Spinner, managed: Managed) -> LifecycleManager:
-    return LifecycleManager(node, ["managed"], spin_until=spinner.spin_until, timeout=PATIENCE)
+    return LifecycleManager(node, ["managed"], spinner=spinner, timeout=PATIENCE)
 
 
 @pytest.mark.parametrize("number", [0, 3, 4, 99, 255])
@@ -92,7 +92,7 @@ def test_when_waiting_is_vain_expect_its_reason_at_once(node: Node, managed: Man
 
     with Spinner([node]) as spinner:  # which does not spin the managed node
         manager = LifecycleManager(
-            node, ["managed", "absent"], spin_until=spinner.spin_until, timeout=1000.0, check=check
+            node, ["managed", "absent"], spinner=spinner, timeout=1000.0, check=check
         )
         for wait in (
             manager.wait_for_nodes,

@@ -111,7 +111,7 @@ class Checker:
         self._manager = LifecycleManager(
             node,
             [options.node],
-            spin_until=node.spinner.spin_until,
+            spinner=node.spinner,
             timeout=_LONG,
             check=node.check,
         )

@@ -193,7 +193,7 @@ class Conversation(Node, Answering):
         self.create_subscription(
             DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
         )
-        self.spinner = Spinner([self], context=graph.context)
+        self.spinner = Spinner([self])
 
     def listen(self) -> None:
         """Subscribe to the sensor streams, as reliably as offered; create the command publisher."""
