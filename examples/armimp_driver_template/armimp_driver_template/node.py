@@ -17,7 +17,7 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from armimp_common import topics
 from armimp_common.driver_base import FlowControl, ProtectedDriver
 from armimp_common.errors import ArmimpError, GraphError
-from armimp_common.executor import run_node, steady_timer
+from armimp_common.executor import run_node
 from armimp_common.protection import Protection
 from armimp_common.pubsub import subscribe_counts
 from armimp_common.realtime import wake_up_exactly
@@ -31,8 +31,6 @@ from armimp_driver_template.parameters import DriverParameters
 _FRAME_TIMEOUT, _PATIENCE = 0.002, 0.1
 """How long a frame is waited for (s): two periods on a bus, longer where commands set the pace."""
 _LOST_FRAMES = 5  # in a row, after which the driver latches a fault
-_REPORT_PERIOD = 1.0
-"""How often the state is reported (s)."""
 
 
 def make_device(parameters: DriverParameters) -> Device:
@@ -67,7 +65,7 @@ class ExoDriver(ProtectedDriver[DriverParameters]):
         self.set_up(protection, parameters.joints)
         self._flow = FlowControl()
         received = subscribe_counts(self, topics.RECEIVED, self._flow.acknowledge)
-        self.own(received, steady_timer(self, _REPORT_PERIOD, self.report))
+        self.own(received)
         return TransitionCallbackReturn.SUCCESS
 
     # Step 3: activation. The driver waits for the controller; then the device sets the pace.
@@ -140,7 +138,7 @@ class ExoDriver(ProtectedDriver[DriverParameters]):
         """Keeps the thread of the device away from the protection."""
         return self._lock
 
-    # Step 8: reports. A fault is reported at once and until the reset, timing if it is meaningful.
+    # Step 8: reports. `DriverBase` reports a fault at once and every second, timing if it is given.
     def timing(self) -> TimingFigures | None:
         """Timing, where the device sets the pace."""
         return super().timing() if self._device.paced else None

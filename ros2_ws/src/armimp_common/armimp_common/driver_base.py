@@ -38,6 +38,8 @@ from armimp_common.status import Level, TimingFigures, make_array, make_status, 
 _STOPPED = "emergency stop"
 _CHECK_PERIOD = 0.02
 """Time between two checks for faults and for other publishers of commands (s)."""
+_REPORT_PERIOD = 1.0
+"""Wall time between two regular reports (s)."""
 _DRIFT_NS = 20
 """How much the clock of the stamps may lose against that of this host in one period (ns)."""
 _LEFT = "perhaps one that left before its name was known"
@@ -158,6 +160,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         )
         self.own(self.joint_states.publisher, self.torque_sensors.publisher, self.diagnostics)
         self.own(self.commands, steady_timer(self, _CHECK_PERIOD, self.check))
+        self.own(steady_timer(self, _REPORT_PERIOD, self.report_regularly))
         self.configured = True
 
     # Hooks of subclasses; all but the first two have a default.
@@ -298,6 +301,10 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         if figures is not None:
             statuses.append(status_message(figures))
         self.diagnostics.publish(make_array(stamp_ns, statuses))
+
+    def report_regularly(self) -> None:
+        """Publish the state of the rig; called every second."""
+        self.report()
 
     def report_news(self) -> None:
         """Report a fault that has not been reported yet, or that one was cleared."""

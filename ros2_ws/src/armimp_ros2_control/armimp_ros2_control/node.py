@@ -27,8 +27,6 @@ EFFORTS = "armimp_efforts/commands"
 
 _SILENCE_PERIOD = 0.01
 """Time within which joint states have to come, and between two checks of that (s)."""
-_REPORT_CHECKS = 100
-"""Checks from one regular report to the next."""
 
 
 class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
@@ -47,7 +45,6 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
         self.set_up(protection, names)
         self._efforts = CommandPublisher(self, EFFORTS, len(names))
         self._states = self._listen()
-        self._checks = 0
         timer = steady_timer(self, _SILENCE_PERIOD, self._check_silence)
         self.own(self._efforts.publisher, timer)
         return TransitionCallbackReturn.SUCCESS
@@ -108,7 +105,6 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
             self.restart_clock()
 
     def _check_silence(self) -> None:
-        self._checks += 1
         # What queued up while this process was held up is heard before the next check.
         if self.active and self._heard:
             if self._heard == self._heard_before:
@@ -117,10 +113,6 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
         if self.active and self.limiter.fault:
             # The forward controller subscribes as best effort, so a single message may be lost.
             self.drive(self.limiter.applied)
-        if self._checks % _REPORT_CHECKS == 0:
-            self.report()
-        else:
-            self.report_news()
 
     def values(self) -> dict[str, Any]:
         """Numbers of samples that were lost on the way here, and that were left out."""

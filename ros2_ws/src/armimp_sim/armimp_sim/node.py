@@ -12,7 +12,7 @@ from rosgraph_msgs.msg import Clock
 from armimp_common import qos, topics
 from armimp_common.driver_base import DriverBase, FlowControl
 from armimp_common.errors import ArmimpError, GraphError
-from armimp_common.executor import run_node, steady_timer
+from armimp_common.executor import run_node
 from armimp_common.heartbeat import HeartbeatMonitor
 from armimp_common.pubsub import subscribe_counts, wait_for_partners
 from armimp_common.realtime import Pacer, RealtimeScheduling
@@ -22,8 +22,6 @@ from armimp_sim.simulator import RealtimeSimulator, SimulatedRig
 
 _CLOCK_TICKS = 100
 _DIAGNOSTICS_TICKS = 1000
-_FAULT_PERIOD = 1.0
-"""Wall time between reports of a latched fault (s), since simulated time may stand still."""
 _TIMING_TICKS = 100
 """Ticks between two reports of the timing in realtime."""
 
@@ -35,7 +33,7 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
         self._simulator: RealtimeSimulator | None = None
         self._scheduling = RealtimeScheduling()
         self._holding = False
-        self._told_tick = self._told_timing = 0
+        self._told_timing = 0
         self._flow = FlowControl()
         super().__init__(SimulatorParameters.preset(), "the simulation is running", **kwargs)
         self._recorder = HeartbeatMonitor(self, topics.ESTIMATOR_NODE, self._on_recorder)
@@ -51,7 +49,6 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
         self._holding = False
         received = subscribe_counts(self, topics.RECEIVED, self._on_received)
         self.own(self._clock_publisher, received)
-        self.own(steady_timer(self, _FAULT_PERIOD, self._on_fault_timer))
         return TransitionCallbackReturn.SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -81,7 +78,7 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
         except GraphError:
             self.active, self._simulator = False, None
             raise
-        self._told_tick = self._told_timing = rig.tick
+        self._told_timing = rig.tick
         self._simulator.start()
 
     @property
@@ -95,8 +92,7 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
 
     def values(self) -> dict[str, Any]:
         """Number of the sample, for reports on ``/diagnostics``."""
-        self._told_tick = self.limiter.tick
-        return {"tick": self._told_tick}
+        return {"tick": self.limiter.tick}
 
     def obey_again(self) -> None:
         """Clear a fault, also in the thread that paces the rig."""
@@ -163,19 +159,16 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
             self._flow.acknowledge(topics.RECORDER_GONE)
         self._go_on()
 
-    def _on_fault_timer(self) -> None:
-        if self.limiter.fault:
+    def report_regularly(self) -> None:
+        """Report in real time, and repeat a fault; in lockstep, other reports follow samples."""
+        if self.limiter.fault or self._simulator is not None:
             self.report()
 
     def check(self) -> None:
-        """Report also for the thread that paces the rig, as it must not lose time on reports."""
+        """Raise also what ended the thread that paces the rig."""
         super().check()
-        if self._simulator is None:
-            return
-        if self._simulator.error is not None:
+        if self._simulator is not None and self._simulator.error is not None:
             raise self._simulator.error
-        if self.limiter.tick - self._told_tick >= _DIAGNOSTICS_TICKS:
-            self.report()
 
     def _on_received(self, samples: int) -> None:
         self._flow.acknowledge(samples)
