@@ -9,7 +9,6 @@ import sys
 import threading
 import time
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
 from typing import Any
 
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
@@ -44,7 +43,6 @@ class ExoDriver(ProtectedDriver[DriverParameters]):
     # Step 1: the node. What must work in every state comes from `DriverBase`: heartbeats, emergency
     # stop and reset, the parameters.
     def __init__(self, **kwargs: Any) -> None:
-        self._lock = threading.RLock()
         self._thread: threading.Thread | None = None
         self._running = threading.Event()
         super().__init__(DriverParameters(), "the drives are on", **kwargs)
@@ -104,8 +102,7 @@ class ExoDriver(ProtectedDriver[DriverParameters]):
     def _publish(self, frame: Frame) -> None:
         angles = self._encoders.angles(self._wiring.to_joints(frame.encoder))
         torques = self._transducers.values(self._wiring.to_joints(frame.transducer))
-        with self._lock:
-            self.check_sample(angles, periods=1 if self._device.paced else 0)
+        self.check_sample(angles, periods=1 if self._device.paced else 0)
         while self._flow.full and self._running.is_set():
             time.sleep(0.0005)  # in lockstep only, where a recorder that is behind loses samples
         if not self._device.paced:
@@ -133,11 +130,6 @@ class ExoDriver(ProtectedDriver[DriverParameters]):
         if self._device.paced:
             super().torque_was_taken()
 
-    @property
-    def locked(self) -> AbstractContextManager[object]:
-        """Keeps the thread of the device away from the protection."""
-        return self._lock
-
     # Step 8: reports. `DriverBase` reports a fault at once and every second, timing if it is given.
     def timing(self) -> TimingFigures | None:
         """Timing, where the device sets the pace."""
@@ -151,7 +143,7 @@ class ExoDriver(ProtectedDriver[DriverParameters]):
         if self._thread is not None:
             self._thread.join(2.0)
             self._thread = None
-            with self._lock:
+            with self.limiter.lock:
                 self.limiter.rest()
                 self.drive(self.limiter.applied)
                 self._device.close()

@@ -10,7 +10,6 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from typing import Any, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -189,12 +188,8 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
             If torque would come back with a jump.
         """
         if self.configured:
-            self.limiter.reset()
-
-    @property
-    def locked(self) -> AbstractContextManager[object]:
-        """Context that keeps other threads away from the limiter."""
-        return nullcontext()
+            with self.limiter.lock:
+                self.limiter.reset()
 
     def stamp_ns(self) -> int:
         """Stamp of reports, ns."""
@@ -273,7 +268,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         """Latch a fault and remove torque; without effect in a node that cannot apply torque."""
         if not self.configured or not (self.active or self._stopped):
             return
-        with self.locked:
+        with self.limiter.lock:
             self.limiter.latch(reason)
             if self.active:
                 self.torque_was_taken()
@@ -288,7 +283,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         """Publish the state of the rig on ``/diagnostics``."""
         if not self.configured or not self.context.ok():
             return
-        with self.locked:
+        with self.limiter.lock:
             stamp_ns, fault, figures = self.stamp_ns(), self.fault, self.timing()
             values = {**self.values(), "applied": self.limiter.applied}
         if self._sequence.numbered is not None:
@@ -325,8 +320,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
 
     def _on_reset(self) -> tuple[bool, str]:
         try:
-            with self.locked:
-                self.obey_again()
+            self.obey_again()
         except GraphError as error:
             return False, str(error)
         self._stopped = self._accused = False
@@ -403,13 +397,14 @@ class ProtectedDriver(DriverBase[Protection, ModelT], ABC, Generic[ModelT]):
 
         Latencies of commands count from this call.
         """
-        self.limiter.sample(angles, time.monotonic_ns())
-        for _ in range(periods):
-            if self.limiter.period():
-                self._meter.missed()
-        # Only torque that the driver itself changes is sent here; commands go out as they come.
-        if periods and self.limiter.fault:
-            self.drive(self.limiter.applied)
+        with self.limiter.lock:
+            self.limiter.sample(angles, time.monotonic_ns())
+            for _ in range(periods):
+                if self.limiter.period():
+                    self._meter.missed()
+            # Only torque that the driver itself changes is sent here; commands go out as they come.
+            if periods and self.limiter.fault:
+                self.drive(self.limiter.applied)
 
     def publish_sample(
         self, stamp_ns: int, angles: Sequence[float], torques: Sequence[float]
@@ -431,7 +426,7 @@ class ProtectedDriver(DriverBase[Protection, ModelT], ABC, Generic[ModelT]):
         if not self.active:
             return
         now_ns = time.monotonic_ns()
-        with self.locked:
+        with self.limiter.lock:
             self.limiter.command(command)
             if (sent_ns := self.limiter.watch.answered_ns) is not None:
                 self._meter.answered(now_ns - sent_ns)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections import deque
 from collections.abc import Sequence
 
@@ -156,11 +157,13 @@ class TorqueLatch:
 
     Attributes
     ----------
+    lock : to be held by whoever uses it while several threads do; can be taken again by its holder
     fault : why torque was taken away; empty while there is no fault
     applied : what the drives are to apply now (n,), N·m
     """
 
     def __init__(self, joints: int) -> None:
+        self.lock = threading.RLock()
         self._zero = self.applied = (0.0,) * joints
         self._fading = 0
         self._resting = True

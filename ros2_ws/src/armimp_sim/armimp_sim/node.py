@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
@@ -80,11 +79,6 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
             raise
         self._told_timing = rig.tick
         self._simulator.start()
-
-    @property
-    def locked(self) -> AbstractContextManager[object]:
-        """Context that keeps the thread that paces the rig away from it."""
-        return nullcontext() if self._simulator is None else self._simulator.lock
 
     def stamp_ns(self) -> int:
         """Simulated time, ns."""
@@ -193,7 +187,7 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
             self._clock_publisher.publish(Clock(clock=to_time(stamp_ns)))
 
     def _report_timing(self, paced: RealtimeSimulator) -> None:
-        with paced.lock:
+        with self.limiter.lock:
             stamp_ns, self._told_timing = self.limiter.stamp_ns, self.limiter.tick
             figures = paced.figures()
         self.diagnostics.publish(make_array(stamp_ns, [status_message(figures)]))

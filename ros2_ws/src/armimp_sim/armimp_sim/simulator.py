@@ -108,7 +108,6 @@ class RealtimeSimulator:
 
     Attributes
     ----------
-    lock : held while the rig or the timing figures are used
     error : exception that ended the thread; None if none did
     """
 
@@ -127,7 +126,6 @@ class RealtimeSimulator:
         self._stepped = False
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._run, name="pacing", daemon=True)
-        self.lock = threading.RLock()
         self.error: BaseException | None = None
 
     def start(self) -> None:
@@ -143,14 +141,14 @@ class RealtimeSimulator:
     def command(self, command: Sequence[float]) -> None:
         """Take a command (n,), N·m, for the next step."""
         now_ns = self._pacer.now()
-        with self.lock:
+        with self._rig.lock:
             self._command = tuple(command)
             self._arrive(now_ns)
 
     def refuse(self, reason: str) -> None:
         """Take a message that is no valid command: no torque from now on."""
         now_ns = self._pacer.now()
-        with self.lock:
+        with self._rig.lock:
             self._rig.latch(reason)
             self._command = (0.0,) * len(self._command)
             self._arrive(now_ns)
@@ -163,24 +161,24 @@ class RealtimeSimulator:
         GraphError
             If the rig refuses.
         """
-        with self.lock:
+        with self._rig.lock:
             self._rig.reset()
             self._watch.reset()
 
     def figures(self) -> TimingFigures:
         """Return the timing since the start."""
-        with self.lock:
+        with self._rig.lock:
             return self._meter.figures()
 
     def begin(self) -> None:
         """Send the first sample; its deadline is now. Part of the thread."""
         self._pacer.start()
-        with self.lock:
+        with self._rig.lock:
             self._sample(0)
 
     def advance(self, tick: int) -> None:
         """Send the sample of a tick whose deadline has come. Part of the thread."""
-        with self.lock:
+        with self._rig.lock:
             reason = self._watch.period()
             if not self._stepped:
                 self._meter.missed()
