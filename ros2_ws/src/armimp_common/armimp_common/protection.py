@@ -95,14 +95,14 @@ class CommandWatch:
         """Wait for a first command; up to `spare` commands more than samples are tolerated."""
         self.owed.clear()
         self._begun = self._in_step = False
-        self.silent, self._spare = 0, spare
+        self.silent, self._spare, self._most_unheard = 0, spare, self._heard
         self.answered_ns: int | None = None
 
     def reset(self) -> None:
         """Wait for a first command after a fault; answers may still be under way."""
         self.restart(self._patience)
         # A controller that commanded before the fault has to begin anew, too.
-        self._heard = min(self._heard, self._patience)
+        self._most_unheard = min(self._heard, self._patience)
 
     def sample(self, sent_ns: int = 0) -> None:
         """Note a sample that a command is to answer."""
@@ -111,7 +111,7 @@ class CommandWatch:
     def command(self, torque: Sequence[float]) -> str:
         """Note a command; return what is wrong if no sample is left for it to answer, or ""."""
         unheard = len(self.owed) - 1
-        if not self._begun and unheard >= self._heard:
+        if not self._begun and unheard >= self._most_unheard:
             newest = self.owed.pop()
             self.owed.clear()
             self.owed.append(newest)
@@ -154,15 +154,18 @@ class TorqueLatch:
     Parameters
     ----------
     joints : number of joints n
+    watch : matches commands to samples
 
     Attributes
     ----------
+    watch : as given; it begins anew with :meth:`rest` and :meth:`reset`
     lock : to be held by whoever uses it while several threads do; can be taken again by its holder
     fault : why torque was taken away; empty while there is no fault
     applied : what the drives are to apply now (n,), N·m
     """
 
-    def __init__(self, joints: int) -> None:
+    def __init__(self, joints: int, watch: CommandWatch) -> None:
+        self.watch = watch
         self.lock = threading.RLock()
         self._zero = self.applied = (0.0,) * joints
         self._fading = 0
@@ -196,8 +199,9 @@ class TorqueLatch:
             self._fading -= 1
 
     def rest(self) -> None:
-        """Forget the last command, as its sender is no longer obeyed."""
+        """Forget the last command and the samples before it, as its sender is no longer obeyed."""
         self.applied, self._fading, self._resting = self._zero, 0, True
+        self.watch.restart()
 
     def reset(self) -> None:
         """Obey again after a fault.
@@ -210,10 +214,11 @@ class TorqueLatch:
         if not self._resting:
             raise GraphError("the last command is not zero torque: stop the controller first")
         self.fault, self.applied, self._fading = "", self._zero, 0
+        self.watch.reset()
 
 
 class Protection(TorqueLatch):
-    """Decides which torque the drives get; its `watch` matches commands to samples.
+    """Decides which torque the drives get.
 
     Parameters
     ----------
@@ -222,10 +227,9 @@ class Protection(TorqueLatch):
     """
 
     def __init__(self, joints: int, limits: ProtectionLimits) -> None:
-        super().__init__(joints)
+        super().__init__(joints, CommandWatch())
         self._limits = limits
         self._history: deque[tuple[float, ...]] = deque(maxlen=_SPAN + 1)
-        self.watch = CommandWatch()
 
     def command(self, torque: Sequence[float]) -> None:
         """Take a command (n,), N·m; one that cannot be obeyed is a fault."""
@@ -257,13 +261,11 @@ class Protection(TorqueLatch):
         return self.watch.silent > 1
 
     def rest(self) -> None:
-        """Forget the last command, and the samples before it."""
+        """See :meth:`TorqueLatch.rest`."""
         super().rest()
-        self.watch.restart()
         self._history.clear()
 
     def reset(self) -> None:
-        """Obey again after a fault, as :meth:`TorqueLatch.reset`."""
+        """See :meth:`TorqueLatch.reset`."""
         super().reset()
-        self.watch.reset()
         self._history.clear()

@@ -70,8 +70,7 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
         return super().on_activate(state)
 
     def _pace(self, rig: SimulatedRig) -> None:
-        pacer, patience = Pacer(topics.PERIOD_NS), self._settings.watchdog_ticks
-        self._simulator = RealtimeSimulator(rig, self._send, pacer, watchdog_ticks=patience)
+        self._simulator = RealtimeSimulator(rig, self._send, Pacer(topics.PERIOD_NS))
         try:
             self._scheduling.take(self._settings.realtime.priority)
         except GraphError:
@@ -87,13 +86,6 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
     def values(self) -> dict[str, Any]:
         """Number of the sample, for reports on ``/diagnostics``."""
         return {"tick": self.limiter.tick}
-
-    def obey_again(self) -> None:
-        """Clear a fault, also in the thread that paces the rig."""
-        if self._simulator is not None:
-            self._simulator.reset()
-        else:
-            super().obey_again()
 
     def rest(self) -> None:
         """End the thread that paces the rig, and leave the rig without torque."""
@@ -136,13 +128,8 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
 
     def on_malformed(self, error: ArmimpError) -> None:
         """Latch a fault, and go on without torque."""
-        if not self.active:
-            return
-        if self._simulator is not None:
-            self._simulator.refuse(f"malformed command: {error}")
-            return
         super().on_malformed(error)
-        self._step((0.0,) * self.limiter.position.size)
+        self.on_command((0.0,) * self.limiter.position.size)
 
     def _on_recorder(self, recorder: HeartbeatMonitor) -> None:
         """Wait for a silent recorder, which may only be suspended; a lost one ends the trial."""

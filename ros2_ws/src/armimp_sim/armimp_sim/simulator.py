@@ -13,7 +13,7 @@ from contextlib import suppress
 import numpy as np
 
 from armimp_common.arrays import FloatArray
-from armimp_common.protection import WATCHDOG_PERIODS, CommandWatch, TorqueLatch, first_bad
+from armimp_common.protection import CommandWatch, TorqueLatch, first_bad
 from armimp_common.realtime import Pacer, TimingMeter, wake_up_exactly
 from armimp_common.status import TimingFigures
 from armimp_common.topics import PERIOD_NS
@@ -48,7 +48,7 @@ class SimulatedRig(TorqueLatch):
 
     def __init__(self, parameters: SimulatorParameters) -> None:
         joints = len(parameters.joints)
-        super().__init__(joints)
+        super().__init__(joints, CommandWatch(parameters.watchdog_ticks, HEARD_TICKS))
         self._plant = Plant([parameters])
         self.position: FloatArray = self._plant.position[0]
         self.torque: FloatArray = self._plant.torque[0]
@@ -102,27 +102,16 @@ class RealtimeSimulator:
     send : callable
         Sends the present sample; called in the thread.
     pacer : Pacer
-    watchdog_ticks : int
-        Periods without a command, or by which commands lag behind, after which the rig takes the
-        torque away. A controller that is still working through old samples no longer controls.
 
     Attributes
     ----------
     error : exception that ended the thread; None if none did
     """
 
-    def __init__(
-        self,
-        rig: SimulatedRig,
-        send: Callable[[], None],
-        pacer: Pacer,
-        *,
-        watchdog_ticks: int = WATCHDOG_PERIODS,
-    ) -> None:
+    def __init__(self, rig: SimulatedRig, send: Callable[[], None], pacer: Pacer) -> None:
         self._rig, self._send, self._pacer = rig, send, pacer
         self._command: tuple[float, ...] = (0.0,) * rig.position.size
         self._meter = TimingMeter()
-        self._watch = CommandWatch(watchdog_ticks, HEARD_TICKS)
         self._stepped = False
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._run, name="pacing", daemon=True)
@@ -142,28 +131,15 @@ class RealtimeSimulator:
         """Take a command (n,), N·m, for the next step."""
         now_ns = self._pacer.now()
         with self._rig.lock:
-            self._command = tuple(command)
-            self._arrive(now_ns)
-
-    def refuse(self, reason: str) -> None:
-        """Take a message that is no valid command: no torque from now on."""
-        now_ns = self._pacer.now()
-        with self._rig.lock:
-            self._rig.latch(reason)
-            self._command = (0.0,) * len(self._command)
-            self._arrive(now_ns)
-
-    def reset(self) -> None:
-        """Obey commands again after a fault; samples that were left unanswered are forgotten.
-
-        Raises
-        ------
-        GraphError
-            If the rig refuses.
-        """
-        with self._rig.lock:
-            self._rig.reset()
-            self._watch.reset()
+            self._command, watch = tuple(command), self._rig.watch
+            reason = watch.command(command)
+            if watch.answered_ns is not None:
+                self._meter.answered(now_ns - watch.answered_ns)
+            if reason:
+                self._rig.latch(reason)
+            if not watch.owed and not self._stepped:
+                self._stepped = True
+                self._rig.step(command)
 
     def figures(self) -> TimingFigures:
         """Return the timing since the start."""
@@ -179,7 +155,7 @@ class RealtimeSimulator:
     def advance(self, tick: int) -> None:
         """Send the sample of a tick whose deadline has come. Part of the thread."""
         with self._rig.lock:
-            reason = self._watch.period()
+            reason = self._rig.watch.period()
             if not self._stepped:
                 self._meter.missed()
                 if reason:
@@ -191,18 +167,8 @@ class RealtimeSimulator:
         sent_ns = self._pacer.now()
         self._send()
         self._meter.sent(self._pacer.deadline_ns(tick), sent_ns)
-        self._watch.sample(sent_ns)
+        self._rig.watch.sample(sent_ns)
         self._stepped = False
-
-    def _arrive(self, now_ns: int) -> None:
-        reason = self._watch.command(self._command)
-        if self._watch.answered_ns is not None:
-            self._meter.answered(now_ns - self._watch.answered_ns)
-        if reason:
-            self._rig.latch(reason)
-        if not self._watch.owed and not self._stepped:
-            self._stepped = True
-            self._rig.step(self._command)
 
     def _run(self) -> None:
         wake_up_exactly()

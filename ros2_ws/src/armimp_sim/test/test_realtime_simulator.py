@@ -24,7 +24,7 @@ class Bench:
         self.rig = SimulatedRig(PARAMETERS)
         self.sent: list[tuple[int, Command, Command]] = []
         pacer = Pacer(PERIOD_NS, now=lambda: self.ns, sleep=lambda _: None)
-        self.paced = RealtimeSimulator(self.rig, self.send, pacer, watchdog_ticks=WATCHDOG_PERIODS)
+        self.paced = RealtimeSimulator(self.rig, self.send, pacer)
         self.start_ns = self.ns
         self.paced.begin()
 
@@ -110,7 +110,7 @@ class TestWatchdog:
             bench.next(40)
             bench.command(0.0, 0.0)
             bench.next()
-            bench.paced.reset()
+            bench.rig.reset()
         bench.next(unheard + again)
         missed = bench.missed
         for _ in range(1000):
