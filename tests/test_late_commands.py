@@ -96,7 +96,7 @@ def test_with_as_many_missed_commands_as_are_allowed_the_accuracy_is_still_there
     limit = TimingLimits().max_missed_share
     loop = ClosedLoop(node_parameters(ExperimentConfig(mode="realtime"), None))
     now = [0]
-    pacer = Pacer(PERIOD_NS, now=lambda: now[0], sleep=lambda _: None)
+    pacer = Pacer(now=lambda: now[0], sleep=lambda _: None)
     paced = RealtimeSimulator(loop.rig, lambda: None, pacer)
     rng = np.random.default_rng(8)
     waiting: list[tuple[float, ...]] = []

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.realtime import Pacer
-from armimp_common.topics import PERIOD_NS
 from armimp_driver_template.conversion import BITS, Drives, Sensors, Wiring
 from armimp_driver_template.device import Frame
 from armimp_driver_template.parameters import DriverParameters
@@ -52,7 +51,7 @@ class MockDevice:
         self._transducers = Sensors("transducer", parameters.transducer, n)
         self._drives = Drives(parameters.drive, n)
         self._rig = SimulatedRig(self._rig_parameters(parameters))
-        self._pacer = pacer or Pacer(PERIOD_NS)
+        self._pacer = pacer or Pacer()
         self._random = random.Random(self._options.seed)
         self._commanded = threading.Semaphore(0)
         self._queue: deque[tuple[float, ...]] = deque()

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from armimp_common.realtime import Pacer
-from armimp_common.topics import PERIOD_NS
 from armimp_driver_template.conversion import Drives, Encoders, Sensors, Wiring
 from armimp_driver_template.device import Frame
 from armimp_driver_template.mock import MockDevice
@@ -26,7 +25,7 @@ def make(mode: str = "lockstep", **options: Any) -> MockDevice:
 
 
 def mock(parameters: DriverParameters) -> MockDevice:
-    instant = Pacer(PERIOD_NS, now=lambda: 0, sleep=lambda _: None)
+    instant = Pacer(now=lambda: 0, sleep=lambda _: None)
     instant.wait = lambda tick: None  # type: ignore[method-assign]
     return MockDevice(parameters, instant)
 

@@ -40,26 +40,24 @@ _SLACK_NS = 1000
 
 
 class Pacer:
-    """Waits for the deadlines ``start + k · period``, so that errors do not add up.
+    """Waits for the deadlines of samples, ``start + k · PERIOD_NS``, so that errors do not add up.
 
     Lateness does not move later deadlines: a thread that was held up for three periods finds three
     deadlines behind it and catches up, as time on a rig does not wait either.
 
     Parameters
     ----------
-    period_ns : time between two deadlines, ns
     now : returns the time on any monotonic clock, ns
     sleep : sleeps for a time, s
     """
 
     def __init__(
         self,
-        period_ns: int,
         *,
         now: Callable[[], int] = time.monotonic_ns,
         sleep: Callable[[float], object] = time.sleep,
     ) -> None:
-        self._period_ns, self._sleep = period_ns, sleep
+        self._sleep = sleep
         self._start_ns = 0
         self.now = now
 
@@ -69,7 +67,7 @@ class Pacer:
 
     def deadline_ns(self, tick: int) -> int:
         """Return the deadline of a tick on the clock, ns."""
-        return self._start_ns + tick * self._period_ns
+        return self._start_ns + tick * PERIOD_NS
 
     def wait(self, tick: int) -> None:
         """Return at the deadline of a tick, or at once if it has passed; never before it."""

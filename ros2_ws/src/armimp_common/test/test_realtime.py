@@ -82,7 +82,7 @@ class FakeClock:
 
 
 def pacer(clock: FakeClock) -> Pacer:
-    made = Pacer(MS, now=clock.now, sleep=clock.sleep)
+    made = Pacer(now=clock.now, sleep=clock.sleep)
     made.start()
     return made
 

@@ -70,7 +70,7 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
         return super().on_activate(state)
 
     def _pace(self, rig: SimulatedRig) -> None:
-        self._simulator = RealtimeSimulator(rig, self._send, Pacer(topics.PERIOD_NS))
+        self._simulator = RealtimeSimulator(rig, self._send, Pacer())
         try:
             self._scheduling.take(self._settings.realtime.priority)
         except GraphError:

@@ -56,7 +56,6 @@ class Plant:
 
     Attributes
     ----------
-    config : the first of `configs`
     position : (lanes, n) encoder readings θ, rad
     torque : (lanes, n) torque transducer readings, torque on the arm, N·m
     batch : the plants, for :func:`tick`
@@ -77,7 +76,6 @@ class Plant:
                     "plant: lanes must agree in joints, substeps, sampling, and in having a soft "
                     "cuff"
                 )
-        self.config = first
         n, lanes = first.arm.joints, len(configs)
         width = 1 if lanes == 1 else dynamics.WIDTH
         blocks = -(-lanes // width)

@@ -23,7 +23,7 @@ class Bench:
         self.tick = 0
         self.rig = SimulatedRig(PARAMETERS)
         self.sent: list[tuple[int, Command, Command]] = []
-        pacer = Pacer(PERIOD_NS, now=lambda: self.ns, sleep=lambda _: None)
+        pacer = Pacer(now=lambda: self.ns, sleep=lambda _: None)
         self.paced = RealtimeSimulator(self.rig, self.send, pacer)
         self.start_ns = self.ns
         self.paced.begin()
