@@ -8,14 +8,13 @@ from collections.abc import Sequence
 from typing import Any
 
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
-from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
 from armimp_common.driver_base import ProtectedDriver
 from armimp_common.errors import MalformedMessageError
 from armimp_common.executor import run_node, steady_timer
 from armimp_common.protection import Protection
-from armimp_common.pubsub import CommandPublisher, subscribe_raw
+from armimp_common.pubsub import CommandPublisher, subscribe_raw, take_all
 from armimp_common.realtime import RealtimeScheduling
 from armimp_ros2_control.parameters import BridgeParameters
 from armimp_ros2_control.readings import Readings, Stamps
@@ -44,9 +43,9 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
         protection = Protection(len(names), parameters.limits)
         self.set_up(protection, names)
         self._efforts = CommandPublisher(self, EFFORTS, len(names))
-        self._states = self._listen()
+        self._states = subscribe_raw(self, STATES, JointState, self._on_state)
         timer = steady_timer(self, _SILENCE_PERIOD, self._check_silence)
-        self.own(self._efforts.publisher, timer)
+        self.own(self._efforts.publisher, self._states, timer)
         return TransitionCallbackReturn.SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -57,22 +56,11 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
         self._stamps = Stamps()
         self._heard = self._heard_before = 0
         # Last, as robots always publish: what queued up meanwhile would come as one burst.
-        self.destroy_subscription(self._states)
-        self._states = self._listen()
+        take_all(self._states)
         self.active = True
         # A forward controller holds the last command that it got, whoever sent it.
         self.torque_was_taken()
         return super().on_activate(state)
-
-    def _listen(self) -> Subscription:
-        """Subscribe anew; what an older subscription still delivers is ignored."""
-
-        def on_state(data: bytes) -> None:
-            if made is self._states:
-                self._on_state(data)
-
-        made = subscribe_raw(self, STATES, JointState, on_state)
-        return made
 
     def _on_state(self, data: bytes) -> None:
         if not self.active:
@@ -119,11 +107,6 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
         if not self.active:
             return {}
         return {"lost": self._stamps.lost, "left_out": self._stamps.left_out}
-
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Forget the topics; an emergency stop stays in force."""
-        self.destroy_subscription(self._states)
-        return super().on_cleanup(state)
 
     def rest(self) -> None:
         """Command zero torque, and obey no further commands."""
