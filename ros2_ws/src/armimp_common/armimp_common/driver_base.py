@@ -386,11 +386,12 @@ class ProtectedDriver(DriverBase[Protection, ModelT], ABC, Generic[ModelT]):
         )
         self._meter = TimingMeter()
         self._stamp_ns = 0
-        self.restart_clock()
-
-    def restart_clock(self) -> None:
-        """Restart the estimate of when samples are due, as stamps may have jumped."""
         self._begin_ns: int | None = None
+
+    def obey_again(self) -> None:
+        """Clear a fault, and estimate anew when samples are due, as stamps may have jumped."""
+        super().obey_again()
+        self._begin_ns = None
 
     def check_sample(self, angles: Sequence[float], periods: int) -> None:
         """Check the angles (n,), rad, of a sample that ends `periods` periods; 0 in lockstep.

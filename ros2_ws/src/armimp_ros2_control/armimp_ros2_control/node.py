@@ -88,9 +88,7 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
     def obey_again(self) -> None:
         """Clear a fault, and check stamps afresh, as they may have jumped meanwhile."""
         super().obey_again()
-        if self.active:
-            self._stamps = Stamps()
-            self.restart_clock()
+        self._stamps = Stamps()
 
     def _check_silence(self) -> None:
         # What queued up while this process was held up is heard before the next check.

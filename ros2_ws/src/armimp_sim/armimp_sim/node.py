@@ -10,7 +10,7 @@ from rosgraph_msgs.msg import Clock
 
 from armimp_common import qos, topics
 from armimp_common.driver_base import DriverBase, FlowControl
-from armimp_common.errors import ArmimpError, GraphError
+from armimp_common.errors import ArmimpError
 from armimp_common.executor import run_node
 from armimp_common.heartbeat import HeartbeatMonitor
 from armimp_common.pubsub import subscribe_counts, wait_for_partners
@@ -45,7 +45,6 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
         self._clock_publisher = self.create_publisher(Clock, topics.CLOCK, qos.CLOCK)
         self._flow = FlowControl()
         self._flow.silent = self._recorder.presence.silent
-        self._holding = False
         received = subscribe_counts(self, topics.RECEIVED, self._on_received)
         self.own(self._clock_publisher, received)
         return TransitionCallbackReturn.SUCCESS
@@ -59,25 +58,20 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
             subscriptions=[self.commands],
             monitors=[self.controller, self._recorder],
         )
+        realtime = self._settings.mode == "realtime"
+        if realtime:
+            self._scheduling.take(self._settings.realtime.priority)
         self.active = True
         self._holding = False
         if self.limiter.fault:
             self.report()
-        if self._settings.mode == "realtime":
-            self._pace(self.limiter)
+        if realtime:
+            self._told_timing = self.limiter.tick
+            self._simulator = RealtimeSimulator(self.limiter, self._send, Pacer())
+            self._simulator.start()
         else:
             self._publish()
         return super().on_activate(state)
-
-    def _pace(self, rig: SimulatedRig) -> None:
-        self._simulator = RealtimeSimulator(rig, self._send, Pacer())
-        try:
-            self._scheduling.take(self._settings.realtime.priority)
-        except GraphError:
-            self.active, self._simulator = False, None
-            raise
-        self._told_timing = rig.tick
-        self._simulator.start()
 
     def stamp_ns(self) -> int:
         """Simulated time, ns."""
