@@ -62,8 +62,7 @@ class ExoDriver(ProtectedDriver[DriverParameters]):
         protection = Protection(joints, parameters.limits)
         self.set_up(protection, parameters.joints)
         self._flow = FlowControl()
-        received = subscribe_counts(self, topics.RECEIVED, self._flow.acknowledge)
-        self.own(received)
+        subscribe_counts(self, topics.RECEIVED, self._flow.acknowledge)
         return TransitionCallbackReturn.SUCCESS
 
     # Step 3: activation. The driver waits for the controller; then the device sets the pace.

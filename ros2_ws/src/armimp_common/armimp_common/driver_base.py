@@ -108,8 +108,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
     """A lifecycle node in the place of the rig; subclasses define where torque goes.
 
     Commands arrive at :meth:`on_command`. `on_configure` of a subclass calls :meth:`set_up`, its
-    `on_activate` sets `active` once commands are obeyed, and :meth:`rest` undoes that. Publishers,
-    subscriptions and timers created at configuration are handed to :meth:`own`.
+    `on_activate` sets `active` once commands are obeyed, and :meth:`rest` undoes that.
 
     Parameters
     ----------
@@ -157,9 +156,8 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         self.commands = subscribe_decoded(
             self, topics.COMMANDS, decoder, self._on_numbered, self.on_malformed
         )
-        self.own(self.joint_states.publisher, self.torque_sensors.publisher, self.diagnostics)
-        self.own(self.commands, steady_timer(self, _CHECK_PERIOD, self.check))
-        self.own(steady_timer(self, _REPORT_PERIOD, self.report_regularly))
+        steady_timer(self, _CHECK_PERIOD, self.check)
+        steady_timer(self, _REPORT_PERIOD, self.report_regularly)
         self.configured = True
 
     # Hooks of subclasses; all but the first two have a default.
@@ -339,7 +337,6 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Forget the rig, so that new parameters can be used; an emergency stop stays in force."""
-        self.disown()
         self.configured = self._accused = False
         return TransitionCallbackReturn.SUCCESS
 

@@ -177,8 +177,8 @@ class LifecycleManager(ServiceClients):
 class ManagedNode(LifecycleNode):
     """A lifecycle node that refuses an impossible transition, which would end a plain rclpy node.
 
-    It offers a heartbeat under its name. Subclasses hand what they create at configuration to
-    :meth:`own`, and call :meth:`disown` in `on_cleanup`.
+    It offers a heartbeat under its name. Publishers, subscriptions and timers that `on_configure`
+    creates are destroyed after `on_cleanup`.
 
     An `ArmimpError` of an ``on_configure``... method is logged on one line and fails the
     transition, so that the node stays as it was; any other exception is logged with its traceback.
@@ -191,7 +191,7 @@ class ManagedNode(LifecycleNode):
 
     def __init__(self, name: str, **kwargs: Any) -> None:
         self.transition_error = ""
-        self._owned: list[Publisher | Subscription | Timer] = []
+        self._configured: set[Publisher | Subscription | Timer] = set()
         for transition in get_args(TransitionName):
             called = f"on_{transition}"
             setattr(self, called, partial(self._change, called, getattr(self, called)))
@@ -205,6 +205,7 @@ class ManagedNode(LifecycleNode):
         state: LifecycleState,
     ) -> TransitionCallbackReturn:
         self.transition_error = ""
+        before = self._made()
         try:
             return act(state)
         except ArmimpError as error:
@@ -215,10 +216,15 @@ class ManagedNode(LifecycleNode):
             self.transition_error = f"{type(error).__name__}: {error}"
             self.get_logger().error(f"{called}: {traceback.format_exc()}")
             return TransitionCallbackReturn.ERROR
+        finally:
+            if called == "on_configure":
+                self._configured |= self._made() - before
+            elif called == "on_cleanup":
+                self._destroy_configured()
 
-    def own(self, *things: Publisher | Subscription | Timer) -> None:
-        """Register what :meth:`disown` is to destroy."""
-        self._owned += things
+    def _made(self) -> set[Publisher | Subscription | Timer]:
+        # Not `self.subscriptions`, from which a subclass may hide some.
+        return {*self.publishers, *super().subscriptions, *self.timers}
 
     def offer_trigger(self, name: str, act: Callable[[], tuple[bool, str]]) -> None:
         """Offer a ``std_srvs/Trigger`` service; `act` returns its success and its message."""
@@ -229,16 +235,15 @@ class ManagedNode(LifecycleNode):
 
         self.create_service(Trigger, name, answer)
 
-    def disown(self) -> None:
-        """Destroy what the node owns."""
-        for thing in self._owned:
+    def _destroy_configured(self) -> None:
+        for thing in self._configured:
             if isinstance(thing, Timer):
                 self.destroy_timer(thing)
             elif isinstance(thing, Publisher):
                 self.destroy_publisher(thing)
             else:
                 self.destroy_subscription(thing)
-        self._owned.clear()
+        self._configured.clear()
 
     def _LifecycleNodeMixin__on_change_state(
         self, request: ChangeState.Request, response: ChangeState.Response

@@ -7,9 +7,10 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
+from std_msgs.msg import String
 
 from armimp_common.errors import ConfigurationError, GraphError
-from armimp_common.executor import Spinner
+from armimp_common.executor import Spinner, steady_timer
 from armimp_common.lifecycle import LifecycleManager, ManagedNode
 from armimp_common.schema import Schema
 from support.graph import PATIENCE, Launch
@@ -19,6 +20,9 @@ class Managed(ManagedNode):
     fault: Exception | None = None
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self.create_publisher(String, "made", 1)
+        self.create_subscription(String, "made", lambda _: None, 1)
+        steady_timer(self, 1.0, lambda: None)
         if self.fault is not None:
             raise self.fault
         return TransitionCallbackReturn.SUCCESS
@@ -79,6 +83,22 @@ def test_when_transition_fails_expect_graph_error_and_the_reason_kept(
     managed.fault = None
     manager.change("managed", "configure")
     assert managed.transition_error == ""
+
+
+def test_what_a_configuration_created_is_gone_after_the_cleanup_even_if_it_failed(
+    managed: Managed,
+) -> None:
+    def there() -> list[object]:
+        return [*managed.publishers, *managed.subscriptions, *managed.timers]
+
+    before = there()
+    managed.fault = ConfigurationError("rate = 0: must be positive")
+    managed.trigger_configure()
+    managed.fault = None
+    managed.trigger_configure()
+    assert len(there()) == len(before) + 6
+    managed.trigger_cleanup()
+    assert there() == before
 
 
 def test_when_waiting_is_vain_expect_its_reason_at_once(node: Node, managed: Managed) -> None:

@@ -114,8 +114,6 @@ class ImbicControllerNode(ManagedNode):
         period = _WATCHDOG_PERIODS[parameters.mode]
         self._timer = steady_timer(self, period, self._on_watchdog, autostart=False)
         self._ramp = steady_timer(self, topics.PERIOD, self._on_watchdog, autostart=False)
-        self.own(self._commands.publisher, self._perturbation.publisher, self._trial)
-        self.own(self._diagnostics, *self._sensors, self._timer, self._ramp)
         return TransitionCallbackReturn.SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -149,7 +147,6 @@ class ImbicControllerNode(ManagedNode):
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Forget everything, so that new parameters can be used."""
-        self.disown()
         self._diagnostics = None
         self._sequencer = None
         return TransitionCallbackReturn.SUCCESS

@@ -120,19 +120,10 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         )
         self._synchronizer.close()
         self._poll = steady_timer(self, _POLL_PERIOD, self._synchronizer.poll, autostart=False)
-        beside = [
-            subscribe_raw(
-                self,
-                topic,
-                kind,
-                partial(self._on_beside, topic),
-                profile=qos.PROFILES[topic],
-            )
-            for topic, kind in _RECORDED_BESIDE.items()
-        ]
+        for topic, kind in _RECORDED_BESIDE.items():
+            take = partial(self._on_beside, topic)
+            subscribe_raw(self, topic, kind, take, profile=qos.PROFILES[topic])
         self._timer = steady_timer(self, _PROGRESS_PERIOD, self._on_timer, autostart=False)
-        self.own(self._timer, self._poll, *self._streams, *beside)
-        self.own(self._received.publisher, self._stopping, self._progress, self._result)
         return TransitionCallbackReturn.SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -157,11 +148,6 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         self._stop()
         self._reset()
         return super().on_deactivate(state)
-
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Forget everything, so that new parameters can be used."""
-        self.disown()
-        return TransitionCallbackReturn.SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Close the bag and conclude from the trials so far."""

@@ -44,8 +44,7 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
         self.set_up(protection, names)
         self._efforts = CommandPublisher(self, EFFORTS, len(names))
         self._states = subscribe_raw(self, STATES, JointState, self._on_state)
-        timer = steady_timer(self, _SILENCE_PERIOD, self._check_silence)
-        self.own(self._efforts.publisher, self._states, timer)
+        steady_timer(self, _SILENCE_PERIOD, self._check_silence)
         return TransitionCallbackReturn.SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:

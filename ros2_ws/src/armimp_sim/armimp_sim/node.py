@@ -45,8 +45,7 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
         self._clock_publisher = self.create_publisher(Clock, topics.CLOCK, qos.CLOCK)
         self._flow = FlowControl()
         self._flow.silent = self._recorder.presence.silent
-        received = subscribe_counts(self, topics.RECEIVED, self._on_received)
-        self.own(self._clock_publisher, received)
+        subscribe_counts(self, topics.RECEIVED, self._on_received)
         return TransitionCallbackReturn.SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
