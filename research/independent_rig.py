@@ -440,7 +440,8 @@ def _perturbation(mismatch: Mismatch, ticks: int, rng: np.random.Generator) -> F
     20 Hz; a number of "sines", from 0.15 Hz up to the cut-off, that never repeat themselves;
     a "chirp" from 0.1 Hz to the cut-off and back every 20 s; a "sweep" from 0.3 Hz to it every
     10 s, whose torque grows with the frequency so that the motion is steady, as that of position
-    servos; "binary" noise, whose sign is drawn anew every 50 ms.
+    servos; "binary" noise, whose sign is drawn anew every 50 ms; "taps" of 4 ms in either
+    direction, 0.3 to 0.8 s apart.
     """
     t = np.arange(ticks) / mismatch.rate
     kind, _, number = mismatch.waveform.partition(" ")
@@ -456,6 +457,13 @@ def _perturbation(mismatch: Mismatch, ticks: int, rng: np.random.Generator) -> F
         rate = 0.1 * (mismatch.cutoff - 0.3)
         f = 0.3 + rate * since
         return np.asarray((4.0 + f**2) * np.sin(2.0 * np.pi * (0.3 + 0.5 * rate * since) * since))
+    if kind == "taps":
+        taps = np.cumsum(rng.uniform(0.3, 0.8, round(4.0 * t[-1])))
+        near = np.searchsorted(taps, t, side="right") - 1
+        since = t - np.append(taps, -1.0)[near]
+        return np.asarray(
+            rng.choice((-1.0, 1.0), taps.size + 1)[near] * (since < 0.004) * (near >= 0)
+        )
     if kind == "binary":
         held = rng.choice((-1.0, 1.0), round(20.0 * t[-1]) + 1)
         return np.asarray(held[(20.0 * t).astype(int)])

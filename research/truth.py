@@ -203,6 +203,11 @@ def _ramped(share: float, start: float = 0.0, end: float = 1.0) -> Change:
     return lambda torque: torque * (1.0 + share * np.linspace(start, end, torque.shape[1]))
 
 
+def _returning(share: float) -> Change:
+    """A gain that falls by a share until the middle of the trial, and comes back."""
+    return lambda torque: torque * (1.0 - share * (1.0 - np.linspace(-1, 1, torque.shape[1]) ** 2))
+
+
 def _restamped(rate: float) -> Callable[[Any], Any]:
     def stamp(stamps: Stamps) -> Any:
         return stamps[0] + np.rint(np.arange(stamps.size) * (1e9 / rate)).astype(np.int64)
@@ -716,6 +721,11 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     for share in (0.02, 0.1, 0.3):
         stepped = {"readings": changed(torque=_stepped(share))}
         add(MUST, "gain that changes at once", (f"{share:g}", stepped))
+    for share, slow in product((0.03, 0.1, 0.2), (0.0, 0.3)):
+        back = {"voluntary": slow, "readings": changed(torque=_returning(share))}
+        add(MUST, "gain that comes back", (f"{share:g}, {slow:g} N·m", back))
+    tapped = {"waveform": "taps", "readings": _without_commands}
+    add(MUST, "taps without commands", ("", tapped), ("0.3 N·m", tapped | {"voluntary": 0.3}))
     for share in (0.02, 0.05, 0.1):
         ramped = {"readings": changed(torque=_ramped(share))}
         add(MUST, "gain that grows", (f"{share:g}", ramped))

@@ -7,14 +7,14 @@ that depends on the direction), ``θ |θ̇|`` and ``θ̇ |θ|`` (stiffness that 
 damping with the angle), ``θ̇ |θ̇|/(1 + |θ̇|)`` (damping that changes with the speed, less and less,
 as force-velocity curves of muscles flatten), a play operator of the angle (a short-range spring
 that yields: Brokate & Sprekels, *Hysteresis and Phase Transitions*, ch. 2), the sign of ``θ̇``
-(friction), ``θ t`` or an abrupt change (a stiffness that changes over the trial) and ``θ exp(-t)``
-and ``θ̇ exp(-t)`` (stiffness and damping that are larger at the start). Terms of the transducer
+(friction), ``θ t``, ``θ t²`` or an abrupt change (a stiffness that changes over the trial) and ``θ
+exp(-t)`` and ``θ̇ exp(-t)`` (stiffness and damping larger at the start). Terms of the transducer
 depend on the torque τ̂ over all perturbed frequencies: ``|τ̂|`` (its gain depends on the
 direction), ``|τ̂|`` times the sign of ``θ̇`` (losses of a transmission), ``τ̂³`` and ``τ̂ |θ̇|``
-(its gain changes with torque or speed), the sign of τ̂ (it does not show small torques), ``τ̂ t``
-or an abrupt change (its gain drifts) and a play operator (hysteresis). Terms of the encoder are ``Z
-θ |θ|`` (its scale changes with the angle) and ``Z |θ|`` (with the direction): the torque of the
-fitted arm at angles that are not shown.
+(its gain changes with torque or speed), the sign of τ̂ (it does not show small torques), ``τ̂ t``,
+``τ̂ t²`` or an abrupt change (its gain drifts) and a play operator (hysteresis). Terms of the
+encoder are ``Z θ |θ|`` (its scale changes with the angle) and ``Z |θ|`` (with the direction): the
+torque of the fitted arm at angles that are not shown.
 
 All linear responses to the angle and to the perturbation are projected out of the terms and of e.
 The instrument (Söderström & Stoica, *Instrumental Variable Methods for System Identification*) is
@@ -312,6 +312,13 @@ TERMS: Mapping[str, Term] = {
         large=0.05,
         most=3.0,
     ),
+    "time and back": Term(
+        bend=lambda signals: returning(signals[0]),
+        code=ProblemCode.CHANGES_OVER_TIME,
+        in_time=True,
+        large=0.05,
+        most=3.0,
+    ),
     "onset": Term(
         bend=lambda signals: calming(signals[0]),
         code=ProblemCode.CHANGES_OVER_TIME,
@@ -368,6 +375,16 @@ TERMS: Mapping[str, Term] = {
         likely=0.05,
         sizes=(0.1,),
         doubted=0.5,
+    ),
+    "drift and back": Term(
+        bend=lambda signals: returning(signals[3]),
+        code=ProblemCode.GAIN_DRIFTS,
+        kind=Kind.GAIN,
+        in_time=True,
+        large=0.1,
+        likely=0.03,
+        sizes=(0.1,),
+        doubted=2.0 / 3.0,
     ),
     "scale": Term(
         bend=lambda signals: signals[0] * np.abs(signals[0]),
@@ -598,6 +615,11 @@ def play(angle: FloatArray, half: float) -> FloatArray:
 def calming(signal: FloatArray) -> FloatArray:
     """A signal, (N,), as large as a startled arm still is unlike one at rest."""
     return np.asarray(signal * np.exp(-np.linspace(0.0, ONSETS, signal.size)))
+
+
+def returning(signal: FloatArray) -> FloatArray:
+    """A signal, (N,), times a change until the middle of a trial and back, 0 in the mean."""
+    return np.asarray(signal * (4.0 * np.linspace(-0.5, 0.5, signal.size) ** 2 - 1.0 / 3.0))
 
 
 def _onto(forces: FloatArray) -> Callable[[FloatArray], FloatArray]:

@@ -30,6 +30,7 @@ _HEAPED = 4.0  # ratio of samples at a suspect value to those at each neighbouri
 _NEIGHBOURS = 8  # distinct values next to a suspect one that it is compared with
 _REACH = 3.0  # range of those values, in median steps of the signal, where that includes more
 _VISITS = 3  # least number of arrivals at clipped values
+_NEXT, _GAP = 2.5, 0.25  # values that may be a second count, and least gap, in least values
 _PASSED = 20  # samples near a zero in which larger values must come; most for which it counts
 _FELT = 0.005  # share of samples that are 0 in a dead zone, at least
 _APPROACH = 5  # samples over which the speed before an arrival is taken
@@ -249,8 +250,7 @@ def mended(record: TrialRecord) -> tuple[TrialRecord, list[Problem]]:
         for joint, (name, signal) in enumerate(zip(record.joint_names, signals, strict=True)):
             rest = signal - known[stream][joint]
             height = np.maximum(_over_opening(rest), _over_opening(-rest))
-            if record.command is not None:
-                height[:_PERIODS] = 0.0  # these follow commands from before the record
+            height[:_PERIODS] = 0.0  # these follow commands from before the record
             usual = max(float(np.quantile(height, _USUAL)), record.resolution[stream][joint])
             away = height > max(_AWAY * usual, _SMALL * float(np.std(signal)))
             if not away.any():
@@ -274,11 +274,17 @@ def mended(record: TrialRecord) -> tuple[TrialRecord, list[Problem]]:
 
 
 def _of_commands(record: TrialRecord) -> FloatArray:
-    """Part of the torques that jumps with the commands of the last periods, (n, N), N·m."""
-    if record.command is None or record.samples <= _ENOUGH:
+    """Part of the torques that jumps with the commands of the last periods, (n, N), N·m.
+
+    Without commands, with the perturbation, which they contain.
+    """
+    if record.samples <= _ENOUGH:
         return np.zeros_like(record.torque)
     lags = range(_PERIODS)
-    steps = np.pad(command_steps(record), ((0, 0), (_PERIODS, 0)))
+    own = record.perturbation[[record.perturbed_joint]]
+    pushes = np.diff(own, axis=1, prepend=own[:, :1])
+    steps = pushes if record.command is None else command_steps(record)
+    steps = np.pad(steps, ((0, 0), (_PERIODS, 0)))
     lagged = np.concatenate([steps[:, _PERIODS - lag : steps.shape[1] - lag] for lag in lags])
     changes = np.diff(record.torque, axis=1, prepend=record.torque[:, :1])
     answers, _ = regress([lagged[:, :_REGRESSED]], [changes[:, :_REGRESSED]])
@@ -638,9 +644,11 @@ def zeros_beyond_chance(signal: FloatArray, step: float) -> int:
 
     A dead zone shows small torques as 0, and a bus may show lost readings as 0. A sound signal,
     most of which is farther from 0, has the value 0 about as often as any of the 8 values, to its
-    resolution, on either side; more than 4 times as often is beyond chance. A run of zeros counts
-    for 20 samples at most, as a signal may rest at any value. Within 20 samples before and after it
-    the signal has to leave the range of those values: a relaxed, unperturbed arm has no torque.
+    resolution, on either side; more than 4 times as often is beyond chance. Readings that were
+    rounded before they were multiplied, as a force by a lever that changes with the angle, have a
+    heap of values for each count, apart from the next one. A run of zeros counts for 20 samples at
+    most, as a signal may rest at any value. Within 20 samples before and after it the signal has to
+    leave the range of those values: a relaxed, unperturbed arm has no torque.
 
     Parameters
     ----------
@@ -664,7 +672,11 @@ def zeros_beyond_chance(signal: FloatArray, step: float) -> int:
     around = counts[max(place - _NEIGHBOURS, 0) : place + _NEIGHBOURS + 1]
     few = around.size <= 2 * _NEIGHBOURS or np.sum(around) > _BROAD * signal.size
     others = np.delete(around, min(place, _NEIGHBOURS))
-    return 0 if few or count <= _HEAPED * float(np.max(others)) else count
+    sizes = np.sort(np.abs(signal[signal != 0.0]))
+    beyond = _NEXT * sizes[0]
+    gaps = np.diff(sizes[sizes < beyond], append=beyond) > _GAP * sizes[0]
+    heap = 0.5 * float(np.argmax(gaps) + 1) if gaps.any() else 0.0
+    return 0 if few or count <= _HEAPED * max(float(np.max(others)), heap) else count
 
 
 def repeating(signal: FloatArray) -> float:

@@ -173,23 +173,25 @@ def test_nonlinear_and_changing_arms_show_beside_a_lag_that_m_b_and_k_do_not_des
 
 
 @pytest.mark.parametrize("periodic", [False, True])
+@pytest.mark.parametrize("back", ["", " and back"])
 @pytest.mark.parametrize(("gain", "stiffness"), [(0.0, 0.0), (0.1, 0.0), (0.0, 0.2)])
-def test_a_gain_or_a_stiffness_that_changes_abruptly_is_found(
-    gain: float, stiffness: float, periodic: bool
+def test_a_gain_or_a_stiffness_that_changes_abruptly_or_comes_back_is_found(
+    gain: float, stiffness: float, back: str, periodic: bool
 ) -> None:
     random = np.random.default_rng(3)
     source = multisine(10.0, np.arange(1, 60))
     if not periodic:
         source = lagging_behind(random.standard_normal(source.size), 0.9)
     angle = angle_of(source)
-    later = np.arange(angle.size) > 0.7 * angle.size
+    t = np.linspace(-1.0, 1.0, angle.size)
+    later = t**2 if back else np.asarray(t > 0.4, dtype=np.float64)
     torque = torque_of(angle) * (1.0 + gain * later) + stiffness * 8.0 * later * angle
     found = significant(elbow(source, angle, torque + 0.01 * random.standard_normal(angle.size)))
     assert gain or stiffness or not found
     if gain:
-        assert found["drift"].share == pytest.approx(gain, rel=0.3)
+        assert found[f"drift{back}"].share == pytest.approx(gain, rel=0.3)
     if stiffness:
-        assert found["time"].share == pytest.approx(stiffness, rel=0.3)
+        assert found[f"time{back}"].share == pytest.approx(stiffness, rel=0.3)
 
 
 def test_a_transient_at_the_start_does_not_hide_a_transducer_that_compresses() -> None:
