@@ -81,6 +81,11 @@ class Mismatch:
     """Natural frequency of locked joints, rad/s (at most a sixth of the rate)."""
     cuff: float = 0.0
     """Stiffness between robot and arm, N·m/rad; 0: rigid."""
+    hand: float = 0.0
+    """Share of the arm's inertia that a spring couples to it, as of a hand that is not strapped;
+    not beside a cuff."""
+    hand_frequency: float = 3.0
+    """Natural frequency of that with the arm at rest, Hz; its damping ratio is 0.4."""
     loose: float = 0.0
     """Angle by which the robot moves freely before the cuff takes the arm along, either way."""
     reflex: float = 0.0
@@ -520,7 +525,25 @@ def _state_space(
     inertia = ROBOT[:n, :n] * mismatch.robot
     viscous = mismatch.viscosity * np.eye(n)
     one, nil = np.eye(n), np.zeros((n, n))
-    if mismatch.cuff:
+    if mismatch.hand:
+        w, rigid = 2.0 * np.pi * mismatch.hand_frequency, (1.0 - mismatch.hand) * M
+        stiff, damped = mismatch.hand * w**2 * M, mismatch.hand * 0.8 * w * M
+        both = np.linalg.inv(inertia + rigid)
+        pulls = [K + stiff, B + damped, -stiff, -damped]
+        braked = [K + stiff, B + damped + viscous, -stiff, -damped]
+        dynamics = np.block(
+            [
+                [nil, one, nil, nil],
+                [-both @ part for part in braked],
+                [nil, nil, nil, one],
+                [w**2 * one, 0.8 * w * one, -(w**2) * one, -0.8 * w * one],
+            ]
+        )
+        forces = np.block([[nil, nil], [both, -both], [nil, nil], [nil, nil]])
+        taken = rigid @ both
+        of_states = [pull - taken @ part for pull, part in zip(pulls, braked, strict=True)]
+        torque_of = np.hstack([*of_states, taken, one - taken])
+    elif mismatch.cuff:
         stiff = mismatch.cuff * one
         damped = 0.002 * stiff
         robot, arm = np.linalg.inv(inertia), np.linalg.inv(M)

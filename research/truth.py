@@ -724,6 +724,9 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     for share, slow in product((0.03, 0.1, 0.2), (0.0, 0.3)):
         back = {"voluntary": slow, "readings": changed(torque=_returning(share))}
         add(MUST, "gain that comes back", (f"{share:g}, {slow:g} N·m", back))
+    for share, frequency, slow in product((0.03, 0.1), (2.5, 4.0), (0.0, 0.1, 0.3)):
+        swinging = {"hand": share, "hand_frequency": frequency, "voluntary": slow}
+        add(MUST, "hand that swings", (f"{share:g}, {frequency:g} Hz, {slow:g} N·m", swinging))
     tapped = {"waveform": "taps", "readings": _without_commands}
     add(MUST, "taps without commands", ("", tapped), ("0.3 N·m", tapped | {"voluntary": 0.3}))
     for share in (0.02, 0.05, 0.1):

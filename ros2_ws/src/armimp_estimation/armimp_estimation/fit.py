@@ -204,6 +204,10 @@ _STRETCH, _LEAD = 0.3, 20.0
 """Assumption: stretch gain of a reflex, relative to K, and relative to its velocity gain, 1/s."""
 _RELAXED, _RELAXATIONS = 0.4, (0.05, 0.3)
 """Assumption: stiffness of a relaxing spring beside K, relative to K, and its time constants, s."""
+_MODE = 0.1
+_MODES, _DAMPED, _PARTS = (1.8, 2.5, 3.5, 5.0, 7.0, 10.0), (0.2, 0.5, 1.0), (0.02, 0.06, 0.2)
+"""Assumption: prior probability that an arm has a second mode, as of a hand that nobody strapped or
+of soft tissue; its natural frequency, Hz, damping ratio and share of the inertia."""
 _CUFF = 1e-5
 """Assumption: compliance that a cuff between robot and arm may have, rad/(N·m)."""
 _COUPLED, _CORNERS = 0.5, (0.3, 1.0)
@@ -525,6 +529,7 @@ class _Elements:
                     error = math.sqrt(max(variances[place, place], 0.0))
                     squares[place, row] += _noticed(values[place], error)
         (n, columns, _), hidden = self.estimate.Z.shape, self._change_by_hidden(plain)
+        hidden = np.maximum(hidden, self._change_by_second_mode(plain))
         if n == columns and n <= _MOST_CUFFS:
             Z = _of_mbk(plain, self.omega).reshape(n, n, -1)
             common = [-Z[:, joint, None] * Z[None, joint] for joint in range(n)]
@@ -574,6 +579,34 @@ class _Elements:
                 for row in range(own % columns, len(self.Z), columns):
                     square, _ = judged(*told[row], elsewhere=0.0 if row == own else evidence)
                     change[:, row] = np.maximum(change[:, row], square * shifts[:, row] ** 2)
+        return change
+
+    def _change_by_second_mode(self, values: FloatArray) -> FloatArray:
+        """Squared change of M, B and K, (3, n²), by a mass that a spring couples to the arm.
+
+        With the share c of the inertia, it adds ``-c M s⁴/(s² + 2ζws + w²)`` to the arm that is
+        rigid up to it: beyond w the mass stays behind. All elements together tell which w and ζ it
+        may have; what the data leave open counts by the prior.
+        """
+        change, columns = np.zeros_like(values), self.estimate.Z.shape[1]
+        if not self.estimate.unbiased or len(self.Z) > _MOST_CUFFS**2:
+            return change
+        s, M = 1j * self.omega, values[0][:, None]
+        shapes = [
+            -M * s**4 / (s**2 + 2.0 * damped * w * s + w**2)
+            for w, damped in product(2.0 * np.pi * np.array(_MODES), _DAMPED)
+        ]
+        judged = partial(hidden_square, likely=0.5, sizes=_PARTS, positive=True)
+        told = [[judged(*one) for one in self.coefficients_of(shape)] for shape in shapes]
+        squares, evidence = np.moveaxis(np.array(told), 2, 0)
+        squares *= 1.0 + np.exp(np.minimum(-evidence, 700.0))  # if there is such a mode
+        moved = squares * np.stack([self.shifts(shape) for shape in shapes], axis=1) ** 2
+        for own in self.own:
+            others = np.maximum(np.sum(evidence[:, self.own], axis=1) - evidence[:, own], 0.0)
+            for row in range(own % columns, len(self.Z), columns):
+                seen = others + evidence[:, row] + (evidence[:, own] if row != own else 0.0)
+                odds = math.log(_MODE / (1.0 - _MODE) / len(shapes)) + seen
+                change[:, row] = moved[:, :, row] @ softmax(np.append(odds, 0.0))[:-1]
         return change
 
     def _change_by_coupling(self, Z: ComplexArray) -> FloatArray:

@@ -23,7 +23,7 @@ from armimp_estimation.json_model import JsonModel, Number, Vector
 from armimp_estimation.mbk import MBK
 from armimp_estimation.metadata import Metadata
 from armimp_estimation.nonlinearity import judge_linearity
-from armimp_estimation.plausibility import judge_angles, mixed_channels
+from armimp_estimation.plausibility import judge_angles, mixed_channels, other_postures
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.robot_balance import (
@@ -256,9 +256,11 @@ def identify(
             resolved=np.all(lost_motion(records)[0] < RESOLVED_SHARE, axis=0),
             linearity=options.calibration.linearity,
         )
-        problems += of_motion
         if options.calibration.assumed:
             doubts += mixed_channels(best.fit, options.calibration)
+        of_postures, changes = other_postures(best.fit, apart)
+        problems += [*of_motion, *of_postures]
+        doubts += changes
         results = {
             name: one.with_doubts(doubts).with_gains_in_doubt(np.diag(gains))
             for name, one in results.items()

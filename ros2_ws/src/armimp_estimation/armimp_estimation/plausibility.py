@@ -19,8 +19,8 @@ from armimp_common.arrays import BoolArray, FloatArray
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import Calibration, MBKFit
 from armimp_estimation.mbk import UNITS
-from armimp_estimation.problems import Problem, ProblemCode, problem
-from armimp_estimation.record import TrialRecord
+from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
+from armimp_estimation.record import APART, TrialRecord
 
 RANGES: Final = {"M": (1e-4, 10.0), "B": (0.0, 150.0), "K": (0.0, 1500.0)}
 """Possible values of a joint, from a wrist to a stiff ankle and ten times beyond; SI units."""
@@ -160,6 +160,20 @@ def mixed_channels(fit: MBKFit, calibration: Calibration) -> list[FloatArray]:
         torque[:, i] = beyond[i, j] / own[j] * matrices[:, j]
         changes += [angle, torque]
     return changes
+
+
+def other_postures(fit: MBKFit, apart: float) -> tuple[list[Problem], list[FloatArray]]:
+    """Note, and change of M, B and K, where trials have postures that are `apart`, rad.
+
+    Each column of M is the inertia at the posture of its trial, which differs from that at another
+    one by up to ``apart √(M_ii M_jj)``.
+    """
+    if not apart > APART:
+        return [], []
+    change = np.zeros((3, *fit.M_se.shape))
+    own = np.sqrt(np.abs(np.diag(fit.mbk.M)))
+    change[0] = apart / np.sqrt(3.0) * np.outer(own, own)
+    return [problem(ProblemCode.POSTURES_DIFFER, severity=Severity.NOTE, apart=apart)], [change]
 
 
 def least_eigenvalue(matrix: FloatArray, errors: FloatArray) -> tuple[float, float]:

@@ -93,6 +93,7 @@ class ProblemCode(str, Enum):
     CALIBRATION_ASSUMED = "calibration_assumed"
     IMPLAUSIBLE_INERTIA = "implausible_inertia"
     UNEVEN_INERTIA = "uneven_inertia"
+    POSTURES_DIFFER = "postures_differ"
     IMPLAUSIBLE_VALUE = "implausible_value"
     IMPLAUSIBLE_ANGLE = "implausible_angle"
     TORQUE_UNBALANCED = "torque_unbalanced"

@@ -13,6 +13,8 @@ from armimp_estimation.spectra import BAND
 
 EXACT = 1e-9
 """Differences of a signal, relative to its peak-to-peak range, that are floating-point rounding."""
+APART = 0.02
+"""Distance between the postures of trials that is neglected, rad."""
 _BY_CHANCE = 10.0
 """Least gap that is not random, in ``r/n²`` of `resolution_of`: chance exceeds it in 1 of e¹⁰."""
 _ONCE = 0.4

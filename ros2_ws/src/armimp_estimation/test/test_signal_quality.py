@@ -194,7 +194,9 @@ def test_a_signal_without_resolution_is_not_clipped() -> None:
 def test_a_sound_record_stays_as_it_is_however_its_commands_chatter(
     step: float, source: str
 ) -> None:
-    command = np.random.default_rng(3).choice((-2.0, 0.0, 2.0), (1, 50_000), p=(0.001, 0.998, 0.001))
+    command = np.random.default_rng(3).choice(
+        (-2.0, 0.0, 2.0), (1, 50_000), p=(0.001, 0.998, 0.001)
+    )
     torque = motion(1, step) + 0.5 * np.roll(command, 1) - 0.2 * np.roll(command, 2)
     record = made_record(motion(3, 1e-3)[None], torque, **{source: command})
     kept, problems = mended(record)

@@ -28,7 +28,7 @@ from armimp_estimation.hold_correction import (
 )
 from armimp_estimation.mbk import MBK
 from armimp_estimation.periods import among, common_lines
-from armimp_estimation.record import TrialRecord
+from armimp_estimation.record import APART, TrialRecord
 from armimp_estimation.signal_quality import (
     lost_motion,
     rounding_lead,
@@ -159,7 +159,7 @@ class LpmFull:
             if jump is None and delay_uncertainty == half_period:
                 bounds += _joints_held(impedance, f, half_period)
                 lost += _untold_friction(records, impedance, f, bending)
-            lost += _postures_apart(records, impedance, R, inverse, f)
+            lost += _trials_apart(records, reference, R, inverse, f)
         systematics = (*bounds, *lost, *skewed)
         disturbance = covariance_of(columns, coefficients)
         return ImpedanceEstimate(
@@ -476,8 +476,8 @@ class HiddenMotion:
         return ahead, leads, [effect(*one) for one in self._lost]
 
 
-_APART = 0.02
-"""Distance between the postures of two trials that is neglected, rad."""
+_TENSED = 0.05
+"""Assumption: share by which the stiffness and viscosity of a person differ between trials."""
 _FRICTION, _OVERCOME = 2.0, 3.0
 """Assumption: largest Coulomb friction F_c of a robot's joint, N·m, and relative to the rms of a
 perturbation that moves it nonetheless."""
@@ -528,28 +528,35 @@ def _joints_held(impedance: ComplexArray, f: FloatArray, half_period: float) -> 
     return effects
 
 
-def _postures_apart(
+def _trials_apart(
     records: Sequence[TrialRecord],
-    impedance: ComplexArray,
+    arm: MBK,
     R: ComplexArray,
     inverse: ComplexArray,
     f: FloatArray,
 ) -> list[ComplexArray]:
-    """Errors of the impedance where trials differ in posture, and so in inertia.
+    """Errors of the impedance where the arm differs between trials.
 
-    The small motion R_jk of a joint j that is locked in trial k acts on the inertia at the posture
-    of trial k, not at that of trial j. Between postures a distance apart, in rad, M_ij changes
-    by at most that times ``√(M_ii M_jj)``, in proportion for all rows i. The data don't tell the
-    size of this: where joints are held softly, the person causes most of R_jk.
+    The small motion R_jk of a joint j that is locked in trial k acts on the arm of trial k, not on
+    that of trial j. A person's stiffness and viscosity differ by `_TENSED` (assumption). Between
+    postures a distance apart, in rad, M_ij changes by at most that times ``√(M_ii M_jj)``, in
+    proportion for all rows i. The data don't tell the size of this: where joints are held softly,
+    the person causes most of R_jk.
     """
     postures = np.stack([record.position.mean(axis=1) for record in records])
-    size = np.sqrt(np.abs(np.diag(_inertia(impedance, f))))
-    effects = []
-    for j, k in np.ndindex(impedance.shape[:2]):
+    s = 2j * np.pi * f
+    size = np.sqrt(np.abs(np.diag(arm.M)))
+    tension = _TENSED * MBK(M=np.zeros_like(arm.M), B=arm.B, K=arm.K).impedance(f)
+    effects = list[ComplexArray]()
+    for j, k in np.ndindex(R.shape[:2]):
+        if j == k:
+            continue
+        moved = R[j, k] * inverse[k]
+        effects.append(tension[:, None, j] * moved)
         apart = float(np.linalg.norm(postures[j] - postures[k]))
-        if j != k and apart > _APART:
+        if apart > APART:
             change = size * size[j] * apart / np.sqrt(3.0)
-            effects.append(change[:, None, None] * (2j * np.pi * f) ** 2 * R[j, k] * inverse[k])
+            effects.append(change[:, None, None] * s**2 * moved)
     return effects
 
 
