@@ -59,7 +59,8 @@ class Recording:
         Parameters
         ----------
         perturbation : sequence of array_like
-            Known perturbation of each joint, N·m; the largest variance marks the perturbed joint.
+            Known perturbation of each joint, N·m, without feedback of the motion; the largest
+            variance marks the perturbed joint.
             For a position servo its reference serves, as the scale doesn't matter.
         position : sequence of array_like
             Joint angles, rad.
