@@ -173,16 +173,8 @@ def set_parameter(node: Node, name: str, value: object) -> SetParametersResult:
 
 
 def test_when_file_and_command_line_give_values_expect_them(make_node: MakeNode) -> None:
-    node = make_node(
-        file(
-            "law: {gamma: 7, mass: [1, 2]}",
-            "count: 4",
-            "inner: {quiet: true}",
-            "use_sim_time: false",
-        ),
-        "-p",
-        "count:=5",
-    )
+    given = ("law: {gamma: 7, mass: [1, 2]}", "count: 4", "inner: {quiet: true}")
+    node = make_node(file(*given, "use_sim_time: false"), "-p", "count:=5")
 
     loaded = ParameterSet(node, Params).load()
 

@@ -189,6 +189,16 @@ def test_a_delay_of_all_torques_is_corrected() -> None:
     assert (fit_mbk(raw).mbk.B > 1.2 * TWO_JOINT_ARM.B).all()
 
 
+def test_stiffness_and_viscosity_of_a_locked_joint_may_differ_by_5_percent_between_trials() -> None:
+    found = LPM.estimate(synthetic_trials(dataclasses.replace(LOOP, lock_stiffness=1000.0)))
+    assert found.R is not None
+    assert found.inverse is not None
+    tension = TWO_JOINT_ARM.K[:, 1:] + 2j * np.pi * found.f * TWO_JOINT_ARM.B[:, 1:]
+    expected = 0.05 * tension[:, None] * found.R[1, 0] * found.inverse[0]
+    gaps = [np.linalg.norm(one - expected) for one in found.systematics]
+    assert min(gaps) < 0.05 * np.linalg.norm(expected)
+
+
 def test_the_lead_of_rounded_angles_of_a_locked_joint_is_found_within_its_error() -> None:
     rate, step, lock, band_end = 1000.0, 4e-4, 80.0, 15.0
     records = [trial.record for trial in synthetic_trials()]

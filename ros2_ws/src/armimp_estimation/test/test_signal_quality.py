@@ -191,9 +191,7 @@ def test_a_signal_without_resolution_is_not_clipped() -> None:
 
 @pytest.mark.parametrize("source", ["command", "perturbation"])
 @pytest.mark.parametrize("step", [1e-9, 1e-3, 0.1])
-def test_a_sound_record_stays_as_it_is_however_its_commands_chatter(
-    step: float, source: str
-) -> None:
+def test_a_sound_record_stays_as_it_is_however_commands_chatter(step: float, source: str) -> None:
     command = np.random.default_rng(3).choice(
         (-2.0, 0.0, 2.0), (1, 50_000), p=(0.001, 0.998, 0.001)
     )

@@ -3,6 +3,7 @@
 import functools
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -193,13 +194,7 @@ def test_when_commands_do_not_drive_the_torques_expect_none(
 
 
 def test_when_a_filter_took_the_jumps_off_angles_and_torques_alike_expect_none() -> None:
-    low_pass = signal.butter(2, 15.0, fs=RATE, output="sos")
-    filtered = [
-        replace(
-            record,
-            position=signal.sosfilt(low_pass, record.position),
-            torque=signal.sosfilt(low_pass, record.torque),
-        )
-        for record in rig_records()
-    ]
+    low = partial(signal.sosfilt, signal.butter(2, 15.0, fs=RATE, output="sos"))
+    records = rig_records()
+    filtered = [replace(one, position=low(one.position), torque=low(one.torque)) for one in records]
     assert update_jump(filtered) is None
