@@ -130,6 +130,10 @@ def test_a_pause_of_a_quarter_of_a_second_or_another_joint_divides_what_is_infer
     perturbation[0, 990:] = 1.0
     found = infer_windows(stamps, perturbation)
     assert [(one.joint, one.ticks) for one in found] == [(1, 390), (1, 340), (0, 10)]
+    pulses = np.tile(np.arange(600) < 4, 24) * (np.arange(14_400) // 7200 == [[0], [1]])
+    pulses[0, 3000:4800] = 0.0  # two trials of the first joint
+    found = infer_windows(START + np.arange(14_400, dtype=np.int64) * PERIOD_NS, 1.0 * pulses)
+    assert [(one.joint, one.ticks) for one in found] == [(0, 2404), (0, 1804), (1, 6604)]
 
 
 @pytest.mark.parametrize(

@@ -195,6 +195,5 @@ def test_when_commands_do_not_drive_the_torques_expect_none(
 
 def test_when_a_filter_took_the_jumps_off_angles_and_torques_alike_expect_none() -> None:
     low = partial(signal.sosfilt, signal.butter(2, 15.0, fs=RATE, output="sos"))
-    records = rig_records()
-    filtered = [replace(one, position=low(one.position), torque=low(one.torque)) for one in records]
+    filtered = [replace(r, position=low(r.position), torque=low(r.torque)) for r in rig_records()]
     assert update_jump(filtered) is None

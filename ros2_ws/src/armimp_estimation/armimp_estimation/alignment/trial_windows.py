@@ -17,6 +17,9 @@ from armimp_estimation.problems import Problem, ProblemCode, problem
 
 PAUSE_NS: Final = 250_000_000
 """Zero perturbation for this long (ns) separates two trials if there are no statuses."""
+_PULSES, _LONGER = 8, 3.0
+"""Such pauses of one joint from which on they are those between pulses, except where one is longer
+than the median by this factor."""
 
 
 MOST_TICKS: Final = 10_000_000
@@ -187,7 +190,8 @@ def infer_windows(
     """Find the trials of a recording without statuses, from its perturbation alone.
 
     A trial lasts from the first to the last sample with a nonzero perturbation. Another one begins
-    when another joint is perturbed, or after `PAUSE_NS` without perturbation.
+    when another joint is perturbed, or after `PAUSE_NS` without perturbation; after three times the
+    median of such pauses where a joint has eight or more, as between pulses.
 
     Parameters
     ----------
@@ -216,7 +220,13 @@ def infer_windows(
     if not samples.size:
         raise DataError("no joint is perturbed and there is no trial status")
     joint = active.argmax(axis=0)[samples]
-    apart = np.flatnonzero((np.diff(stamps[samples]) > PAUSE_NS) | (np.diff(joint) != 0))
+    pauses, other = np.diff(stamps[samples]), np.diff(joint) != 0
+    divides = pauses > PAUSE_NS
+    for one in np.unique(joint):
+        own = divides & ~other & (joint[1:] == one)
+        if np.count_nonzero(own) >= _PULSES:
+            divides[own] = pauses[own] > _LONGER * np.median(pauses[own])
+    apart = np.flatnonzero(divides | other)
     require_few_trials(apart.size + 1)
     runs = np.split(np.arange(samples.size), apart + 1)
     return tuple(
