@@ -540,7 +540,10 @@ def time_jumps(record: TrialRecord) -> float:
     after = windows[..., 1 - _ABOUT :].mean(axis=-1)
     usual = 0.5 * (before + after)
     apart = windows[..., _ABOUT] - usual
-    steady = np.abs(after - before) < _STEADY * np.abs(usual)
+    beside = 0.5 * (windows[..., _ABOUT - 1] + windows[..., _ABOUT + 1])
+    # A motion that slows down and hurries on has small steps next to its smallest one, too.
+    uneven = np.maximum(np.abs(after - before), 2.0 * np.abs(beside - usual))
+    steady = uneven < _STEADY * np.abs(usual)
     for channel, count in enumerate(counts):
         noise, own = float(np.median(np.abs(apart[channel]))), usual[channel]
         least = max(_CLEAR * noise, count * float(record.resolution[JOINT_STATES][k]))
