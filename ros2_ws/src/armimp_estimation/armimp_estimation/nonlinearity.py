@@ -692,19 +692,22 @@ class _Motion:
     def __init__(self, record: TrialRecord, band: _Band, motion: FloatArray) -> None:
         self._record, self._band = record, band
         k, kept = record.perturbed_joint, band.kept
-        # Line by line, the person's torque would seem to be caused by the perturbation, too.
-        smooth, wide, moving = (
-            _Band(record, edges, by_lines=False) for edges in (BAND, WIDE, MOVING)
-        )
+        wide, moving = _Band(record, WIDE), _Band(record, MOVING)
         position = record.position[k]
         angle = moving.signal(moving.of(position))
         quick = np.vstack((2j * np.pi * wide.f * wide.of(position), wide.of(record.torque)))
         speed, *self._torques = wide.signal(quick)
         torque = band.inner(self._torques[k])
         load = band.inner(np.full(torque.size, record.torque[k].mean()))
-        caused = wide.caused(np.stack((speed, self._torques[k])))
+        # Line by line, the person's torque would seem to be caused by the perturbation, too.
+        pushed = _Band(record, WIDE, by_lines=False).caused(self._torques[k])
         actual = np.stack((angle, motion[0], speed, torque + load))
-        known = (moving.caused(angle), smooth.caused(motion[0]), caused[0], band.inner(caused[1]))
+        known = (
+            moving.caused(angle),
+            band.caused(motion[0]),
+            wide.caused(speed),
+            band.inner(pushed),
+        )
         self._sizes = np.std(actual[:, kept], axis=1)
         units = np.where(self._sizes > 0.0, self._sizes, 1.0)[:, None]
         self._signals, self._known = actual / units, np.stack(known) / units
@@ -720,7 +723,7 @@ class _Motion:
         # With one band for each line, the filters could follow an abrupt change.
         self._smooth = self._linear
         if record.periods is not None:
-            self._smooth = _Linear(record, smooth)
+            self._smooth = _Linear(record, _Band(record, by_lines=False))
 
     def _bend(self, term: Term) -> ComplexArray:
         """Spectra, (3, n_freq), of a term's instrument, of the term, and of it without the person.
@@ -747,7 +750,8 @@ class _Motion:
         if not ((self._sizes > 0.0).all() and size.all()):
             return {}
         inner, torque = band.inner(rest), band.inner(self._torques[joint])
-        left, pushes, shown = map(band.of, (rest, band.pushes, record.torque[joint]))
+        left, moved, shown = map(band.of, (rest, record.position[k], record.torque[joint]))
+        pushes = band.of(band.pushes)
 
         def weighed(*noise: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
             weights = band.weights(*noise)
@@ -781,7 +785,8 @@ class _Motion:
             estimate = slope, error, freedom
             at_lines = False
             if record.periods is not None and not one.in_time:
-                of_lines = _slope_at_lines(band.lines, pushes, bent[2], bent[1], left, shown)
+                source = pushes if one.kind in {Kind.GAIN, Kind.LOST} else moved
+                of_lines = _slope_at_lines(band.lines, source, bent[2], bent[1], left, shown)
                 at_lines = of_lines[1] < estimate[1]
                 estimate = of_lines if at_lines else estimate
             alike, sizes = self._alike[name], self._sizes

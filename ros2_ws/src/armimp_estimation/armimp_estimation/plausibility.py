@@ -162,13 +162,19 @@ def mixed_channels(fit: MBKFit, calibration: Calibration) -> list[FloatArray]:
     return changes
 
 
-def other_postures(fit: MBKFit, apart: float) -> tuple[list[Problem], list[FloatArray]]:
-    """Note, and change of M, B and K, where trials have postures that are `apart`, rad.
+def other_postures(
+    records: Sequence[TrialRecord], fit: MBKFit
+) -> tuple[list[Problem], list[FloatArray]]:
+    """Note, and change of M, B and K, where trials have postures that are some distance apart.
 
     Each column of M is the inertia at the posture of its trial, which differs from that at another
-    one by up to ``apart √(M_ii M_jj)``.
+    one by up to that distance times ``√(M_ii M_jj)``. Only more than twice the distance between the
+    halves of any trial counts, as slow motion about one posture makes less.
     """
-    if not apart > APART:
+    halves = [np.array_split(record.position, 2, axis=1) for record in records]
+    means = np.array([[half.mean(axis=1) for half in both] for both in halves])
+    apart = float(np.max(np.ptp(means.mean(axis=1), axis=0)))
+    if not apart > max(APART, 2.0 * float(np.max(np.ptp(means, axis=1)))):
         return [], []
     change = np.zeros((3, *fit.M_se.shape))
     own = np.sqrt(np.abs(np.diag(fit.mbk.M)))
