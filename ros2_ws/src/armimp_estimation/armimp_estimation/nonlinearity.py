@@ -941,7 +941,7 @@ def _by_parts(
 
 def _slope_at_lines(
     lines: NDArray[np.intp],
-    pushes: ComplexArray,
+    source: ComplexArray,
     instrument: ComplexArray,
     term: ComplexArray,
     left: ComplexArray,
@@ -950,10 +950,10 @@ def _slope_at_lines(
     """As :func:`_ratio`, from spectra (n_freq,) at the lines of a periodic perturbation.
 
     Where all harmonics are lines, distortion falls on them, too, but differs from line to line,
-    while the output of a linear filter of the perturbation, `pushes`, is smooth over frequency. So
-    from each `_GROUP` lines a multiple of it is projected out that changes linearly with the
-    frequency, and likewise the leakage of the record's ends, which is smooth in itself. Angles and
-    torques would not do: they contain what the person adds.
+    while the output of a linear filter of a `source` is smooth over frequency. So from each
+    `_GROUP` lines a multiple of it is projected out that changes linearly with the frequency, and
+    likewise the leakage of the record's ends, which is smooth in itself. The torque would be no
+    source of itself, as it contains what the person adds.
     """
     if lines.size < _GROUP:
         return 0.0, np.inf, 1.0
@@ -961,7 +961,7 @@ def _slope_at_lines(
     for group in np.array_split(lines, lines.size // _GROUP):
         steps = np.linspace(-1.0, 1.0, group.size)
         multiples = np.stack((np.ones_like(steps), steps), axis=1)
-        known = np.concatenate((pushes[group, None] * multiples, multiples), axis=1)
+        known = np.concatenate((source[group, None] * multiples, multiples), axis=1)
         smooth = np.linalg.qr(known)[0]
         cause, bent, rest = (
             one[group] - smooth @ (np.conj(smooth.T) @ one[group])
