@@ -60,8 +60,8 @@ class Recording:
         ----------
         perturbation : sequence of array_like
             Known perturbation of each joint, N·m, without feedback of the motion; the largest
-            variance marks the perturbed joint.
-            For a position servo its reference serves, as the scale doesn't matter.
+            variance marks the perturbed joint. For a position servo its reference serves, as the
+            scale doesn't matter.
         position : sequence of array_like
             Joint angles, rad.
         torque : sequence of array_like

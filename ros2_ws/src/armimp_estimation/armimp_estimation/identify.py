@@ -258,7 +258,7 @@ def identify(
         )
         if options.calibration.assumed:
             doubts += mixed_channels(best.fit, options.calibration)
-        of_postures, changes = other_postures(records, best.fit)
+        of_postures, changes = other_postures(records, best.fit, apart)
         problems += [*of_motion, *of_postures]
         doubts += changes
         results = {

@@ -163,18 +163,17 @@ def mixed_channels(fit: MBKFit, calibration: Calibration) -> list[FloatArray]:
 
 
 def other_postures(
-    records: Sequence[TrialRecord], fit: MBKFit
+    records: Sequence[TrialRecord], fit: MBKFit, apart: float
 ) -> tuple[list[Problem], list[FloatArray]]:
-    """Note, and change of M, B and K, where trials have postures that are some distance apart.
+    """Note, and change of M, B and K, where trials have postures that are `apart`, rad.
 
     Each column of M is the inertia at the posture of its trial, which differs from that at another
     one by up to that distance times ``√(M_ii M_jj)``. Only more than twice the distance between the
     halves of any trial counts, as slow motion about one posture makes less.
     """
     halves = [np.array_split(record.position, 2, axis=1) for record in records]
-    means = np.array([[half.mean(axis=1) for half in both] for both in halves])
-    apart = float(np.max(np.ptp(means.mean(axis=1), axis=0)))
-    if not apart > max(APART, 2.0 * float(np.max(np.ptp(means, axis=1)))):
+    within = max(np.max(np.abs(a.mean(axis=1) - b.mean(axis=1))) for a, b in halves)
+    if not apart > max(APART, 2.0 * float(within)):
         return [], []
     change = np.zeros((3, *fit.M_se.shape))
     own = np.sqrt(np.abs(np.diag(fit.mbk.M)))
