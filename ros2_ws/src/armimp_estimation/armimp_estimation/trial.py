@@ -42,33 +42,8 @@ SIGNIFICANT = 6.0
 """Standard errors beyond which a slope counts as drift; no record gets there by chance."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Drift:
-    """Slopes of the signals of a trial, apart from their response to the perturbation."""
-
-    slopes: FloatArray
-    errors: FloatArray
-    """Slopes of angles, rad/s, then of torques, N·m/s, and their standard errors; shape (2n,)."""
-
-    @property
-    def beyond_chance(self) -> FloatArray:
-        """Significant slopes; 0 in the place of all others; shape (2n,)."""
-        return np.where(np.abs(self.slopes) > SIGNIFICANT * self.errors, self.slopes, 0.0)
-
-    @property
-    def significant(self) -> bool:
-        """Whether any slope is significant."""
-        return bool(self.beyond_chance.any())
-
-    def removed_from(self, record: TrialRecord) -> TrialRecord:
-        """Return a record of the trial without its significant slopes."""
-        t = (np.arange(record.samples) - 0.5 * (record.samples - 1)) / record.rate
-        position, torque = np.split(self.beyond_chance[:, None] * t, 2)
-        return replace(record, position=record.position - position, torque=record.torque - torque)
-
-
-def drift_of(record: TrialRecord) -> Drift | None:
-    """Estimate the slopes of angles and torques.
+def slopes_of(record: TrialRecord) -> tuple[FloatArray, FloatArray]:
+    """Estimate the slopes of the signals of a trial, apart from their response to the perturbation.
 
     Parameters
     ----------
@@ -77,18 +52,20 @@ def drift_of(record: TrialRecord) -> Drift | None:
 
     Returns
     -------
-    Drift or None
-        None if the record is too short (see :data:`HIGHEST`) or its perturbation too poor.
+    slopes, errors : ndarray, shape (2n,)
+        Slopes of angles, rad/s, then of torques, N·m/s, and their standard errors. These are
+        infinite if the record is too short (see :data:`HIGHEST`) or its perturbation too poor.
     """
+    unknown = np.zeros(2 * record.joints), np.full(2 * record.joints, np.inf)
     places = np.arange(1, _WINDOW + 1)
     record = record.whole_periods
     samples = record.samples
     if (samples - 1) // 2 < _WINDOW or places[-1] * record.rate / samples > HIGHEST:
-        return None
+        return unknown
     inputs = np.fft.rfft(record.perturbation[record.perturbed_joint])[places]
     scale = np.sqrt(np.mean(np.abs(inputs) ** 2))
     if not scale > 0.0:
-        return None
+        return unknown
     if record.periods is not None:
         # A periodic perturbation has no power between its harmonics.
         places = places[places % record.periods.count != 0]
@@ -101,15 +78,14 @@ def drift_of(record: TrialRecord) -> Drift | None:
     basis, triangle = np.linalg.qr(np.concatenate(columns, axis=1))
     freedom = places.size - triangle.shape[0]
     if freedom < 1 or np.min(np.abs(np.diag(triangle))) < 1e-9 * np.max(np.abs(triangle)):
-        return None
+        return unknown
     outputs = np.concatenate([record.position, record.torque])
     observed = np.fft.rfft(outputs - outputs.mean(axis=1, keepdims=True), axis=1)[:, places].T
     parts = np.conj(basis.T) @ observed
     noise = np.sum(np.abs(observed - basis @ parts) ** 2, axis=0) / freedom
     # The ramp is the last column, so its coefficient follows from the last row alone.
     slopes = (parts[-1] / triangle[-1, -1]).real / size
-    errors = np.sqrt(0.5 * noise) / (abs(triangle[-1, -1]) * size)
-    return Drift(slopes=slopes, errors=errors)
+    return slopes, np.sqrt(0.5 * noise) / (abs(triangle[-1, -1]) * size)
 
 
 def cleaned(
@@ -117,10 +93,18 @@ def cleaned(
 ) -> tuple[tuple[TrialRecord, ...], tuple[Problem, ...]]:
     """Interpolate lost readings of a trial's stretches, and remove the drift of the longest."""
     whole, problems = zip(*map(mended, stretches), strict=True)
-    drift = drift_of(max(whole, key=lambda stretch: stretch.samples))
-    if drift is not None and drift.significant:
-        whole = tuple(map(drift.removed_from, whole))
+    slopes, errors = slopes_of(max(whole, key=lambda stretch: stretch.samples))
+    drift = np.where(np.abs(slopes) > SIGNIFICANT * errors, slopes, 0.0)
+    if drift.any():
+        whole = tuple(_without(drift, record) for record in whole)
     return whole, tuple(chain(*problems))
+
+
+def _without(slopes: FloatArray, record: TrialRecord) -> TrialRecord:
+    """Subtract ramps with these slopes, (2n,), from the angles and torques of a record."""
+    t = (np.arange(record.samples) - 0.5 * (record.samples - 1)) / record.rate
+    position, torque = np.split(slopes[:, None] * t, 2)
+    return replace(record, position=record.position - position, torque=record.torque - torque)
 
 
 def segment_for(trials: Sequence[Sequence[TrialRecord]]) -> int:
