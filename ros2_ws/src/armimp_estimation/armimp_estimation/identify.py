@@ -219,7 +219,7 @@ def identify(
     deciding = _deciding(results)
     best = results[deciding[0]]
     records = [trial.record for trial in ordered]
-    problems = verdict.judge_band(trials[0].f, ordered[0].f)
+    problems = list(verdict.judge_band(trials[0].f, ordered[0].f))
     for trial in ordered:
         problems += [*trial.problems, *judge_angles(trial.record), *judge_signals(trial.record)]
     problems += verdict.judge_order(names, locks)

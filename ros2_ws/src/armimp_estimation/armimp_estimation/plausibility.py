@@ -10,8 +10,8 @@ have in common, such as a wrong unit, show only in the size of the values.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Final
+from collections.abc import Iterator, Sequence
+from typing import Any, Final
 
 import numpy as np
 
@@ -192,15 +192,8 @@ def least_eigenvalue(matrix: FloatArray, errors: FloatArray) -> tuple[float, flo
     return float(values[0]), float(np.sqrt(square))
 
 
-def judge_angles(record: TrialRecord) -> list[Problem]:
-    """Find angles that aren't in radians, or jump to another turn.
-
-    Parameters
-    ----------
-    record : TrialRecord
-        One trial.
-    """
-    problems = []
+def judge_angles(record: TrialRecord) -> Iterator[Problem]:
+    """Find angles of a trial that aren't in radians, or jump to another turn."""
     for name, angle in zip(record.joint_names, record.position, strict=True):
         posture, motion = float(np.abs(np.median(angle))), float(np.ptp(angle))
         step = float(np.max(np.abs(np.diff(angle)), initial=0.0))
@@ -214,14 +207,5 @@ def judge_angles(record: TrialRecord) -> list[Problem]:
             what, value = "move by", motion
         else:
             continue
-        problems.append(
-            problem(
-                ProblemCode.IMPLAUSIBLE_ANGLE,
-                trial=record.trial,
-                name=name,
-                what=what,
-                value=value,
-                cause=cause,
-            )
-        )
-    return problems
+        about: dict[str, Any] = {"name": name, "what": what, "value": value, "cause": cause}
+        yield problem(ProblemCode.IMPLAUSIBLE_ANGLE, trial=record.trial, **about)

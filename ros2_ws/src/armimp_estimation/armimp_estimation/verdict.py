@@ -8,8 +8,8 @@ below, and by `plausibility`, `signal_quality`, `nonlinearity`, `robot_balance` 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from itertools import permutations
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import permutations, product
 from typing import Any
 
 import numpy as np
@@ -74,80 +74,61 @@ class Verdict(JsonModel):
 
 def judge_locking(
     names: Sequence[str], lock_ratio: FloatArray, bias_bound: FloatArray
-) -> list[Problem]:
+) -> Iterator[Problem]:
     """Find joints that were not held still; these problems concern ``welch_siso`` alone.
 
     Derived coherence stays near 1 when locking fails, since a joint that gives way still responds
     coherently to the perturbation; so locking is judged by the motion itself. Both scores have the
     shape (n, n), with row i of the locked and column k of the perturbed joint.
     """
-    problems = []
-    for k, perturbed in enumerate(names):
-        for i, locked in enumerate(names):
-            if i != k and not lock_ratio[i, k] <= LOCK_RATIO:
-                problems.append(
-                    problem(
-                        ProblemCode.LOCK_RATIO,
-                        estimator=SINGLE,
-                        name=locked,
-                        perturbed=perturbed,
-                        percent=100.0 * float(lock_ratio[i, k]),
-                        limit=100.0 * LOCK_RATIO,
-                    )
-                )
-            if not bias_bound[i, k] <= BIAS_BOUND:
-                problems.append(
-                    problem(
-                        ProblemCode.LOCK_BIAS,
-                        estimator=SINGLE,
-                        name=locked,
-                        moving=locked if i != k else "the locked joints",
-                        perturbed=perturbed,
-                        percent=100.0 * float(bias_bound[i, k]),
-                        limit=100.0 * BIAS_BOUND,
-                        element=f"({i + 1}, {k + 1})",
-                    )
-                )
-    return problems
+    for (k, perturbed), (i, locked) in product(enumerate(names), repeat=2):
+        if i != k and not lock_ratio[i, k] <= LOCK_RATIO:
+            yield problem(
+                ProblemCode.LOCK_RATIO,
+                estimator=SINGLE,
+                name=locked,
+                perturbed=perturbed,
+                percent=100.0 * float(lock_ratio[i, k]),
+                limit=100.0 * LOCK_RATIO,
+            )
+        if not bias_bound[i, k] <= BIAS_BOUND:
+            yield problem(
+                ProblemCode.LOCK_BIAS,
+                estimator=SINGLE,
+                name=locked,
+                moving=locked if i != k else "the locked joints",
+                perturbed=perturbed,
+                percent=100.0 * float(bias_bound[i, k]),
+                limit=100.0 * BIAS_BOUND,
+                element=f"({i + 1}, {k + 1})",
+            )
 
 
-def judge_order(names: Sequence[str], lock_ratio: FloatArray) -> list[Problem]:
+def judge_order(names: Sequence[str], lock_ratio: FloatArray) -> Iterator[Problem]:
     """Find angles in another order than the perturbations.
 
     A joint that is lighter and gives way may move more than the perturbed one. But the energy that
     joints store and lose would be negative if each of two joints moved more while the other one is
-    perturbed, or several joints in a cycle.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Joint names.
-    lock_ratio : ndarray, shape (n, n)
-        Row i is the joint that moves, column k the perturbed one.
+    perturbed, or several joints in a cycle. `lock_ratio` has the shape (n, n), with row i of the
+    joint that moves and column k of the perturbed one.
     """
     if np.isnan(lock_ratio).any():
-        return []
+        return
     most = np.argmax(lock_ratio, axis=0).tolist()
     moved = [k for k, most_moved in enumerate(most) if most_moved != k]
     clear = (np.max(lock_ratio, axis=0)[moved] > _CLEARLY).all()
-    if not moved or not clear or len(set(most)) < len(names):
-        return []
-    perturbed = ", ".join(names[k] for k in moved)
-    moving = ", ".join(names[most[k]] for k in moved)
-    return [problem(ProblemCode.SENSORS_PERMUTED, perturbed=perturbed, moving=moving)]
+    if moved and clear and len(set(most)) == len(names):
+        perturbed = ", ".join(names[k] for k in moved)
+        moving = ", ".join(names[most[k]] for k in moved)
+        yield problem(ProblemCode.SENSORS_PERMUTED, perturbed=perturbed, moving=moving)
 
 
-def judge_trials(records: Sequence[TrialRecord]) -> list[Problem]:
+def judge_trials(records: Sequence[TrialRecord]) -> Iterator[Problem]:
     """Find channels that belong to another trial, as where axes are exchanged.
 
     Such an angle or torque follows the perturbation of another trial instead of that of its own.
-
-    Parameters
-    ----------
-    records : sequence of TrialRecord
-        One trial for each joint, in order.
+    `records` are the trials, one for each joint, in order.
     """
-    problems = []
     samples = min(record.samples for record in records)
     pushes = [
         spectrum_by_bins(record.perturbation[k, :samples]) for k, record in enumerate(records)
@@ -161,21 +142,17 @@ def judge_trials(records: Sequence[TrialRecord]) -> list[Problem]:
             told = [followed(pushes[one], shown) for one in (k, i)]
             here, elsewhere = (float(share @ power / np.sum(power)) for share, power, _ in told)
             if elsewhere > _FOLLOWS and here < 0.5 * elsewhere:
-                names = record.joint_names
-                problems.append(
-                    problem(
-                        ProblemCode.TRIALS_MIXED,
-                        trial=record.trial,
-                        perturbed=names[k],
-                        name=names[i],
-                        other=other.trial,
-                    )
+                yield problem(
+                    ProblemCode.TRIALS_MIXED,
+                    trial=record.trial,
+                    perturbed=record.joint_names[k],
+                    name=record.joint_names[i],
+                    other=other.trial,
                 )
                 break
-    return problems
 
 
-def judge_band(f: FloatArray, perturbed: FloatArray) -> list[Problem]:
+def judge_band(f: FloatArray, perturbed: FloatArray) -> Iterator[Problem]:
     """Note on which frequencies an estimate rests if the perturbation lacks power at some.
 
     Parameters
@@ -185,28 +162,23 @@ def judge_band(f: FloatArray, perturbed: FloatArray) -> list[Problem]:
     perturbed : ndarray, shape (m,)
         Those at which all joints were perturbed, Hz.
     """
-    if perturbed.size == f.size:
-        return []
-    return [
-        problem(
+    if perturbed.size < f.size:
+        yield problem(
             ProblemCode.BAND_NARROWED,
             severity=Severity.NOTE,
             low=float(perturbed[0]),
             high=float(perturbed[-1]),
             percent=100.0 * perturbed.size / f.size,
         )
-    ]
 
 
 def judge_coherence(
     names: Sequence[str], motion: FloatArray, torque: FloatArray, level: float
-) -> list[Problem]:
+) -> Iterator[Problem]:
     """Find perturbed joints whose motion or torque does not follow the perturbation.
 
     Parameters
     ----------
-    names : sequence of str
-        Joint names.
     motion : ndarray, shape (n,)
         Mean coherence of perturbation k with the angle of joint k.
     torque : ndarray, shape (n, n)
@@ -214,19 +186,17 @@ def judge_coherence(
     level : float
         Coherence that counts as significant.
     """
-    return [
-        problem(
-            ProblemCode.NO_RESPONSE,
-            stream=stream,
-            name=name,
-            perturbed=name,
-            coherence=float(coherence),
-            level=level,
-        )
-        for k, name in enumerate(names)
-        for stream, coherence in (("motion", motion[k]), ("torque", torque[k, k]))
-        if not coherence > level
-    ]
+    for k, name in enumerate(names):
+        for stream, coherence in (("motion", motion[k]), ("torque", torque[k, k])):
+            if not coherence > level:
+                yield problem(
+                    ProblemCode.NO_RESPONSE,
+                    stream=stream,
+                    name=name,
+                    perturbed=name,
+                    coherence=float(coherence),
+                    level=level,
+                )
 
 
 def judge_estimate(
@@ -237,17 +207,11 @@ def judge_estimate(
     *,
     apart: float,
     decides: bool,
-) -> list[Problem]:
+) -> Iterator[Problem]:
     """Find problems of one estimate and its fit.
 
     Parameters
     ----------
-    names : sequence of str
-        Joint names.
-    estimate : ImpedanceEstimate
-        The impedance.
-    fit : MBKFit
-        M, B and K.
     reading : TorqueReading
         Instant of the torque readings, as far as it was declared.
     apart : float
@@ -257,55 +221,44 @@ def judge_estimate(
         their lack of fit shows no more than that.
     """
     name = estimate.name
-    problems = judge_matrices(names, estimate, fit, apart)
-    problems += [
-        problem(
-            ProblemCode.LACK_OF_FIT,
-            concern=Concern.PARAMETERS,
-            estimator=name,
-            element=f"({i + 1}, {k + 1})",
-            lack=float(fit.lack[i, k]),
-            limit=fit.lack_limit,
-        )
-        for i, k in np.ndindex(fit.lack.shape)
-        if decides and not fit.lack[i, k] <= fit.lack_limit
-    ]
-    problems += [
-        problem(ProblemCode.RESPONSE_UNEVEN, estimator=name, name=joint, percent=100.0 * share)
-        for joint, share in zip(names, estimate.uneven, strict=False)
-        if share > UNEVEN
-    ]
+    yield from judge_matrices(names, estimate, fit, apart)
+    for i, k in np.ndindex(fit.lack.shape):
+        if decides and not fit.lack[i, k] <= fit.lack_limit:
+            yield problem(
+                ProblemCode.LACK_OF_FIT,
+                concern=Concern.PARAMETERS,
+                estimator=name,
+                element=f"({i + 1}, {k + 1})",
+                lack=float(fit.lack[i, k]),
+                limit=fit.lack_limit,
+            )
+    for joint, share in zip(names, estimate.uneven, strict=False):
+        if share > UNEVEN:
+            about: dict[str, Any] = {"name": joint, "percent": 100.0 * share}
+            yield problem(ProblemCode.RESPONSE_UNEVEN, estimator=name, **about)
     if not estimate.unbiased:
-        return problems
+        return
     corner, error = fit.high_pass
     if abs(corner) > max(_CORNER, _NOTICED * error):
-        passed = "torques" if corner > 0.0 else "angles"
-        code = ProblemCode.HIGH_PASSED
-        problems.append(
-            problem(code, estimator=name, passed=passed, corner=abs(corner), error=error)
-        )
+        about = {"passed": "torques" if corner > 0.0 else "angles"}
+        about |= {"corner": abs(corner), "error": error}
+        yield problem(ProblemCode.HIGH_PASSED, estimator=name, **about)
     delay = fit.delay
     if delay is not None and abs(delay.delay) > _NOTICED * max(delay.error, _SUREST):
         told: dict[str, Any] = {"delay_ms": 1e3 * delay.delay, "error_ms": 1e3 * delay.error}
         code = ProblemCode.DELAY_CORRECTED
         if delay.refuted and reading != TorqueReading():
             code, told = ProblemCode.TIMING_REFUTED, {**told, "declared": reading.sentence}
-        problems.append(problem(code, severity=Severity.NOTE, estimator=name, **told))
-    return problems
+        yield problem(code, severity=Severity.NOTE, estimator=name, **told)
 
 
-def judge_models(estimator: str, models: Mapping[str, ModelFit]) -> list[Problem]:
+def judge_models(estimator: str, models: Mapping[str, ModelFit]) -> Iterator[Problem]:
     """Note which model was declared, or is supported, instead of M, B and K, or that none is.
 
-    Parameters
-    ----------
-    estimator : str
-        Name of the estimator.
-    models : mapping of str to ModelFit
-        Models that were fitted, by name.
+    `models` are those that were fitted to the estimate of the `estimator`, by name.
     """
     if not models:
-        return []
+        return
     name = supported(models)
     told: dict[str, Any] = {"models": ", ".join(models)}
     code = ProblemCode.NO_MODEL
@@ -314,4 +267,4 @@ def judge_models(estimator: str, models: Mapping[str, ModelFit]) -> list[Problem
         code = ProblemCode.MODEL_DECLARED if best.declared else ProblemCode.MODEL_OFFERED
         told = {"model": name, "equation": best.equation}
         told |= {"lack": float(np.max(best.lack_of_fit)), "text": best.text}
-    return [problem(code, severity=Severity.NOTE, estimator=estimator, **told)]
+    yield problem(code, severity=Severity.NOTE, estimator=estimator, **told)

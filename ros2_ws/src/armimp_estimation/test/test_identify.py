@@ -226,8 +226,8 @@ def test_scores_that_are_not_numbers_fail_the_verdict() -> None:
     names = ("a", "b")
     nan = np.full((2, 2), np.nan)
     # Two locked joints, and four elements whose bias is unknown.
-    assert len(judge_locking(names, nan, nan)) == 6
-    assert len(judge_coherence(names, nan[0], nan, 0.25)) == 4
+    assert len([*judge_locking(names, nan, nan)]) == 6
+    assert len([*judge_coherence(names, nan[0], nan, 0.25)]) == 4
 
 
 def test_a_single_bad_score_is_told_of_the_right_element() -> None:

@@ -172,7 +172,7 @@ def account_for(
     leading = aligned[PERTURBATION]
     counts = {topic: one.statistics(last_ns) for topic, one in aligned.items()}
     counts[COMMANDS], foreign = _count_commands(streams, leading)
-    found = _judge_offsets(aligned)
+    found = list(_judge_offsets(aligned))
     if all(one.code is not ProblemCode.STAMPS_DISAGREE for one in found):
         found += _judge_streams(aligned, counts)
         found += _judge_commands(window, leading, counts[COMMANDS], foreign)
@@ -181,9 +181,9 @@ def account_for(
     return counts, found
 
 
-def _judge_offsets(aligned: Mapping[str, AlignedStream]) -> list[Problem]:
+def _judge_offsets(aligned: Mapping[str, AlignedStream]) -> Iterator[Problem]:
     """Report differences between the stamps of angles, torques and perturbation of one period."""
-    found, one = [], aligned[JOINT_STATES]
+    one = aligned[JOINT_STATES]
     for topic in (TORQUE_SENSORS, PERTURBATION):
         other = aligned[topic]
         _, mine, its = np.intersect1d(
@@ -195,17 +195,14 @@ def _judge_offsets(aligned: Mapping[str, AlignedStream]) -> list[Problem]:
         mean, scatter = float(np.mean(apart)), float(np.std(apart))
         far = abs(mean) > _APART or scatter > _SCATTER
         if far or max(abs(mean), scatter) > _TOGETHER:
-            found.append(
-                problem(
-                    ProblemCode.STAMPS_DISAGREE if far else ProblemCode.STAMPS_APART,
-                    severity=Severity.ERROR if far else Severity.NOTE,
-                    stream=topic,
-                    other=JOINT_STATES,
-                    apart_ms=mean * one.period / 1e6,
-                    scatter_ms=scatter * one.period / 1e6,
-                )
+            yield problem(
+                ProblemCode.STAMPS_DISAGREE if far else ProblemCode.STAMPS_APART,
+                severity=Severity.ERROR if far else Severity.NOTE,
+                stream=topic,
+                other=JOINT_STATES,
+                apart_ms=mean * one.period / 1e6,
+                scatter_ms=scatter * one.period / 1e6,
             )
-    return found
 
 
 def _judge_streams(
