@@ -7,10 +7,10 @@ import numpy as np
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import simulate
-from armimp_estimation.estimators.registry import estimator_names
+from armimp_estimation.estimators.registry import ESTIMATORS
 
 (experiment,) = simulate([ExperimentConfig(duration=50.0, perturbation=1)])
-result = experiment.identify(estimator_names())
+result = experiment.identify([*ESTIMATORS])
 
 print("estimator    worst VAF, %   largest error of M, B, K, %")
 for name, one in result.estimators.items():

@@ -24,7 +24,7 @@ from armimp_common.status import Phase
 from armimp_control.sequence import Segment, timetable
 from armimp_estimation import scores
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
-from armimp_estimation.estimators.registry import make_estimator
+from armimp_estimation.estimators.registry import make_estimators
 from armimp_estimation.fit import MBKFit, fit_impedance
 from armimp_estimation.identify import Identification
 from armimp_estimation.mbk import MBK
@@ -153,12 +153,13 @@ def estimate(
             found = estimate_mimo(experiment.records, segment, largest_condition=np.inf)
             impedance, coupling = found.impedance, found.coupling
         else:
-            options = experiment.known.options
-            reading = options.lpm.reading
+            known = experiment.known
             data = [
-                TrialData.of(one, segment=segment, reading=reading) for one in experiment.records
+                TrialData.of(one, segment=segment, reading=known.reading)
+                for one in experiment.records
             ]
-            impedance = make_estimator(name, options).estimate(data)
+            (estimator,) = make_estimators([name], known.lpm)
+            impedance = estimator.estimate(data)
         impedance, fit = fit_impedance(impedance)
         runs[name] = Run(
             estimator=name,

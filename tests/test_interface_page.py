@@ -16,7 +16,7 @@ from armimp_common import qos
 from armimp_common.status import values_of
 from armimp_common.topics import MESSAGE_TYPES
 from armimp_estimation.bags.reader import read_bag
-from armimp_estimation.estimators.registry import estimator_names
+from armimp_estimation.estimators.registry import ESTIMATORS
 from armimp_estimation.metadata import READING_KEYS
 from armimp_estimation.node import column_message, result_message
 from armimp_estimation.result import Result, load_result
@@ -52,7 +52,7 @@ def test_the_topics_of_the_page_are_those_of_the_contract() -> None:
 @pytest.fixture(scope="module")
 def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A result of every estimator."""
-    return make_result(tmp_path_factory.mktemp("result"), estimators=estimator_names())
+    return make_result(tmp_path_factory.mktemp("result"), estimators=[*ESTIMATORS])
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def result(directory: Path) -> Result:
 
 def _general(keys: Iterable[str]) -> set[str]:
     """Keys as the page writes them: for any estimator and any element."""
-    for name in estimator_names():
+    for name in ESTIMATORS:
         keys = [re.sub(rf"(^|_){name}(\.|$)", r"\1ESTIMATOR\2", key) for key in keys]
     return {re.sub(r"_[12][12]\.", "_IK.", key) for key in keys}
 

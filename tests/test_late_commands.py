@@ -17,8 +17,10 @@ from armimp_common.realtime import Pacer, TimingLimits
 from armimp_common.status import Phase, TrialStatus
 from armimp_common.topics import PERIOD, PERIOD_NS
 from armimp_control.trial_sequencer import TrialSequencer
+from armimp_estimation.fit import Calibration
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.mbk import MBK
+from armimp_estimation.metadata import Metadata
 from armimp_estimation.trial import TrialData
 from armimp_sim.simulator import RealtimeSimulator, SimulatedRig
 from support.synthetic_trials import made_record, worst_errors
@@ -89,7 +91,8 @@ class ClosedLoop:
                 trials.append(TrialData.of(made_record(*arrays, command=command[span], **told)))
         arm = self._parameters.simulator.arm
         truth = MBK(M=arm.M, B=arm.B, K=arm.K)
-        assert_accurate(identify(trials, ("lpm_full",), truth), truth)
+        known = Metadata(truth=truth, calibration=Calibration())
+        assert_accurate(identify(trials, ("lpm_full",), known), truth)
 
 
 def test_with_as_many_missed_commands_as_are_allowed_the_accuracy_is_still_there() -> None:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.alignment.trial_windows import HIGHEST, LOWEST
-from armimp_estimation.arm_models import ModelFit, supported
+from armimp_estimation.arm_models import ModelFit, require_model, supported
 from armimp_estimation.fit import Calibration
 from armimp_estimation.mbk import MBK
 from armimp_estimation.metadata import Metadata
@@ -292,10 +292,10 @@ def identify(recording: Recording, estimator: str = "lpm_full", model: str | Non
         raise ConfigurationError(f"estimator: {estimator!r} is no name of one")
     if not recording.trials:
         raise DataError("there is no trial in the recording")
-    known, options = recording.known, recording.known.options
+    known = recording.known
     if model is not None:
-        options = replace(options, model=model)
-    found = identify_records([[one] for one in recording.trials], [estimator], known, options)
+        known = known.model_copy(update={"arm_model": require_model(model)})
+    found = identify_records([[one] for one in recording.trials], [estimator], known)
     found = replace(found, problems=(*recording.problems, *found.problems))
     one = found.estimators[estimator]
     sentences = {

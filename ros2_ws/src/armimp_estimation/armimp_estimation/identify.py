@@ -15,12 +15,11 @@ from armimp_common.errors import ConfigurationError
 from armimp_estimation import scores, verdict
 from armimp_estimation.arm_models import ModelFit, fit_models
 from armimp_estimation.estimators.estimate import Estimator, ImpedanceEstimate
-from armimp_estimation.estimators.registry import IdentifyConfig, make_estimator
+from armimp_estimation.estimators.registry import make_estimators
 from armimp_estimation.fit import MBKFit, fit_impedance
 from armimp_estimation.frf import frf_matrix, order_trials
 from armimp_estimation.hold_correction import update_jump
 from armimp_estimation.json_model import JsonModel, Number, Vector
-from armimp_estimation.mbk import MBK
 from armimp_estimation.metadata import Metadata
 from armimp_estimation.nonlinearity import judge_linearity
 from armimp_estimation.plausibility import judge_angles, mixed_channels, other_postures
@@ -128,44 +127,24 @@ def _deciding(results: Mapping[str, EstimatorResult]) -> tuple[str, ...]:
     return tuple(unbiased or results)
 
 
-def make_estimators(
-    estimators: Sequence[str | Estimator], options: IdentifyConfig
-) -> list[Estimator]:
-    """Make the estimators that are given by name; others are taken as they are.
-
-    Raises
-    ------
-    ConfigurationError
-        If there is none, one twice, or one of unknown name.
-    """
-    made = [make_estimator(one, options) if isinstance(one, str) else one for one in estimators]
-    names = [one.name for one in made]
-    if not names or len(set(names)) != len(names):
-        raise ConfigurationError(f"estimators must be distinct, at least one: {names}")
-    return made
-
-
 def identify_records(
     trials: Sequence[Sequence[TrialRecord]],
     estimators: Sequence[str | Estimator],
     known: Metadata,
-    options: IdentifyConfig | None = None,
 ) -> Identification:
     """Identify the impedance from the intact stretches of each trial and their metadata.
 
-    Welch segments have the length that suits the shortest trial. Options follow from the metadata
-    unless given; for the rest see :func:`identify`.
+    Welch segments have the length that suits the shortest trial; for the rest see :func:`identify`.
     """
     segment = segment_for(trials)
     data = [TrialData.of(*one, segment=segment, reading=known.reading) for one in trials]
-    return identify(data, estimators, known.truth, options or known.options)
+    return identify(data, estimators, known)
 
 
 def identify(
     trials: Sequence[TrialData],
     estimators: Sequence[str | Estimator],
-    truth: MBK | None = None,
-    config: IdentifyConfig | None = None,
+    known: Metadata | None = None,
 ) -> Identification:
     """Estimate the impedance matrix and judge the result.
 
@@ -175,10 +154,9 @@ def identify(
         One for each joint, in any order.
     estimators : sequence of str or Estimator
         Names from :mod:`armimp_estimation.estimators.registry`, or custom estimators.
-    truth : MBK, optional
-        True matrices, for the VAF only; they have no part in the verdict.
-    config : IdentifyConfig, optional
-        Options.
+    known : Metadata, optional
+        What is known beside the samples. True matrices are for the VAF only; they have no part in
+        the verdict.
 
     Raises
     ------
@@ -187,11 +165,11 @@ def identify(
     DataError
         If a joint has no trial or the data cannot be estimated.
     """
-    options = config if config is not None else IdentifyConfig()
-    workers = make_estimators(estimators, options)
+    known = known or Metadata()
+    workers = make_estimators(estimators, known.lpm)
     ordered = order_trials(trials)
     names = ordered[0].record.joint_names
-    if truth is not None and truth.joints != len(names):
+    if (truth := known.truth) is not None and truth.joints != len(names):
         raise ConfigurationError(f"truth is of {truth.joints} joints, the data of {len(names)}")
 
     responses = RobotResponses.of([trial.record for trial in ordered])
@@ -203,12 +181,11 @@ def identify(
         scores.require_motion(trial.record)
     locks = scores.lock_ratio(ordered, frf)
     bounds = scores.bias_bound(frf)
-    reading = options.lpm.reading
     results: dict[str, EstimatorResult] = {}
     for worker in workers:
         found = worker.estimate(ordered)
-        estimate, fit = fit_impedance(found, options.calibration)
-        models = fit_models(options.model, found, fit, options.calibration)
+        estimate, fit = fit_impedance(found, known.calibration)
+        models = fit_models(known.arm_model, found, fit, known.calibration)
         results[worker.name] = EstimatorResult(
             estimate=estimate,
             fit=fit,
@@ -232,32 +209,32 @@ def identify(
     apart = float(np.max(np.ptp(postures, axis=0)))
     for name, one in results.items():
         problems += verdict.judge_estimate(
-            names, one.estimate, one.fit, reading, apart=apart, decides=name in deciding
+            names, one.estimate, one.fit, known.reading, apart=apart, decides=name in deciding
         )
         problems += verdict.judge_models(name, one.models)
-    if options.calibration.assumed:
+    if known.calibration.assumed:
         problems.append(
             problem(
                 ProblemCode.CALIBRATION_ASSUMED,
                 severity=Severity.NOTE,
-                gain=100.0 * options.calibration.gain,
-                cross_talk=100.0 * options.calibration.cross_talk,
-                angle=100.0 * options.calibration.angle,
+                gain=100.0 * known.calibration.gain,
+                cross_talk=100.0 * known.calibration.cross_talk,
+                angle=100.0 * known.calibration.angle,
             )
         )
-    hold = best.estimate.hold or update_jump(records, reading)
+    hold = best.estimate.hold or update_jump(records, known.reading)
     if best.estimate.unbiased:
         of_motion, doubts, gains = judge_linearity(
             records,
             best.estimate,
             best.fit,
             hold,
-            reading,
+            known.reading,
             resolved=np.all(lost_motion(records)[0] < RESOLVED_SHARE, axis=0),
-            linearity=options.calibration.linearity,
+            linearity=known.calibration.linearity,
         )
-        if options.calibration.assumed:
-            doubts += mixed_channels(best.fit, options.calibration)
+        if known.calibration.assumed:
+            doubts += mixed_channels(best.fit, known.calibration)
         of_postures, changes = other_postures(records, best.fit, apart)
         problems += [*of_motion, *of_postures]
         doubts += changes
@@ -265,9 +242,9 @@ def identify(
             name: one.with_doubts(doubts).with_gains_in_doubt(np.diag(gains))
             for name, one in results.items()
         }
-    realised = scores.realisation(best.estimate, options.target)
-    balance = None if responses is None else responses.balance(order, hold, reading, best.fit)
-    unbalanced, gains = judge_balance(names, balance, best.fit, options.calibration)
+    realised = scores.realisation(best.estimate, known.target)
+    balance = None if responses is None else responses.balance(order, hold, known.reading, best.fit)
+    unbalanced, gains = judge_balance(names, balance, best.fit, known.calibration)
     problems += [*unbalanced, *judge_answers(names, records, balance, best.fit)]
     scales = [] if balance is None else balance.scales_in_doubt(best.fit)
     results = {

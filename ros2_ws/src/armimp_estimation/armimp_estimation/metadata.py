@@ -26,7 +26,6 @@ from armimp_common.status import TimingFigures
 from armimp_common.topics import CONTROLLER_NODE, RATE
 from armimp_estimation.arm_models import AUTO, require_model
 from armimp_estimation.estimators.lpm import LpmFull
-from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.fit import Calibration
 from armimp_estimation.json_model import first_complaint
 from armimp_estimation.mbk import MBK
@@ -207,16 +206,6 @@ class Metadata(BaseModel):
             return MBK(**dict(zip("MBK", parts, strict=True)))
         except (LookupError, TypeError, ValueError, OverflowError, ArmimpError):
             return None
-
-    @property
-    def options(self) -> IdentifyConfig:
-        """Options of an identification that follow from the metadata."""
-        return IdentifyConfig(
-            lpm=self.lpm,
-            model=self.arm_model,
-            calibration=self.calibration,
-            target=self.target,
-        )
 
 
 def _named(told: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, Any]:

@@ -7,8 +7,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 from armimp_common.errors import ConfigurationError
 from armimp_common.realtime import TimingLimits
 from armimp_common.schema import Schema
-from armimp_estimation.estimators.registry import IdentifyConfig, estimator_names
-from armimp_estimation.identify import make_estimators
+from armimp_estimation.estimators.registry import ESTIMATORS, make_estimators
 
 
 class EstimatorParameters(Schema):
@@ -18,7 +17,7 @@ class EstimatorParameters(Schema):
     """names of the joints, in the order of results"""
     estimators: tuple[str, ...] = Field(
         default=("welch_siso", "lpm_full"),
-        description=f"Estimators of the final result, of: {', '.join(estimator_names())}",
+        description=f"Estimators of the final result, of: {', '.join(ESTIMATORS)}",
     )
     record: bool = True
     """write one bag for each trial"""
@@ -42,7 +41,7 @@ class EstimatorParameters(Schema):
         ConfigurationError
             If `metadata` is not a JSON object of strings, or `estimators` can't be used.
         """
-        make_estimators(self.estimators, IdentifyConfig())
+        make_estimators(self.estimators)
         try:
             return TypeAdapter(dict[str, str]).validate_json(self.metadata)
         except ValidationError:

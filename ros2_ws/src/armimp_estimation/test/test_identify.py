@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from armimp_common.errors import ConfigurationError, DataError
-from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.fit import Calibration
 from armimp_estimation.identify import identify
+from armimp_estimation.metadata import Metadata
 from armimp_estimation.problems import Concern, Problem, ProblemCode, Severity, kinds
 from armimp_estimation.trial import TrialData
 from armimp_estimation.verdict import Verdict, judge_coherence, judge_locking
@@ -23,13 +23,14 @@ from support.synthetic_trials import (
     worst_errors,
 )
 
-CONFIG = IdentifyConfig()
+EXACT = Metadata(calibration=Calibration())
+KNOWN = Metadata(calibration=Calibration(), truth=TWO_JOINT_ARM)
 LOOP = SyntheticConfig(rate=125.0, samples=6144, torque_noise=0.02)
 ESTIMATORS = ("welch_siso", "welch_full")
 
 
 def test_a_good_experiment_is_valid_and_close_to_the_truth() -> None:
-    result = identify(synthetic_trials(LOOP), ESTIMATORS, TWO_JOINT_ARM, CONFIG)
+    result = identify(synthetic_trials(LOOP), ESTIMATORS, KNOWN)
     assert result.valid
     assert result.problems == ()
     assert list(result.estimators) == list(ESTIMATORS)
@@ -48,8 +49,7 @@ def test_a_good_experiment_is_valid_and_close_to_the_truth() -> None:
 
 
 def test_when_nobody_declares_a_gain_and_no_command_confirms_it_expect_it_in_the_errors() -> None:
-    undeclared = dataclasses.replace(CONFIG, calibration=Calibration.undeclared())
-    result = identify(synthetic_trials(LOOP), ("welch_full",), config=undeclared)
+    result = identify(synthetic_trials(LOOP), ("welch_full",))
     assert result.valid
     noted = [one for one in result.problems if one.code is ProblemCode.GAIN_UNCONFIRMED]
     assert [one.values["doubt"] for one in noted] == [10.0, 10.0]
@@ -68,7 +68,7 @@ def test_trials_may_be_perturbed_with_different_periods_or_none(periods: tuple[i
             for name in ("position", "torque", "perturbation")
         }
         repeated.append(TrialData.of(dataclasses.replace(one, **streams), segment=SEGMENT))
-    result = identify(repeated, ("lpm_full",), TWO_JOINT_ARM, CONFIG)
+    result = identify(repeated, ("lpm_full",), KNOWN)
     assert result.valid, result.problems
     assert max(worst_errors(result.estimators["lpm_full"].fit.mbk, TWO_JOINT_ARM).values()) < 0.01
 
@@ -97,7 +97,7 @@ def test_without_power_in_a_part_of_the_band_the_rest_is_estimated_with_a_note(
     low: float, high: float
 ) -> None:
     loop = dataclasses.replace(LOOP, lowest=low, bandwidth=high)
-    result = identify(synthetic_trials(loop), ("lpm_full", "welch_full"), TWO_JOINT_ARM, CONFIG)
+    result = identify(synthetic_trials(loop), ("lpm_full", "welch_full"), KNOWN)
     assert result.valid
     (note,) = [one for one in result.problems if one.code is ProblemCode.BAND_NARROWED]
     assert note.values["low"] == pytest.approx(low, abs=0.4)
@@ -108,7 +108,7 @@ def test_without_power_in_a_part_of_the_band_the_rest_is_estimated_with_a_note(
 def test_a_stiff_arm_that_is_perturbed_slowly_gets_no_implausible_inertia() -> None:
     arm = dataclasses.replace(TWO_JOINT_ARM, K=150.0 * TWO_JOINT_ARM.K)
     loop = dataclasses.replace(LOOP, bandwidth=0.5, torque_noise=0.001)
-    result = identify(synthetic_trials(loop, arm=arm), ("lpm_full",), config=CONFIG)
+    result = identify(synthetic_trials(loop, arm=arm), ("lpm_full",), EXACT)
     codes = {one.code for one in result.problems}
     assert ProblemCode.BAND_NARROWED in codes
     assert ProblemCode.IMPLAUSIBLE_VALUE not in codes
@@ -117,7 +117,7 @@ def test_a_stiff_arm_that_is_perturbed_slowly_gets_no_implausible_inertia() -> N
 def test_an_inertia_that_is_not_symmetric_is_refused() -> None:
     across = TWO_JOINT_ARM.M * [[1.0, 1.5], [1.0, 1.0]]
     arm = dataclasses.replace(TWO_JOINT_ARM, M=across)
-    result = identify(synthetic_trials(LOOP, arm=arm), ("welch_full",), config=CONFIG)
+    result = identify(synthetic_trials(LOOP, arm=arm), ("welch_full",), EXACT)
     assert not result.verdict.impedance
     (uneven,) = [one for one in result.problems if one.code is ProblemCode.UNEVEN_INERTIA]
     assert uneven.values["value"] == pytest.approx(across[0, 1], rel=0.02)
@@ -135,7 +135,7 @@ def test_inertia_may_differ_between_trials_that_have_other_postures(
     record = synthetic_trial(bent, 1, loop, 1)
     position = record.position + np.array([[apart], [0.0]])
     second = TrialData.of(dataclasses.replace(record, position=position), segment=SEGMENT)
-    result = identify([first, second], ("lpm_full",), config=CONFIG)
+    result = identify([first, second], ("lpm_full",), EXACT)
     assert result.valid is valid
     fit = result.estimators["lpm_full"].fit
     inertia = np.stack((TWO_JOINT_ARM.M[:, 0], bent.M[:, 1]), axis=1)
@@ -157,8 +157,7 @@ def test_cross_talk_from_another_joint_is_refused_or_in_the_errors(
         with_readings(trial, **{mixed: mixing @ getattr(trial.record, mixed)})
         for trial in synthetic_trials(LOOP)
     ]
-    config = dataclasses.replace(CONFIG, calibration=Calibration.undeclared())
-    result = identify(data, ("lpm_full",), config=config)
+    result = identify(data, ("lpm_full",))
     assert result.verdict.impedance is valid
     assert off(result.estimators["lpm_full"].fit).max() < 2.0
 
@@ -171,7 +170,7 @@ def test_angles_and_torques_in_another_order_than_perturbations_are_refused() ->
         for one in records
     ]
     data = [TrialData.of(one, segment=SEGMENT) for one in swapped]
-    result = identify(data, ("welch_full",), config=CONFIG)
+    result = identify(data, ("welch_full",), EXACT)
     (permuted,) = [one for one in result.problems if one.code is ProblemCode.SENSORS_PERMUTED]
     assert permuted.values == {"perturbed": "joint_1, joint_2", "moving": "joint_2, joint_1"}
     assert not result.verdict.impedance
@@ -185,17 +184,17 @@ def test_when_axes_of_trials_and_joints_are_exchanged_expect_channels_of_other_t
         for k in (0, 1)
     ]
     exchanged = [with_readings(trial, **one) for trial, one in zip(trials, mixed, strict=True)]
-    result = identify(exchanged, ("lpm_full",), config=CONFIG)
+    result = identify(exchanged, ("lpm_full",), EXACT)
     found = [one for one in result.problems if one.code is ProblemCode.TRIALS_MIXED]
     assert [(one.trial, one.values["name"]) for one in found] == [(1, "joint_2"), (2, "joint_1")]
     assert not result.verdict.impedance
-    sound = identify(trials, ("lpm_full",), config=CONFIG)
+    sound = identify(trials, ("lpm_full",), EXACT)
     assert ProblemCode.TRIALS_MIXED not in {one.code for one in sound.problems}
 
 
 def test_when_locking_fails_expect_it_in_the_verdict_though_derived_coherence_is_high() -> None:
     loose = synthetic_trials(dataclasses.replace(LOOP, lock_stiffness=100.0))
-    result = identify(loose, ("welch_siso", "lpm_full"), TWO_JOINT_ARM, CONFIG)
+    result = identify(loose, ("welch_siso", "lpm_full"), KNOWN)
     codes = {problem.code for problem in result.problems if problem.estimator == "welch_siso"}
     assert {ProblemCode.LOCK_RATIO, ProblemCode.LOCK_BIAS} <= codes
     assert not Verdict.of(result.problems, "welch_siso").impedance
@@ -219,7 +218,7 @@ def test_when_estimators_are_not_distinct_known_names_expect_configuration_error
     estimators: list[str],
 ) -> None:
     with pytest.raises(ConfigurationError, match="estimator"):
-        identify(synthetic_trials(LOOP), estimators, None, CONFIG)
+        identify(synthetic_trials(LOOP), estimators, EXACT)
 
 
 def test_scores_that_are_not_numbers_fail_the_verdict() -> None:

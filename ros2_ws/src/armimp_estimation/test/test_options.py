@@ -10,7 +10,7 @@ import pytest
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.arm_models import require_model
 from armimp_estimation.estimators.lpm import LpmFull
-from armimp_estimation.estimators.registry import IdentifyConfig, make_estimator
+from armimp_estimation.estimators.registry import make_estimators
 from armimp_estimation.estimators.welch import WelchSiso, invert
 from armimp_estimation.frf import frf_matrix, order_trials
 from armimp_estimation.mbk import MBK
@@ -34,11 +34,7 @@ of_matrices = functools.partial(MBK, M=EYE, K=EYE)
         (of_matrices, r"B has shape \(3, 3\), expected \(2, 2\)", {"B": np.eye(3)}),
         (of_matrices, "finite", {"B": np.full((2, 2), NAN)}),
         (require_model, r"'spring'.*reflex", {"name": "spring"}),
-        (
-            make_estimator,
-            r"unknown estimator 'welsh'.*welch_siso",
-            {"name": "welsh", "config": IdentifyConfig()},
-        ),
+        (make_estimators, r"unknown estimator 'welsh'.*welch_siso", {"estimators": ["welsh"]}),
         *(
             (TorqueReading, f"TorqueReading\n{next(iter(wrong))}", wrong)
             for wrong in (

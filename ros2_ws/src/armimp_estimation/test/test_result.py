@@ -19,7 +19,7 @@ from armimp_common.topics import CONTROLLER_NODE, JOINT_STATES, PERIOD_NS, TRIAL
 from armimp_estimation.alignment.assemble import Trial, assemble_trials
 from armimp_estimation.alignment.streams import decode_streams
 from armimp_estimation.atomic_write import write_atomically
-from armimp_estimation.estimators.registry import IdentifyConfig
+from armimp_estimation.fit import Calibration
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.metadata import RECORD_KEY, Metadata, Timing, latest_metadata
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
@@ -278,8 +278,8 @@ def test_when_a_bag_is_of_another_run_expect_the_worse_run_to_count(
 @pytest.fixture(scope="module")
 def identification() -> Identification:
     data = synthetic_trials(SyntheticConfig(rate=125.0, samples=6144, torque_noise=0.02))
-    config = IdentifyConfig()
-    return identify(data, ["welch_siso", "welch_full"], TWO_JOINT_ARM, config)
+    known = Metadata(truth=TWO_JOINT_ARM, calibration=Calibration())
+    return identify(data, ["welch_siso", "welch_full"], known)
 
 
 def test_summary_has_the_keys_of_schema_1_and_comes_back_bit_by_bit(tmp_path: Path) -> None:

@@ -7,12 +7,12 @@ from scipy import signal
 
 import armimp
 from armimp_common.arrays import FloatArray
-from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.estimators.welch import multiply
 from armimp_estimation.fit import Calibration
 from armimp_estimation.hold_correction import answers_to_rounding
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.mbk import MBK
+from armimp_estimation.metadata import Metadata
 from armimp_estimation.problems import Problem, ProblemCode
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.trial import TrialData
@@ -53,9 +53,8 @@ def recorded(robot: MBK, gains: FloatArray, noise: float = 0.005) -> list[TrialR
 
 
 def identified(records: list[TrialRecord], calibration: Calibration) -> Identification:
-    config = IdentifyConfig(calibration=calibration)
     trials = [TrialData.of(one) for one in records]
-    return identify(trials, ("lpm_full",), config=config)
+    return identify(trials, ("lpm_full",), Metadata(calibration=calibration))
 
 
 def computed(result: Identification) -> list[Problem]:

@@ -27,6 +27,7 @@ from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.distortion import Distortion
 from armimp_estimation.estimators.estimate import confidence_radius
+from armimp_estimation.estimators.registry import ESTIMATORS
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.report.formats import plain, symbol
@@ -57,7 +58,6 @@ LEVEL_DASHES = ("solid", "dash", "dashdot", "dot")
 """Dashes of levels of friction and resolution in a study."""
 DASHES = ("solid", "dash", "dashdot", "longdash", "longdashdot", "dot")
 """Dashes by plotly's names; dotted comes last, as it stands for the truth."""
-_KNOWN = ("welch_siso", "welch_full", "lpm_full", "direct", "mimo")
 
 IMPEDANCE = "N·m/rad"
 SIDE_BY_SIDE = 3
@@ -103,7 +103,7 @@ def estimator_tag(name: str) -> str:
 def strokes(names: Iterable[str]) -> dict[str, Stroke]:
     """Strokes of estimators by name. Known ones always look the same, others get what is left."""
     wanted = list(names)
-    order = [*_KNOWN, *(name for name in wanted if name not in _KNOWN)]
+    order = [*ESTIMATORS, *(name for name in wanted if name not in ESTIMATORS)]
     numbers = {name: order.index(name) % len(DASHES) for name in wanted}
     return {
         name: Stroke(
