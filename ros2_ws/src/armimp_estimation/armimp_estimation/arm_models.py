@@ -275,14 +275,14 @@ def fit_models(
     estimate : ImpedanceEstimate
         As the estimator returns it: a delay that it leaves open is fitted in each model anew.
     plain : MBKFit
-        Plain fit of M, B and K to that estimate.
+        Fit of M, B and K to that estimate.
     calibration : Calibration
-        Calibration errors of transducers and encoders.
+        Errors of transducers and encoders.
 
     Returns
     -------
     dict of str to ModelFit
-        Fits by name of the model.
+        By name of the model.
     """
     if asked == MBK_MODEL:
         return {}

@@ -13,7 +13,7 @@ import numpy as np
 from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.periods import has_power
-from armimp_estimation.spectra import CrossSpectra
+from armimp_estimation.spectra import CrossSpectra, sums_within
 from armimp_estimation.trial import TrialData
 
 # Largest perturbation of another joint, relative to that of the perturbed one, that is accepted as
@@ -103,9 +103,7 @@ def stands_out(f: FloatArray, response: ComplexArray, variance: FloatArray) -> B
         return np.zeros(f.size, dtype=np.bool_)
     precision = 1.0 / np.maximum(variance, np.finfo(np.float64).eps * squares)
     terms = np.stack((precision * squares - 1.0, precision))
-    sums = np.cumsum(np.pad(terms, ((0, 0), (1, 0))), axis=1)
-    low, high = np.searchsorted(f, f - _ALIKE), np.searchsorted(f, f + _ALIKE, side="right")
-    power, total = sums[:, high] - sums[:, low]
+    (power, total), _ = sums_within(f, terms, _ALIKE)
     return np.asarray(precision * power >= _STANDS_OUT * total)
 
 

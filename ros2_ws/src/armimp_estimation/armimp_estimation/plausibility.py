@@ -44,17 +44,8 @@ def judge_matrices(
 ) -> list[Problem]:
     """Find matrices that no arm has.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Joint names.
-    estimate : ImpedanceEstimate
-        The impedance.
-    fit : MBKFit
-        Matrices and their standard errors.
-    apart : float
-        Distance between the postures of the trials, rad. Between them, M_ij changes by at most
-        this share of ``√(M_ii M_jj)``.
+    Trials have postures that are `apart`, rad: between them M_ij changes by at most this share of
+    ``√(M_ii M_jj)``.
     """
     problems = []
     pairs = zip(fit.values, fit.errors, strict=True)

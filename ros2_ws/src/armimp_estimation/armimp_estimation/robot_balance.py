@@ -580,16 +580,7 @@ def judge_balance(
 ) -> tuple[list[Problem], FloatArray]:
     """Find transducers and commands that don't balance.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Joint names.
-    balance : RobotBalance or None
-        Robot that the commands move; None if no commands of these trials confirm gains.
-    arm : MBKFit
-        Fit of the arm from the same trials.
-    calibration : Calibration
-        What is known of the transducers.
+    `arm` is fitted to the same trials. `balance` is None if no commands of them confirm gains.
 
     Returns
     -------
@@ -658,8 +649,8 @@ def judge_answers(
 
     Such torques balance, as the balance then finds the model of the robot. But the computation has
     to smooth accelerations, so that at first the torque shows all of a step of the command, while
-    that on an arm shows no more than ``D = M_h (M_r + M_h)⁻¹`` of it. Parameters are those of
-    :func:`judge_balance`, and the trials in the order of the joints.
+    that on an arm shows no more than ``D = M_h (M_r + M_h)⁻¹`` of it. The trials are in the order
+    of the joints.
     """
     if balance is None or not all(_rounds(record) for record in records):
         return []

@@ -3,6 +3,9 @@
 A torque that stays constant while its joint moves, as in loose cuffs, is a fault as well.
 Noise, hum and drift are not: the perturbation doesn't cause them, so they don't bias the estimate,
 and its intervals include them. But errors that depend on the motion itself do bias it.
+
+In all functions `record` is one trial without gaps, `records` are one for each joint, in order, and
+signals have the shape (N,).
 """
 
 from __future__ import annotations
@@ -104,13 +107,7 @@ RESOLVED: Final = {JOINT_STATES: 20.0, TORQUE_SENSORS: 8.0}
 
 
 def judge_signals(record: TrialRecord) -> list[Problem]:
-    """Find the faults of the angles and torques of a trial.
-
-    Parameters
-    ----------
-    record : TrialRecord
-        One trial, without gaps.
-    """
+    """Find the faults of the angles and torques of a trial."""
     # If the perturbation was interpolated as well, cause and effect have changed alike.
     resampled = repeating(record.perturbation[record.perturbed_joint]) > 0.0
     return [
@@ -173,11 +170,6 @@ def floating(record: TrialRecord) -> tuple[float, float]:
     3 to 40 Hz, where a person adds little, is compared with that of its linear regression on
     angles, speeds and accelerations, in bins of torque a fifth of a standard deviation wide.
 
-    Parameters
-    ----------
-    record : TrialRecord
-        One trial, without gaps.
-
     Returns
     -------
     torque : float
@@ -230,11 +222,6 @@ def mended(record: TrialRecord) -> tuple[TrialRecord, list[Problem]]:
     stands out by its height above the morphological opening of the signal over 6 samples, or its
     depth below the closing. Jumps that chattering commands cause in torques are subtracted before.
     A record without such outliers stays as it is.
-
-    Parameters
-    ----------
-    record : TrialRecord
-        One trial, without gaps.
 
     Returns
     -------
@@ -310,13 +297,7 @@ def clipping(signal: FloatArray, step: float) -> list[tuple[float, int]]:
     that friction holds may rest at an extreme as long, but doesn't come back to the same value, and
     slows down before. So a clipped signal must also arrive 3 times, at both ends together, with
     more than 0.4 of the speed that it had 5 samples before. (A motion that comes to rest steadily
-    has a third of that speed.)
-
-    Parameters
-    ----------
-    signal : ndarray, shape (N,)
-    step : float
-        Resolution of the signal.
+    has a third of that speed.) `step` is the resolution of the signal.
     """
     levels = np.rint(signal / (step or 1.0))
     values, counts = np.unique(levels, return_counts=True)
@@ -358,11 +339,6 @@ def lost_motion(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]
     rounding, ``q²/12``. A joint that shows fewer than three values in that time, or hardly changes
     between them, may be held by friction, and may move in any way within a step. The most that is
     lost then is 0.16 q, of a motion of 0.2 q.
-
-    Parameters
-    ----------
-    records : sequence of TrialRecord
-        One trial for each joint, in order.
 
     Returns
     -------
@@ -406,8 +382,6 @@ def rounding_lead(
 
     Parameters
     ----------
-    records : sequence of TrialRecord
-        One trial for each joint, in order.
     inertia : ndarray, shape (n, n)
         Inertia of the arm, kg·m²: above the band the speed is taken from the torques.
     band_end : float
@@ -456,11 +430,6 @@ def without_slow(records: Sequence[TrialRecord]) -> BoolArray:
 
     A person, noise, drift and most perturbations have as much power density below 0.1 Hz as at 0.5
     to 1 Hz. Behind a high-pass of 0.3 Hz it is a tenth. The result has the shape (2, n).
-
-    Parameters
-    ----------
-    records : sequence of TrialRecord
-        One trial for each joint, in order.
     """
     powers = np.zeros((2, 2, len(records)))
     for record in records:
@@ -579,7 +548,6 @@ def sticking(signal: FloatArray, rate: float, partner: FloatArray) -> tuple[floa
 
     Parameters
     ----------
-    signal : ndarray, shape (N,)
     rate : float
         Samples per second, Hz.
     partner : ndarray, shape (N,)
@@ -614,7 +582,6 @@ def dropouts(
 
     Parameters
     ----------
-    signal : ndarray, shape (N,)
     partner : ndarray, shape (N,)
         As for :func:`sticking`.
     kicked : ndarray, shape (N,), optional
@@ -651,13 +618,8 @@ def zeros_beyond_chance(signal: FloatArray, step: float) -> int:
     rounded before they were multiplied, as a force by a lever that changes with the angle, have a
     heap of values for each count, apart from the next one. A run of zeros counts for 20 samples at
     most, as a signal may rest at any value. Within 20 samples before and after it the signal has to
-    leave the range of those values: a relaxed, unperturbed arm has no torque.
-
-    Parameters
-    ----------
-    signal : ndarray, shape (N,)
-    step : float
-        Resolution of the signal.
+    leave the range of those values: a relaxed, unperturbed arm has no torque. `step` is the
+    resolution of the signal.
     """
     levels = np.rint(signal / (step or 1.0))
     away = np.cumsum(np.pad(np.abs(levels) > _NEIGHBOURS, (_PASSED + 1, _PASSED)))
@@ -691,10 +653,6 @@ def repeating(signal: FloatArray) -> float:
     frequent. So a signal counts as repeating if it does so in more than 15 % of the samples, more
     than 9 times as often as it takes the most frequent step in either direction (sound torques: 4
     times at most), and if less than half of the steps that aren't 0 are of that size.
-
-    Parameters
-    ----------
-    signal : ndarray, shape (N,)
     """
     signal = signal[:_SEARCHED]
     levels = np.rint(signal / (resolution_of(signal) or 1.0))

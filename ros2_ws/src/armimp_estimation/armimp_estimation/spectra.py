@@ -5,7 +5,7 @@ The convention is that of :func:`scipy.signal.csd`: ``G_xy = E[conj(X) Y]``, one
 
 import functools
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.periods import among
+
+Values = TypeVar("Values", FloatArray, ComplexArray)
 
 BAND: Final = (0.122, 15.0)
 """Band of all estimates, Hz, both ends included. It excludes the zero-frequency bin, which holds
@@ -57,6 +59,17 @@ def bins_in_band(samples: int, rate: float, f_low: float, f_high: float) -> NDAr
     first = max(1, int(np.ceil(f_low / resolution * (1.0 - 1e-12))))
     last = min((samples - 1) // 2, int(np.floor(f_high / resolution * (1.0 + 1e-12))))
     return np.arange(first, last + 1)
+
+
+def sums_within(f: FloatArray, values: Values, reach: float) -> tuple[Values, NDArray[np.intp]]:
+    """Sums of values, (..., n_freq), at all frequencies within `reach`, and how many these are.
+
+    Frequencies f, (n_freq,), and the reach on either side of each are in Hz.
+    """
+    low, high = np.searchsorted(f, f - reach), np.searchsorted(f, f + reach, side="right")
+    sums: Values = np.zeros((*values.shape[:-1], f.size + 1), dtype=values.dtype)
+    np.cumsum(values, axis=-1, out=sums[..., 1:])
+    return sums[..., high] - sums[..., low], high - low
 
 
 def hann(length: int) -> FloatArray:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.periods import Periods, has_power
-from armimp_estimation.spectra import bins_in_band
+from armimp_estimation.spectra import bins_in_band, sums_within
 
 Mix = Callable[[FloatArray], ComplexArray]
 """Function of frequencies (n,), Hz: the coefficients (m, C, n) of m combinations of C outputs."""
@@ -108,11 +108,10 @@ class LocalResponse:
         chance = np.sum(apart**2 * variance[:, places], axis=2)
         spare = (self.freedom - 1.0) / self.freedom
         ratio = spare * left / np.maximum(chance, np.finfo(np.float64).tiny)
-        sums = np.pad(np.cumsum(ratio, axis=1), ((0, 0), (1, 0)))
-        low = np.clip(np.arange(size) - _ALIKE, 0, None)
-        high = np.clip(np.arange(size) + _ALIKE + 1, None, size)
+        lines: FloatArray = np.arange(size, dtype=np.float64)
+        total, count = sums_within(lines, ratio, _ALIKE)
         factors = np.ones((len(self.noise), size))
-        factors[outputs] = np.sqrt(np.maximum((sums[:, high] - sums[:, low]) / (high - low), 1.0))
+        factors[outputs] = np.sqrt(np.maximum(total / count, 1.0))
         return replace(self, noise=factors[:, None] * factors[None] * self.noise)
 
     def bin_correlation(self) -> FloatArray:
@@ -281,11 +280,12 @@ def _assembled(
 ) -> LocalResponse:
     """Responses and noise from weights (n_freq, window) and residuals (n_freq, window, C)."""
     noise = np.swapaxes(residual, 1, 2) @ np.conj(residual) / freedom[:, None, None]
+    noise = np.ascontiguousarray(np.moveaxis(noise, 0, 2))
     noise, least = _with_neighbours(noise, f, int(np.min(freedom)), width)
     return LocalResponse(
         f=f,
         response=np.ascontiguousarray((weights[:, None, :] @ observed)[:, 0, :].T),
-        noise=np.ascontiguousarray(np.moveaxis(noise, 0, 2)),
+        noise=noise,
         weights=weights,
         first=first,
         freedom=least,
@@ -295,21 +295,19 @@ def _assembled(
 def _with_neighbours(
     noise: ComplexArray, f: FloatArray, freedom: int, width: float
 ) -> tuple[ComplexArray, int]:
-    """Average noise (n_freq, C, C) with that of windows around, up to `_ENOUGH` degrees of freedom.
+    """Average noise (C, C, n_freq) with that of windows around, up to `_ENOUGH` degrees of freedom.
 
     A noise level with few degrees of freedom scatters, and weights by its inverse would favour the
     windows where it is small by chance. Each window spans `width`, Hz.
     """
     reach = min(0.5 * width * _ENOUGH / freedom, _NEIGHBOURS)
-    low, high = np.searchsorted(f, f - reach), np.searchsorted(f, f + reach, side="right")
-    windows = min(2.0 * reach / width, int(np.min(high - low)))
+    sums, count = sums_within(f, noise, reach)
+    windows = min(2.0 * reach / width, int(np.min(count)))
     total = min(round(freedom * windows), _ENOUGH)
     if freedom >= total:
         return noise, freedom
-    sums = np.concatenate((np.zeros_like(noise[:1]), np.cumsum(noise, axis=0)))
-    mean = (sums[high] - sums[low]) / (high - low)[:, None, None]
     share = freedom / total
-    return share * noise + (1.0 - share) * mean, total
+    return share * noise + (1.0 - share) * (sums / count), total
 
 
 def _observed(
