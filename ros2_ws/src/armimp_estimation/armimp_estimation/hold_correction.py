@@ -22,7 +22,7 @@ import numpy as np
 
 from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
+from armimp_estimation.torque_timing import TorqueReading
 
 # Periods for which the torque is followed after a jump, once the jump has passed the filter.
 _PERIODS = 3
@@ -161,10 +161,7 @@ def update_jump(
         eigenvalues of D do not lie between 0 and 1, as they do for any two inertias.
     """
     known = (reading or TorqueReading()).at_rate(records[0].rate)
-    if known.timing is TorqueTiming.UNKNOWN:
-        known = known.model_copy(update={"timing": TorqueTiming.BEFORE_UPDATE})
-    late = known.timing is TorqueTiming.BEFORE_UPDATE
-    if not late or any(record.command is None for record in records):
+    if known.without_jumps or any(record.command is None for record in records):
         return None
     chatter = _chatter(records, known)
     jump, explained = _from_chatter(*chatter, known, records[0].rate)
