@@ -239,8 +239,6 @@ def _draw(chart: Chart, panels: Sequence[Axes]) -> None:
         style = _drawn(one.stroke)
         if (band := one.band(axis)) is not None:
             panel.fill_between(*band, color=style["color"], alpha=0.18, linewidth=0)
-        if one.y is None:
-            continue
         if one.stroke.symbol:
             panel.errorbar(one.x, one.y, yerr=one.reach, elinewidth=0.9, **style)
         else:

@@ -177,11 +177,11 @@ class Axis:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Line:
-    """A line of a chart, a band about it, or both."""
+    """A line of a chart, with or without a band about it."""
 
     x: FloatArray
     """Abscissas, shape (N,)."""
-    y: FloatArray | None
+    y: FloatArray
     """Ordinates; NaN makes a gap; shape (N,)."""
     stroke: Stroke
     """Its style."""
@@ -205,7 +205,6 @@ class Line:
     @property
     def reach(self) -> Band:
         """Lengths of the error bars below and above their markers, each of shape (N,)."""
-        assert self.y is not None
         lower, upper = (self.y, self.y) if self.ends is None else self.ends
         # By rounding, the mean of equal values may lie outside of them.
         return np.maximum(self.y - lower, 0.0), np.maximum(upper - self.y, 0.0)
@@ -229,8 +228,6 @@ class Line:
                     "meta": [*stroke.tags, *CONFIDENCE.tags],
                 }
             )
-        if self.y is None:
-            return found
         shown = f"%{{y}} {self.unit}"
         line: Options = {
             **common,
@@ -269,7 +266,7 @@ class Chart:
 
     def values(self, row: int = 1) -> FloatArray:
         """All ordinates of the lines in a row."""
-        return np.concatenate([one.y for one in self.lines if one.row == row and one.y is not None])
+        return np.concatenate([one.y for one in self.lines if one.row == row])
 
     def drawn(self) -> Options:
         """Traces and layout for plotly.js; ``plots.js`` adds the options common to all charts."""
@@ -380,7 +377,7 @@ def bode_chart(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, 
         f, z, circle = curves[name].f, curves[name].Z[i, k], circle_radius(curves[name], i, k)
         magnitude, phase, about = np.abs(z), phase_of(z), centre(f)
         bands = bands_of(magnitude, phase, circle)
-        off = None if name == reference else deviation_percent(about, z)
+        off = np.full(f.size, np.nan) if name == reference else deviation_percent(about, z)
         radius = 100.0 * circle / np.abs(about)
         thin = replace(stroke, width=1.1)
         lines += [
@@ -388,7 +385,7 @@ def bode_chart(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, 
             Line(x=f, y=phase, stroke=stroke, row=2, unit="°", ends=bands[1]),
             Line(x=f, y=off, stroke=thin, row=3, unit="%", ends=(np.zeros(f.size), radius)),
         ]
-        parted += [radius] if off is None else [radius, off]
+        parted += [radius, off]
     grids = [curve.f for curve in curves.values()]
     if truth is not None:
         f = max(grids, key=len)
@@ -441,7 +438,7 @@ def coherence_chart(
 
 def describe_coherence(element: str, chart: Chart) -> str:
     """Describe a chart that `coherence_chart` made."""
-    lowest = min(float(np.nanmin(one.y)) for one in chart.lines[:-1] if one.y is not None)
+    lowest = min(float(np.nanmin(one.y)) for one in chart.lines[:-1])
     return f"Coherences behind {element} over frequency; the lowest is {lowest:.2g}."
 
 
