@@ -11,7 +11,7 @@ have in common, such as a wrong unit, show only in the size of the values.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -188,15 +188,11 @@ def judge_angles(record: TrialRecord) -> Iterator[Problem]:
     for name, angle in zip(record.joint_names, record.position, strict=True):
         posture, motion = float(np.abs(np.median(angle))), float(np.ptp(angle))
         step = float(np.max(np.abs(np.diff(angle)), initial=0.0))
-        if step > TURN:
-            what, value, cause = "jump by", step, "unwrap them, if the encoder began another turn"
-        elif posture > LARGEST_POSTURE:
-            cause = "radians of an arm are less; are they degrees?"
-            what, value = "are about", posture
-        elif motion > LARGEST_MOTION:
-            cause = "that is too far for one impedance, unless they are degrees"
-            what, value = "move by", motion
-        else:
-            continue
-        about: dict[str, Any] = {"name": name, "what": what, "value": value, "cause": cause}
-        yield problem(ProblemCode.IMPLAUSIBLE_ANGLE, trial=record.trial, **about)
+        for code, value, limit in (
+            (ProblemCode.ANGLE_JUMPS, step, TURN),
+            (ProblemCode.ANGLE_TOO_LARGE, posture, LARGEST_POSTURE),
+            (ProblemCode.MOTION_TOO_LARGE, motion, LARGEST_MOTION),
+        ):
+            if value > limit:
+                yield problem(code, trial=record.trial, name=name, value=value)
+                break

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from armimp_estimation.estimators.estimate import confidence_radius
 from armimp_estimation.mbk import MBK
-from armimp_estimation.report.plots import bode_chart, circle_radius, envelope, phase_of, rows_of
+from armimp_estimation.report.plots import bode_chart, envelope, phase_of, rows_of
 from armimp_estimation.scores import Coherences
 from armimp_estimation.summary import ImpedanceCurve
 from support.synthetic_trials import (
@@ -37,7 +38,8 @@ def test_estimates_are_compared_with_the_truth_or_else_with_the_best_of_them() -
     other, best = (one for one in bode_chart(curves, None, 0, 0).lines if one.row == 3)
     assert other.ends is not None
     np.testing.assert_allclose(other.y, 1.0)
-    np.testing.assert_allclose(other.ends[1], 20.0 * circle_radius(stored(5.05), 0, 0))
+    circle = confidence_radius(curves["welch_siso"].variance[0, 0], curves["welch_siso"].averages)
+    np.testing.assert_allclose(other.ends[1], 20.0 * circle)
     assert np.isnan(best.y).all()
     chart = bode_chart(curves, truth, 0, 0)
     *_, off = (one.y for one in chart.lines if one.row == 3)

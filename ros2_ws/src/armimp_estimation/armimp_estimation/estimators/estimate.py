@@ -23,16 +23,18 @@ def confidence_radius(variance: FloatArray, averages: float, level: float = 0.95
     variance : ndarray
         Variance of the complex values.
     averages : float
-        Number of independent averages behind them, above 1.
+        Number of independent averages behind them.
     level : float
         Probability that the circle holds the truth, above 0 and below 1.
 
     Returns
     -------
     ndarray
-        Radius, in the units of the estimate, same shape as `variance`.
+        Radius, in the units of the estimate, same shape as `variance`; NaN with a single average.
     """
     freedom = averages - 1.0
+    if not freedom > 0.0:
+        return np.full(variance.shape, np.nan)
     quantile = freedom * ((1.0 - level) ** (-1.0 / freedom) - 1.0)
     radius: FloatArray = np.sqrt(quantile * variance)
     return radius

@@ -374,7 +374,8 @@ def bode_chart(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, 
     lines: list[Line] = []
     parted: list[FloatArray] = []
     for name, stroke in strokes(curves).items():
-        f, z, circle = curves[name].f, curves[name].Z[i, k], circle_radius(curves[name], i, k)
+        f, z = curves[name].f, curves[name].Z[i, k]
+        circle = confidence_radius(curves[name].variance[i, k], curves[name].averages)
         magnitude, phase, about = np.abs(z), phase_of(z), centre(f)
         bands = bands_of(magnitude, phase, circle)
         off = np.full(f.size, np.nan) if name == reference else deviation_percent(about, z)
@@ -580,16 +581,6 @@ def trace_chart(
     abscissa = Axis(title=title, ends=ends, hoverformat=".3f", unit="s")
     ordinates = [(1.0, Axis(title=f"{row.title}<br>({row.unit})")) for row in rows]
     return Chart(abscissa=abscissa, rows=ordinates, lines=lines)
-
-
-def circle_radius(curve: ImpedanceCurve, i: int, k: int) -> FloatArray:
-    """Radius of the 95 % confidence circle about each value of ``Z_ik``, N·m/rad; shape (n_freq,).
-
-    The element is 0-based. The radius is NaN if it is unknown.
-    """
-    if curve.averages > 1.0:
-        return confidence_radius(curve.variance[i, k], curve.averages)
-    return np.full(curve.f.size, np.nan)
 
 
 def bands_of(magnitude: FloatArray, phase: FloatArray, radius: FloatArray) -> tuple[Band, Band]:
