@@ -213,15 +213,10 @@ def identify(
         )
         problems += verdict.judge_models(name, one.models)
     if known.calibration.assumed:
-        problems.append(
-            problem(
-                ProblemCode.CALIBRATION_ASSUMED,
-                severity=Severity.NOTE,
-                gain=100.0 * known.calibration.gain,
-                cross_talk=100.0 * known.calibration.cross_talk,
-                angle=100.0 * known.calibration.angle,
-            )
-        )
+        parts = ("gain", "cross_talk", "angle")
+        assumed = {one: 100.0 * getattr(known.calibration, one) for one in parts}
+        code = ProblemCode.CALIBRATION_ASSUMED
+        problems.append(problem(code, severity=Severity.NOTE, **assumed))
     hold = best.estimate.hold or update_jump(records, known.reading)
     if best.estimate.unbiased:
         of_motion, doubts, gains = judge_linearity(

@@ -41,13 +41,13 @@ _NOTICED = 2.0  # standard errors beyond which an asymmetry adds to the standard
 
 def judge_matrices(
     names: Sequence[str], estimate: ImpedanceEstimate, fit: MBKFit, apart: float
-) -> list[Problem]:
+) -> Iterator[Problem]:
     """Find matrices that no arm has.
 
     Trials have postures that are `apart`, rad: between them M_ij changes by at most this share of
     ``√(M_ii M_jj)``.
     """
-    problems = []
+    impossible = False
     pairs = zip(fit.values, fit.errors, strict=True)
     matrices = dict(zip(RANGES, pairs, strict=True))
     own = [(letter, np.diag(one), np.diag(se)) for letter, (one, se) in matrices.items()]
@@ -57,48 +57,42 @@ def judge_matrices(
             margin = _ERRORS * error
             # Written so that NaN is a problem, too.
             if not (value + margin >= low and value - margin <= high):
-                problems.append(
-                    problem(
-                        ProblemCode.IMPLAUSIBLE_VALUE,
-                        estimator=estimate.name,
-                        matrix=letter,
-                        name=name,
-                        value=float(value),
-                        unit=UNITS[letter],
-                        low=low,
-                        high=high,
-                    )
+                impossible = True
+                yield problem(
+                    ProblemCode.IMPLAUSIBLE_VALUE,
+                    estimator=estimate.name,
+                    matrix=letter,
+                    name=name,
+                    value=float(value),
+                    unit=UNITS[letter],
+                    low=low,
+                    high=high,
                 )
-    if problems:
-        return problems
+    if impossible:
+        return
     least = {letter: least_eigenvalue(*pair) for letter, pair in matrices.items()}
     negative = {letter for letter, (value, error) in least.items() if value < -_ERRORS * error}
     # Muscles may drive a motion (B < 0) or let the arm fall (K < 0), but not both.
     letter = "M" if "M" in negative else "K"
     if "M" in negative or {"B", "K"} <= negative:
         value, error = least[letter]
-        problems.append(
-            problem(
-                ProblemCode.IMPLAUSIBLE_INERTIA,
-                estimator=estimate.name,
-                matrix=letter,
-                value=value,
-                error=error,
-                unit=UNITS[letter],
-            )
+        yield problem(
+            ProblemCode.IMPLAUSIBLE_INERTIA,
+            estimator=estimate.name,
+            matrix=letter,
+            value=value,
+            error=error,
+            unit=UNITS[letter],
         )
     M, M_se = matrices["M"]
     for i, j in np.argwhere(np.triu(uneven(M, M_se, ASYMMETRY + apart, _UNEVEN))):
-        problems.append(
-            problem(
-                ProblemCode.UNEVEN_INERTIA,
-                estimator=estimate.name,
-                name=f"{names[i]} and {names[j]}",
-                value=float(M[i, j]),
-                other=float(M[j, i]),
-            )
+        yield problem(
+            ProblemCode.UNEVEN_INERTIA,
+            estimator=estimate.name,
+            name=f"{names[i]} and {names[j]}",
+            value=float(M[i, j]),
+            other=float(M[j, i]),
         )
-    return problems
 
 
 def _quick_inertia(estimate: ImpedanceEstimate) -> tuple[FloatArray, FloatArray]:

@@ -617,13 +617,10 @@ def judge_balance(
     robots, arms = np.diag(balance.M), np.abs(np.diag(arm.mbk.M))
     weightless = robots + _ERRORS * np.diag(balance.M_se) < _WEIGHTLESS * arms
     if balance.impossible or weightless.any():
-        inertia = (
-            "[" + "; ".join(" ".join(f"{x:.3g}" for x in row) for row in balance.M) + "] kg·m²"
-        )
-        suspects = ", ".join(wrong or names)
-        problems.append(
-            problem(ProblemCode.ROBOT_INERTIA_IMPOSSIBLE, inertia=inertia, name=suspects)
-        )
+        rows = "; ".join(" ".join(f"{x:.3g}" for x in row) for row in balance.M)
+        inertia, suspects = f"[{rows}] kg·m²", ", ".join(wrong or names)
+        code = ProblemCode.ROBOT_INERTIA_IMPOSSIBLE
+        problems.append(problem(code, inertia=inertia, name=suspects))
     if wrong:
         return problems, np.zeros(own.shape)
     ratio, ratio_error = balance.scales
@@ -644,7 +641,7 @@ def judge_answers(
     records: Sequence[TrialRecord],
     balance: RobotBalance | None,
     arm: MBKFit,
-) -> list[Problem]:
+) -> Iterator[Problem]:
     """Find torques that were computed from the commands and a model of the robot.
 
     Such torques balance, as the balance then finds the model of the robot. But the computation has
@@ -653,10 +650,10 @@ def judge_answers(
     of the joints.
     """
     if balance is None or not all(_rounds(record) for record in records):
-        return []
+        return
     answers, errors = answers_to_rounding(records)
     if (answers - _ERRORS * errors > _WHOLE).any():
-        return []
+        return
     inverse = np.linalg.pinv(arm.mbk.M + balance.M)
     shares = arm.mbk.M @ inverse
     of_arm, of_robot = (np.eye(len(names)) - shares) ** 2 @ arm.M_se**2, shares**2 @ balance.M_se**2
@@ -664,17 +661,15 @@ def judge_answers(
     most = np.diag(shares)
     least = answers - _ERRORS * np.hypot(errors, most_error[:, None])
     beyond = least - most[:, None] - _AT_ONCE
-    return [
-        problem(
-            ProblemCode.TORQUE_FROM_COMMAND,
-            name=names[i],
-            percent=100.0 * float(answers[i, when]),
-            error=100.0 * float(errors[i, when]),
-            most=100.0 * float(most[i]),
-        )
-        for i, when in enumerate(np.argmax(beyond, axis=1))
-        if beyond[i, when] > 0.0
-    ]
+    for i, when in enumerate(np.argmax(beyond, axis=1)):
+        if beyond[i, when] > 0.0:
+            yield problem(
+                ProblemCode.TORQUE_FROM_COMMAND,
+                name=names[i],
+                percent=100.0 * float(answers[i, when]),
+                error=100.0 * float(errors[i, when]),
+                most=100.0 * float(most[i]),
+            )
 
 
 def _rounds(record: TrialRecord) -> bool:
