@@ -150,7 +150,7 @@ def mixed_channels(fit: MBKFit, calibration: Calibration) -> list[FloatArray]:
 def other_postures(
     records: Sequence[TrialRecord], fit: MBKFit, apart: float
 ) -> tuple[list[Problem], list[FloatArray]]:
-    """Note, and change of M, B and K, where trials have postures that are `apart`, rad.
+    """Report postures that are `apart`, rad, with the change of M, B and K that this may cause.
 
     Each column of M is the inertia at the posture of its trial, which differs from that at another
     one by up to that distance times ``√(M_ii M_jj)``. Only more than twice the distance between the

@@ -16,7 +16,8 @@ EXACT = 1e-9
 APART = 0.02
 """Distance between the postures of trials that is neglected, rad."""
 _BY_CHANCE = 10.0
-"""Least gap that is not random, in ``r/n²`` of `resolution_of`: chance exceeds it in 1 of e¹⁰."""
+"""Least gap that counts as a resolution, in units of ``r/n²``, the gap of n random values in a
+range r; these have a larger one in 1 of e¹⁰ cases."""
 _ONCE = 0.4
 """Least count of a genuine value, as a share of the median count of all values."""
 

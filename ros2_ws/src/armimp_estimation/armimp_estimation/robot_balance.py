@@ -544,8 +544,9 @@ def _gains_in_doubt(
     A significant share ρ is possible, whatever else may explain it, so it is a standard error
     beside those assumed. So is a share that the commands could not have shown, up to `_UNCONFIRMED`
     or, if the joint seems to have a spring, up to its stiffness relative to the arm's. A declared
-    calibration holds until ρ refutes it, or a negative stiffness speaks against it, for which a
-    robot needs gravity. Cross-talk counts as shown where it explains more than a gain.
+    calibration counts until ρ differs from 0 by three standard errors, or the stiffness is
+    negative, which only gravity could explain. Cross-talk counts only where it explains the
+    residual better than a gain does.
     """
     size, own = np.abs(shares), np.eye(len(shares), dtype=np.bool_)
     told = np.where(

@@ -109,11 +109,6 @@ def coherence_of_chance(spectra: CrossSpectra) -> float:
     At each frequency, that coherence has a beta distribution with the parameters 1 and ``n_d - 1``,
     whose mean is ``1/n_d``. Where averages at two frequencies are correlated by ρ, coherences are
     by ρ². The level is `CHANCE` standard deviations of the band mean above ``1/n_d``.
-
-    Parameters
-    ----------
-    spectra : CrossSpectra
-        Spectra from which the coherence is computed.
     """
     averages = spectra.effective_averages
     if not averages > 1.0:
@@ -149,14 +144,7 @@ def lock_ratio(trials: Sequence[TrialData], frf: FrfMatrix) -> FloatArray:
 
     ``sqrt(Σ_f |R_ik|² G_xx / Σ_f |R_kk|² G_xx)`` over the band, with the expected contribution of
     noise subtracted. So motion outside the band does not count, nor does motion with another cause,
-    such as the dither of locked joints.
-
-    Parameters
-    ----------
-    trials : sequence of TrialData
-        Trials in order of k.
-    frf : FrfMatrix
-        Their frequency responses.
+    such as the dither of locked joints. Trials are in order of k, and `frf` has their responses.
 
     Returns
     -------

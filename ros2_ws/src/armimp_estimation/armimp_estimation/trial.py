@@ -45,11 +45,6 @@ SIGNIFICANT = 6.0
 def slopes_of(record: TrialRecord) -> tuple[FloatArray, FloatArray]:
     """Estimate the slopes of the signals of a trial, apart from their response to the perturbation.
 
-    Parameters
-    ----------
-    record : TrialRecord
-        A trial without gaps.
-
     Returns
     -------
     slopes, errors : ndarray, shape (2n,)

@@ -158,16 +158,8 @@ def account_for(
 ) -> tuple[dict[str, StreamCount], list[Problem]]:
     """Count the messages of a trial, and find what is wrong with them.
 
-    Parameters
-    ----------
-    window : TrialWindow
-        What the trial was meant to be.
-    streams : Streams
-        All messages that were received.
-    aligned : mapping of str to AlignedStream
-        The aligned streams with stamps, by topic.
-    last_ns : int
-        Last stamp of the trial in any of these, ns.
+    `aligned` are the streams with stamps, by topic; `last_ns` is the last stamp of the trial in any
+    of them.
     """
     leading = aligned[PERTURBATION]
     counts = {topic: one.statistics(last_ns) for topic, one in aligned.items()}

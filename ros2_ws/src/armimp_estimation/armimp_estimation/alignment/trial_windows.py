@@ -123,12 +123,7 @@ class AnnouncedTrials:
 
 
 def windows_from_statuses(statuses: Sequence[TrialStatus]) -> tuple[TrialWindow, ...]:
-    """Find the trials that the controller announced.
-
-    Parameters
-    ----------
-    statuses : sequence of TrialStatus
-        Statuses in the order of publication.
+    """Find the trials that the controller announced, by statuses in the order of publication.
 
     Returns
     -------
