@@ -24,25 +24,13 @@ ROS = {
 }
 
 WITH_ROS = {
-    "armimp_common.pubsub",
-    "armimp_common.lifecycle",
-    "armimp_common.heartbeat",
-    "armimp_common.parameters",
-    "armimp_common.qos",
-    "armimp_common.driver_base",
-    "armimp_common.executor",
-    "armimp_control.node",
-    "armimp_driver_template.node",
-    "armimp_estimation.node",
-    "armimp_ros2_control.node",
-    "armimp_sim.node",
-    "armimp_bringup.driver_check.checker",
-    "armimp_bringup.driver_check.command",
-    "armimp_bringup.driver_check.conversation",
-    "armimp_bringup.graph",
-    "armimp_bringup.orchestrator",
-    "armimp_bringup.nodes",
-    "armimp_bringup.replay",
+    *("armimp_control.node", "armimp_driver_template.node", "armimp_estimation.node"),
+    *("armimp_ros2_control.node", "armimp_sim.node", "armimp_common.pubsub"),
+    *("armimp_common.lifecycle", "armimp_common.heartbeat", "armimp_common.parameters"),
+    *("armimp_common.qos", "armimp_common.driver_base", "armimp_common.executor"),
+    *("armimp_bringup.driver_check.checker", "armimp_bringup.driver_check.command"),
+    *("armimp_bringup.driver_check.conversation", "armimp_bringup.graph"),
+    *("armimp_bringup.orchestrator", "armimp_bringup.nodes", "armimp_bringup.replay"),
 }
 """Every other module must work where there is no ROS at all."""
 

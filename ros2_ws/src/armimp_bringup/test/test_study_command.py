@@ -2,13 +2,16 @@
 
 import json
 from pathlib import Path
+from signal import SIGINT, SIGTERM, Signals
 
 import pytest
+from psutil import Process
 
 from armimp_bringup.study.scores import StudyVerdict
 from armimp_bringup.terminal import describe
 from armimp_common.versions import software
 from support.command import Told, call, interrupted, program
+from support.processes import wait_until
 from support.results import read_study
 
 SHORT = ("--duration", "4", "--no-figures", "--only", "friction=0,resolution=0,perturbation=3")
@@ -38,13 +41,17 @@ def test_study_that_misses_targets_exits_with_1_and_names_the_first_of_them(
 
 
 @pytest.mark.slow
-def test_interrupted_study_ends_at_once(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [SIGINT, SIGTERM])
+def test_interrupted_study_ends_at_once(tmp_path: Path, number: Signals) -> None:
     options = ("--no-figures", "--seeds", "0:40", "--workers", "1", "--duration", "200")
     with program("reproduce", "--out", str(tmp_path / "out"), *options) as study:
         assert study.stderr is not None
         assert study.stderr.readline() == "0 of 1920 conditions\n"
+        wait_until(lambda: len(Process(study.pid).children()) > 1, "a worker beside its tracker")
+        worker = Process(study.pid).children()[-1]
         # It does not wait for the batch that is running.
-        assert interrupted(study, 130) == ["armimp: interrupted"]
+        assert interrupted(study, 130, number) == ["armimp: interrupted"]
+        assert not worker.is_running()
 
 
 def test_a_file_decides_what_options_leave_open_and_an_estimator_without_targets_meets_them(

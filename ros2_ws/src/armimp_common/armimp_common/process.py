@@ -150,10 +150,11 @@ def follow_parent() -> None:
     """
     text = os.environ.pop(_VARIABLE, "")
     if text.isdecimal():
-        threading.Thread(target=_wait, args=(int(text),), name="parent", daemon=True).start()
+        threading.Thread(target=end_with, args=(int(text),), name="parent", daemon=True).start()
 
 
-def _wait(pipe: int) -> None:
+def end_with(pipe: int) -> None:
+    """Send this process SIGTERM when the other end of a pipe is closed, and kill it in the end."""
     try:
         while os.read(pipe, 1):
             pass

@@ -5,11 +5,12 @@ from __future__ import annotations
 import importlib
 import itertools
 import signal
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import threading
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context, parent_process
 from typing import Any, TypeAlias, TypeVar
 
 from armimp_bringup.bench import available_cores
@@ -17,6 +18,7 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import SimulatedExperiment, simulate
 from armimp_bringup.study import Condition, StudyEntry
 from armimp_common.errors import ArmimpError, ConfigurationError, DataError
+from armimp_common.process import end_with
 from armimp_common.versions import software
 from armimp_estimation.summary import ImpedanceCurve, TrialSummary
 from armimp_sim.dynamics import WIDTH
@@ -133,8 +135,10 @@ class Backend:
     workers: int
     lost: tuple[type[Exception], ...] = ()
     """Errors that mean the death of a worker."""
+    end: Callable[[], None] | None = None
+    """Ends the workers, whatever they do; without it, tasks that have begun run to their end."""
 
-    def run(self, work: Callable[[Task], Done], tasks: Iterable[Task]) -> Iterator[Done]:
+    def run(self, work: Callable[[Task], Done], tasks: Iterable[Task]) -> Generator[Done]:
         """Yield the results of all tasks, in the order in which they are ready.
 
         The first error of a task is raised; tasks that have not begun by then are cancelled.
@@ -142,14 +146,22 @@ class Backend:
         lost: tuple[type[Exception], ...] = (CancelledError, *self.lost)
         futures: list[Future[Done]] = []
         try:
-            futures += (self.pool.submit(work, task) for task in tasks)
+            # Workers started here keep it blocked: Ctrl-C reaches them, too, and they end anyway.
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+            try:
+                futures += (self.pool.submit(work, task) for task in tasks)
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, before)
             for future in as_completed(futures):
                 yield future.result()
         except lost as error:
             raise DataError(f"a worker died: {error}") from None
         finally:
-            for future in futures:
-                future.cancel()
+            if self.end is not None:
+                self.end()  # a pool without its workers ends the futures itself
+            else:
+                for future in futures:
+                    future.cancel()
             self.pool.shutdown(wait=False)
 
 
@@ -161,13 +173,19 @@ def processes(workers: int | None = None) -> Backend:
     workers : number of processes; by default one for each core
     """
     workers = workers or available_cores()
-    pool = ProcessPoolExecutor(
-        workers,
-        mp_context=get_context("spawn"),
-        initializer=signal.signal,  # Ctrl-C ends them silently
-        initargs=(signal.SIGINT, signal.SIG_DFL),
-    )
-    return Backend(pool, workers, (BrokenProcessPool,))
+    others = active_children()
+    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_follow_parent)
+
+    def end() -> None:
+        for child in {*active_children()}.difference(others):
+            child.kill()
+
+    return Backend(pool, workers, (BrokenProcessPool,), end)
+
+
+def _follow_parent() -> None:
+    if (parent := parent_process()) is not None:
+        threading.Thread(target=end_with, args=(parent.sentinel,), daemon=True).start()
 
 
 def cluster(address: str) -> Backend:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -101,13 +102,14 @@ def run_study(
     found: dict[Condition, StudyEntry] = {}
     display().progress(0, len(conditions), things="conditions")
     display().phase("simulating and estimating the first")
-    for batch in backend.run(partial(run_batch, base, here), batches):
-        for entry, of_estimators in batch:
-            name = entry.condition.name
-            write_frf(results / f"{name}.npz", of_estimators)
-            write_summary(results / f"{name}.json", entry)
-            found[entry.condition] = entry
-        display().progress(len(found), len(conditions), things="conditions")
+    with closing(backend.run(partial(run_batch, base, here), batches)) as done:
+        for batch in done:
+            for entry, of_estimators in batch:
+                name = entry.condition.name
+                write_frf(results / f"{name}.npz", of_estimators)
+                write_summary(results / f"{name}.json", entry)
+                found[entry.condition] = entry
+            display().progress(len(found), len(conditions), things="conditions")
 
     def curves(of: Condition) -> dict[str, ImpedanceCurve]:
         return read_frf(results / f"{of.name}.npz")
