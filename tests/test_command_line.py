@@ -12,7 +12,7 @@ import sys
 import termios
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 import pyte
@@ -101,19 +101,10 @@ def estimated_and_replayed(*bags: str) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def test_a_run_leaves_bags_summary_curves_figure_and_parameters(seen: Seen) -> None:
-    assert {path.name for path in seen.directory.iterdir()} == {
-        "bags",
-        "coherence.pdf",
-        "coherence.png",
-        "frf.npz",
-        "impedance.pdf",
-        "impedance.png",
-        "parameters.yaml",
-        "report.html",
-        "summary.json",
-        "traces.pdf",
-        "traces.png",
-    }
+    kinds = [".pdf", ".png"]
+    figures = {name + kind for name in ("coherence", "impedance", "traces") for kind in kinds}
+    numbers = {"frf.npz", "parameters.yaml", "report.html", "summary.json"}
+    assert {path.name for path in seen.directory.iterdir()} == {"bags"} | numbers | figures
     summary = json.loads((seen.directory / "summary.json").read_text())
     assert summary["valid"] is True
     assert [trial["bag"] for trial in summary["trials"]] == [
@@ -247,10 +238,23 @@ def test_a_result_that_is_there_outlives_an_interruption_while_it_is_drawn(
     assert (tmp_path / "out" / "summary.json").exists()
 
 
-def test_when_an_import_is_interrupted_expect_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    def compiled_module(*_: object) -> NoReturn:
-        raise ImportError("initialization failed") from KeyboardInterrupt()
+_LOADING = """
+from os import getpid, kill; from time import sleep; from weakref import finalize
+from armimp_bringup import __main__, cli
+def load(*_):
+    try:
+        {}
+    except KeyboardInterrupt:
+        raise SystemError from None
+cli.load_config = load
+__main__.program()
+"""
 
-    monkeypatch.setattr("armimp_bringup.cli.load_config", compiled_module)
-    told = call("run")
-    assert (told.status, told.err, told.out) == (130, "armimp: interrupted\n", "")
+
+@pytest.mark.parametrize(
+    "interrupt", ["kill(getpid(), 2)", "finalize(set(), kill, getpid(), 2); sleep(9)"]
+)
+def test_when_a_module_makes_something_else_of_an_interrupt_expect_one_line(interrupt: str) -> None:
+    command = [sys.executable, "-c", _LOADING.format(interrupt), "run"]
+    told = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (told.returncode, told.stderr, told.stdout) == (130, "armimp: interrupted\n", "")

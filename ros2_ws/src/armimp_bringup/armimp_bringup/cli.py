@@ -392,14 +392,11 @@ def main(
         return _INTERRUPTED if isinstance(error, InterruptionError) else 1
     except (KeyboardInterrupt, typer.Abort):
         status = _INTERRUPTED
-    except ImportError as error:
+    except ImportError:
         if find_spec("rclpy") is None:
             say("armimp: this needs ROS, which is not installed: pip install 'armimp[ros]'")
             return 1
-        # Compiled modules raise an ImportError when SIGINT arrives during their import.
-        if not isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
-            raise
-        status = _INTERRUPTED
+        raise
     except BrokenPipeError:
         # The reader of the output has closed it, as `head` does.
         sys.stderr.close()
