@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import io
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -219,8 +220,10 @@ def save_figure(figure: Figure, path: Path) -> list[Path]:
     # With the time of day, no two files would be equal.
     for suffix, metadata in ((".png", {"Software": None}), (".pdf", {"CreationDate": None})):
         written.append(path.with_name(path.name + suffix))
-        save = functools.partial(figure.savefig, dpi=200, metadata=metadata)
-        write_atomically(written[-1], save, anew=True)
+        # In memory first: matplotlib fails at more than the disk when that is full.
+        figure.savefig(drawn := io.BytesIO(), format=suffix[1:], dpi=200, metadata=metadata)
+        write = functools.partial(Path.write_bytes, data=drawn.getvalue())
+        write_atomically(written[-1], write, anew=True)
     return written
 
 
