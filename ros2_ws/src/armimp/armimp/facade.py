@@ -132,6 +132,8 @@ class Recording:
             for number, trial in enumerate(trials, start=1)
         ]
         if calibration is not None:
+            if not isinstance(calibration, Calibration):
+                raise DataError(f"calibration must be a Calibration: {calibration!r:.60}")
             known = known.model_copy(update={"calibration": calibration})
         return cls(trials=tuple(records), known=known)
 

@@ -115,6 +115,7 @@ ONES = np.ones((1, 1, 5000))
         ({"position": ONES + 1j}, "complex"),
         ({"position": np.full(ONES.shape, "N·m")}, "no arrays of numbers"),
         ({"position": None}, "no arrays of numbers"),
+        ({"calibration": {"gain": 0.1}}, "calibration must be a Calibration"),
         ({"position": np.ones((2, 1, 5000))}, r"one array for each trial, but have \[1, 2, 1\]"),
         ({"perturbation": 0.0 * ONES}, "the perturbation is zero"),
         (dict.fromkeys(SIGNALS, np.ones((1, 5000, 1))), "5000 joints"),
