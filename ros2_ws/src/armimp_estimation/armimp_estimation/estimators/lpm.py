@@ -11,7 +11,6 @@ from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate, combined, variance_of
 from armimp_estimation.estimators.local_polynomial import (
-    HALF_WIDTH,
     ORDER,
     LocalResponse,
     Mix,
@@ -49,6 +48,9 @@ _TINY = float(np.finfo(np.float64).tiny)
 _SPAN = 0.25
 """Hz on either side of a bin that local polynomials may span, as arms have a resonance near 1 Hz.
 In shorter records, whose bins are wider, fewer bins take part."""
+_MOST_BINS = 36
+"""Bins on either side at most: leakage then takes 1 of 24 parts of what a window tells. A periodic
+perturbation has fewer windows, which may be wider."""
 _FLOOR = 0.0003
 """Relative error that the M-B-K fit adds in quadrature to that of each value for its weight."""
 _BY_CHANCE, _SCATTER = 1.1, 2.5
@@ -355,7 +357,7 @@ def _half_width(duration: float, *, periodic: bool) -> int:
     """Half width of local polynomials, in bins, for a record of `duration` seconds."""
     # For a periodic perturbation, polynomials model leakage alone and use all bins of the span.
     within = max(int(_SPAN * duration * (1.0 + 1e-12)), ORDER + _SPARE_BINS)
-    return within if periodic else min(HALF_WIDTH, within)
+    return within if periodic else min(_MOST_BINS, within)
 
 
 def _bins(records: Sequence[TrialRecord], band: tuple[float, float]) -> FloatArray:
