@@ -49,6 +49,8 @@ class EstimatorResult:
     """Variance accounted for, %, if the truth is known; shape (n, n)."""
     coherence: scores.Coherences
     """Coherences over frequency."""
+    coherence_limit: float
+    """Band mean of the coherence that unrelated signals hardly ever exceed."""
     models: dict[str, ModelFit]
     """Models of the arm that were fitted in addition to M, B and K, by name."""
 
@@ -191,6 +193,7 @@ def identify(
             fit=fit,
             vaf=None if truth is None else scores.vaf(estimate, truth),
             coherence=scores.Coherences.of(ordered, estimate),
+            coherence_limit=level,
             models=models,
         )
     deciding = _deciding(results)

@@ -86,6 +86,8 @@ class EstimatorSummary(JsonModel):
     """Band means of γ²(τ_Δ, τ_i) in trial k."""
     coherence_motion: Vector
     """Band means of γ²(τ_Δ, θ_k)."""
+    coherence_limit: Number = math.nan
+    """What the latter and the diagonal of the former must exceed, as unrelated signals don't."""
     lack_limit: Number = math.nan
     """Lack of fit beyond which M, B and K are not valid."""
     decides: bool = True
@@ -112,7 +114,7 @@ class EstimatorSummary(JsonModel):
             for name in ("derived", "torque", "motion")
         }
         found |= {name: getattr(fit, name) for name in ("covariance", "lack_limit", "r2")}
-        found["vaf"] = result.vaf
+        found |= {name: getattr(result, name) for name in ("vaf", "coherence_limit")}
         for name in ("M", "B", "K"):
             value, error = getattr(fit.mbk, name), getattr(fit, f"{name}_se")
             found |= {name: value, f"{name}_se": error}

@@ -38,6 +38,7 @@ def test_a_good_experiment_is_valid_and_close_to_the_truth() -> None:
         assert one.vaf is not None
         assert (one.vaf > 99.9).all()
         assert (one.fit.r2 > 0.999).all()
+        assert np.min(one.coherence.motion.mean(axis=-1)) > one.coherence_limit > 0.0
         assert (one.coherence.derived.mean(axis=-1) > 0.97).all()
         errors = worst_errors(one.fit.mbk, TWO_JOINT_ARM)
         assert errors["M"] < 0.01

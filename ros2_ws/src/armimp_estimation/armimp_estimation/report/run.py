@@ -186,14 +186,14 @@ def _limits(result: Result) -> Rows:
     for i, k in np.ndindex(summary.joints, summary.joints):
         lacks[symbol("Z", i + 1, k + 1)] = judged.lack_of_fit[i][k]
     rows: Rows = []
-    scores: tuple[tuple[str, dict[object, float], float | None, str, float], ...] = (
+    scores: tuple[tuple[str, dict[object, float], float, str, float], ...] = (
         ("motion of held joints (%)", locks, 100.0 * LOCK_RATIO, ".2f", 1.0),
         ("bias that this may cause (%)", bounds, 100.0 * BIAS_BOUND, ".2f", 1.0),
-        ("coherence with perturbation", coherences, result.significance, ".4f", -1.0),
+        ("coherence with perturbation", coherences, judged.coherence_limit, ".4f", -1.0),
         ("lack of fit", lacks, judged.lack_limit, ".2f", 1.0),
     )
     for title, found, limit, spec, sign in scores:
-        if limit is None or not found:
+        if not found:
             continue
         # Written so that NaN is the worst value and beyond every limit.
         off = {place: math.inf if math.isnan(v) else sign * v for place, v in found.items()}
