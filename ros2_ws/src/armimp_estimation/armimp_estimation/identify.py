@@ -15,13 +15,14 @@ from armimp_common.errors import ConfigurationError
 from armimp_estimation import scores, verdict
 from armimp_estimation.arm_models import ModelFit, fit_models
 from armimp_estimation.estimators.estimate import Estimator, ImpedanceEstimate
+from armimp_estimation.estimators.lpm import LpmFull
 from armimp_estimation.estimators.registry import make_estimators
 from armimp_estimation.fit import MBKFit, fit_impedance
 from armimp_estimation.frf import frf_matrix, order_trials
 from armimp_estimation.hold_correction import update_jump
 from armimp_estimation.json_model import JsonModel, Number, Vector
 from armimp_estimation.metadata import Metadata
-from armimp_estimation.nonlinearity import judge_linearity
+from armimp_estimation.nonlinearity import at_posture, judge_linearity
 from armimp_estimation.plausibility import judge_angles, mixed_channels, other_postures
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
@@ -184,8 +185,12 @@ def identify(
     locks = scores.lock_ratio(ordered, frf)
     bounds = scores.bias_bound(frf)
     results: dict[str, EstimatorResult] = {}
+    records = [trial.record for trial in ordered]
+    lpm = next((one for one in workers if isinstance(one, LpmFull)), None)
+    steady = records if lpm is None else at_posture(records, lpm)
+    alike = [replace(trial, record=one) for trial, one in zip(ordered, steady, strict=True)]
     for worker in workers:
-        found = worker.estimate(ordered)
+        found = worker.estimate(alike)
         estimate, fit = fit_impedance(found, known.calibration)
         models = fit_models(known.arm_model, found, fit, known.calibration)
         results[worker.name] = EstimatorResult(
@@ -198,7 +203,6 @@ def identify(
         )
     deciding = _deciding(results)
     best = results[deciding[0]]
-    records = [trial.record for trial in ordered]
     problems = list(verdict.judge_band(trials[0].f, ordered[0].f))
     for trial in ordered:
         problems += [*trial.problems, *judge_angles(trial.record), *judge_signals(trial.record)]
@@ -223,7 +227,7 @@ def identify(
     hold = best.estimate.hold or update_jump(records, known.reading)
     if best.estimate.unbiased:
         of_motion, doubts, gains = judge_linearity(
-            records,
+            steady,
             best.estimate,
             best.fit,
             hold,

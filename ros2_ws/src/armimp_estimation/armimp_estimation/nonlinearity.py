@@ -40,7 +40,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cached_property, partial
-from itertools import product
+from itertools import permutations, product
 from typing import Literal
 
 import numpy as np
@@ -50,6 +50,7 @@ from scipy.special import ndtri, stdtr, stdtrit
 
 from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
+from armimp_estimation.estimators.lpm import LpmFull
 from armimp_estimation.fit import MBKFit, hidden_square
 from armimp_estimation.hold_correction import HoldCorrection, command_steps, without_skew
 from armimp_estimation.mbk import MBK
@@ -120,6 +121,10 @@ _LEFT = 0.01
 """Share of the torque that a linear arm may leave, and least share of an abrupt change."""
 _BETWEEN = 0.05
 """Largest share of a linear residual that the linear filters leave between their frequencies."""
+_TURNING = 25.0
+"""Frequency up to which motion counts with which the inertia changes, Hz."""
+_TURNS = 5.0
+"""Standard errors from which on an inertia changes with the angles beyond chance."""
 _LEAST = 10.0  # duration of the shortest trial that is tested, s
 _INFORMATIVE = 0.1
 """Least share of a term of the perturbed motion alone that must remain once linear responses are
@@ -628,6 +633,85 @@ def _onto(forces: FloatArray) -> Callable[[FloatArray], FloatArray]:
     return lambda signals: np.asarray((signals @ forces.T) @ normal @ forces)
 
 
+def _left(
+    record: TrialRecord,
+    band: _Band,
+    arm: MBK,
+    jump: HoldCorrection | None,
+    reading: TorqueReading | None,
+    late: float = 0.0,
+) -> ComplexArray:
+    """Spectra, (n, n_freq), of the torques that an arm leaves; see :func:`deviations`."""
+    n = record.joints
+    coefficients = without_skew(band.f, record.rate, n, reading or TorqueReading(), jump, late)
+    torques = np.einsum("iif,if->if", coefficients[:, :n], band.of(record.torque))
+    if jump is not None:
+        steps = band.of(command_steps(record))
+        torques = torques + np.einsum("ijf,jf->if", coefficients[:, n:], steps)
+    impedance, angles = arm.impedance(band.f), band.of(record.position)
+    return np.asarray(torques - np.einsum("ijf,jf->if", impedance, angles))
+
+
+def _turning(record: TrialRecord) -> ComplexArray:
+    """Spectra, (terms, n, bins), of torques of an inertia that changes with the angles, to 50 Hz.
+
+    They are those of the kinetic energies ``θ_j θ̇_i²`` and ``θ_i θ̇_i θ̇_j``, as Lagrange's
+    equations give them, and 0 where the perturbed joint has no part in that. Where it has one, and
+    two other joints, these move little.
+    """
+    k = record.perturbed_joint
+    size = round(4.0 * _TURNING * record.duration)
+    s = 2j * np.pi * np.arange(size // 2 + 1) / record.duration
+    moved = np.fft.rfft(record.position - record.position.mean(axis=1, keepdims=True))
+    moved = moved[:, : s.size] * (np.abs(s) <= 2.0 * np.pi * _TURNING) * (size / record.samples)
+    angle, speed = (np.fft.irfft(one, size) for one in (moved, s * moved))
+    terms = []
+    for i, j in permutations(range(record.joints), 2):
+        for first, second, at in ((i, i, j), (i, j, i)):
+            terms.append(np.zeros_like(moved))
+            if k in (i, j):
+                for one, other in ((first, second), (second, first)):
+                    terms[-1][one] += s * np.fft.rfft(angle[at] * speed[other])
+                terms[-1][at] -= np.fft.rfft(speed[first] * speed[second])
+    return np.asarray(np.stack(terms) * (record.samples / size))
+
+
+def at_posture(records: Sequence[TrialRecord], lpm: LpmFull) -> list[TrialRecord]:
+    """Return trials with the torques of an arm whose inertia stays that at the posture.
+
+    The inertia ``M_ij + Σ_l G_ijl θ_l`` of any jointed arm causes Coriolis torques and the like.
+    They are even in the motion, so no part of M, B and K, but distort the lines of a multisine, and
+    look like a stiffness that depends on the direction where locked joints move. G is found by
+    regression of what a reference arm of `lpm` leaves, of all trials, and removed if it is beyond
+    chance. G_iii is 0: the own inertia of a joint doesn't depend on its angle.
+    """
+    if records[0].joints == 1 or min(record.duration for record in records) < _LEAST:
+        return list(records)
+    arm, jump = lpm.reference(records)
+    parts = []
+    for record in (one.whole_periods for one in records):
+        band = _Band(record)
+        left = _left(record, band, arm, jump, lpm.reading)
+        terms = _turning(record)[..., band.bins] * band.passed / record.samples
+        for rest, term in zip(left, np.moveaxis(terms, 1, 0), strict=True):
+            weights = band.weights(band.inner(band.signal(rest)))
+            whole = band.signal(weights * np.vstack((term, rest)))[:, band.kept]
+            parts += np.array_split(whole, max(round(whole.shape[1] / (_RATE * _PART)), 3), axis=1)
+    inverse = np.linalg.pinv(sum(part[:-1] @ part[:-1].T for part in parts), hermitian=True)
+    found = inverse @ sum(part[:-1] @ part[-1] for part in parts)
+    scores = [part[:-1] @ (part[-1] - found @ part[:-1]) for part in parts]
+    errors = np.linalg.norm(scores @ inverse, axis=0)
+    if not (np.abs(found) > _TURNS * errors).any():
+        return list(records)
+    return [
+        replace(
+            one,
+            torque=one.torque - np.fft.irfft(found @ np.moveaxis(_turning(one), 0, 1), one.samples),
+        )
+        for one in records
+    ]
+
+
 def deviations(
     record: TrialRecord,
     arm: MBK,
@@ -660,14 +744,8 @@ def deviations(
         return [{} for _ in record.joint_names]
     record = record.whole_periods
     n, k, band = record.joints, record.perturbed_joint, _Band(record)
-    angles, torques = band.of(record.position), band.of(record.torque)
-    coefficients = without_skew(band.f, record.rate, n, reading or TorqueReading(), jump, late)
-    torques = np.einsum("iif,if->if", coefficients[:, :n], torques)
-    if jump is not None:
-        steps = band.of(command_steps(record))
-        torques = torques + np.einsum("ijf,jf->if", coefficients[:, n:], steps)
-    impedance = arm.impedance(band.f)
-    residuals = band.signal(torques - np.einsum("ijf,jf->if", impedance, angles))
+    angles, impedance = band.of(record.position), arm.impedance(band.f)
+    residuals = band.signal(_left(record, band, arm, jump, reading, late))
     # Angle of the perturbed joint, rad, and its first two derivatives, (3, N).
     motion = band.signal(angles[k] * (2j * np.pi * band.f) ** np.arange(3)[:, None])
     moved = _Motion(record, band, motion)

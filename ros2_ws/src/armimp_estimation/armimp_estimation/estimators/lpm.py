@@ -129,10 +129,7 @@ class LpmFull:
         jump = update_jump(records, self.reading)
         rate, n = records[0].rate, records[0].joints
         joints = [record.perturbed_joint for record in records]
-        channels = [np.concatenate([one.position, one.torque]) for one in records]
-        if jump is not None:
-            steps = map(command_steps, records)
-            channels = [np.concatenate(pair) for pair in zip(channels, steps, strict=True)]
+        channels = _channels(records, jump)
         reference = self._reference_arm(records, channels, jump)
         plain = self._residuals(records, channels, reference, jump)
         columns = [column.with_scatter_of_lines(slice(n, 2 * n)) for column in plain]
@@ -226,6 +223,11 @@ class LpmFull:
             preliminary=preliminary,
         )
 
+    def reference(self, records: Sequence[TrialRecord]) -> tuple[MBK, HoldCorrection | None]:
+        """Fit an arm near the one sought, and find how torques jump with the commands."""
+        jump = update_jump(records, self.reading)
+        return self._reference_arm(records, _channels(records, jump), jump), jump
+
     def _delay_uncertainty(self, jump: HoldCorrection | None, rate: float) -> float:
         """Standard error of the delay between torques and angles, s."""
         reading = self.reading
@@ -287,6 +289,16 @@ class LpmFull:
                 solved = np.linalg.lstsq((parts / scale).T, aims, rcond=None)[0] / scale[:, 0]
                 found[:, row, joints] += solved.reshape(3, -1)
         return MBK(M=found[0], B=found[1], K=found[2])
+
+
+def _channels(records: Sequence[TrialRecord], jump: HoldCorrection | None) -> list[FloatArray]:
+    """Angles and torques of each trial, and steps of the commands with which torques jump."""
+    channels = [np.concatenate([one.position, one.torque]) for one in records]
+    if jump is None:
+        return channels
+    return [
+        np.concatenate(pair) for pair in zip(channels, map(command_steps, records), strict=True)
+    ]
 
 
 def responses(
