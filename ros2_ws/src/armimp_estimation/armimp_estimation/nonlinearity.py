@@ -125,6 +125,8 @@ _TURNING = 25.0
 """Frequency up to which motion counts with which the inertia changes, Hz."""
 _TURNS = 5.0
 """Standard errors from which on an inertia changes with the angles beyond chance."""
+_BURSTS, _TIMES, _NEAR = 4.0, 60, 4
+"""Noise in bursts: significant number of standard errors, number of times, those that are near."""
 _LEAST = 10.0  # duration of the shortest trial that is tested, s
 _INFORMATIVE = 0.1
 """Least share of a term of the perturbed motion alone that must remain once linear responses are
@@ -712,6 +714,37 @@ def at_posture(records: Sequence[TrialRecord], lpm: LpmFull) -> list[TrialRecord
     ]
 
 
+def _bursts(
+    record: TrialRecord, arm: MBK, jump: HoldCorrection | None, reading: TorqueReading
+) -> FloatArray:
+    """Square root, (3, n), of the excess of the variance of M, B and K over that of steady noise.
+
+    Noise that is larger while the perturbation moves the joint, as of a person who tenses then,
+    counts more than its mean power tells (White, *Econometrica* 48, 1980). The excess is relative,
+    and 0 unless it is beyond that of the same noise at other times.
+    """
+    if record.duration < _LEAST:
+        return np.zeros((3, record.joints))
+    record = record.whole_periods
+    band = _Band(record, by_lines=False)
+    angle = band.signal(band.of(record.position[record.perturbed_joint]))
+    caused = np.fft.rfft(band.caused(angle))[band.bins] / band.samples
+    motion = caused * (2j * np.pi * band.f) ** np.arange(3)[::-1, None]
+    excess = []
+    for rest in _left(record, band, arm, jump, reading):
+        weights = band.weights(band.inner(band.signal(rest)))
+        *moved, noise = band.signal(weights * np.vstack((motion, rest)))[:, band.kept]
+        pull = np.linalg.pinv(np.transpose(moved)) ** 2
+        pull /= np.mean(pull, axis=1, keepdims=True)
+        power = noise**2 / np.mean(noise**2)
+        times = np.linspace(0, power.size, _TIMES, endpoint=False, dtype=np.intp)
+        ratios = pull @ np.stack([np.roll(power, time) for time in times], axis=1) / power.size
+        beyond = ratios[:, 0] - 1.0
+        chance = _BURSTS * np.std(ratios[:, _NEAR:-_NEAR], axis=1)
+        excess.append(np.sqrt(np.where(beyond > chance, beyond, 0.0)))
+    return np.stack(excess, axis=1)
+
+
 def deviations(
     record: TrialRecord,
     arm: MBK,
@@ -1159,6 +1192,8 @@ def judge_linearity(
     jumps_known = jump is not None or reading.without_jumps
     found = [deviations(record, fit.mbk, jump, reading, late) for record in records]
     own = [found[k][k] for k in range(n)]
+    excess = np.stack([_bursts(record, fit.mbk, jump, reading) for record in records], axis=-1)
+    doubts += list(np.einsum("pij,jk->kpij", excess * fit.errors, np.eye(n)))
 
     def of_torque(joint: int, trial: int, torque: FloatArray) -> FloatArray:
         shift = np.zeros((3, n, n))
