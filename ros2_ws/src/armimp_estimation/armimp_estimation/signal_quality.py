@@ -24,6 +24,7 @@ from armimp_common.topics import JOINT_STATES, TORQUE_SENSORS
 from armimp_estimation.hold_correction import command_steps, regress
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import EXACT, TrialRecord, resolution_of
+from armimp_estimation.spectra import sums_within
 
 Values = dict[str, Any]
 
@@ -192,7 +193,13 @@ def floating(record: TrialRecord) -> tuple[float, float]:
     motion /= np.linalg.norm(motion, axis=1, keepdims=True) + _TINY
     parts = [np.concatenate((one.real, one.imag), axis=-1) for one in (motion, torque[quick])]
     follows = np.zeros_like(torque)
-    follows[quick] = np.linalg.lstsq(parts[0].T, parts[1], rcond=None)[0] @ motion
+    found = np.linalg.lstsq(parts[0].T, parts[1], rcond=None)[0] @ motion
+    # Rounded angles, derived twice, are mostly noise beyond the perturbation: of each band of 1 Hz
+    # only what the torque has in common with them counts.
+    near = np.asarray(f[quick], dtype=np.float64)
+    cross, _ = sums_within(near, torque[quick] * np.conj(found), 0.5)
+    power, _ = sums_within(near, np.abs(found) ** 2, 0.5)
+    follows[quick] = cross / np.maximum(power, _TINY) * found
     signals = np.fft.irfft(
         np.stack((torque * (f < top), s * quick * torque, s * follows)), record.samples
     )
