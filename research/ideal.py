@@ -13,6 +13,7 @@ import numpy as np
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.study import select_conditions
 from armimp_bringup.study.engine import condition_config
+from armimp_estimation.fit import Calibration
 from armimp_estimation.robot_balance import imbalance
 from research.cells import LETTERS
 from research.decomposition_trials import ESTIMATOR, identified
@@ -40,7 +41,7 @@ def investigate(options: InvestigationOptions) -> int:
         lacks.append((float(np.max(result.fit.lack)), str(condition)))
         line = f"{condition}: lack {np.max(result.fit.lack):.2f}"
         if found.balance is not None:
-            share, error = map(np.diag, imbalance(found.balance, result.fit)[:2])
+            share, error = map(np.diag, imbalance(found.balance, result.fit, Calibration())[:2])
             gains.append((float(np.max(np.abs(share))), str(condition)))
             M = found.balance.M
             line += f" imbalance {share.round(3)} ± {error.round(3)} M_r {M.round(3).tolist()}"

@@ -75,6 +75,11 @@ class Calibration:
         """Values assumed for a laboratory: 1 % for gain and for cross-talk, 1.5 % for angles."""
         return cls(gain=0.01, cross_talk=0.01, angle=0.015, assumed=True)
 
+    def shares(self, n: int) -> FloatArray:
+        """Standard errors of the share of each torque that each transducer shows, (n, n)."""
+        own = np.eye(n)
+        return np.asarray(self.gain * own + self.cross_talk * (1.0 - own))
+
     def effects(self, Z: ComplexArray) -> tuple[ComplexArray, ...]:
         """Independent errors: ``g Z_ij`` and ``c Z_lj`` of a row i, ``a Z_ij`` of a column j.
 

@@ -245,7 +245,11 @@ def identify(
             for name, one in results.items()
         }
     realised = scores.realisation(best.estimate, known.target)
-    balance = None if responses is None else responses.balance(order, hold, known.reading, best.fit)
+    balance = (
+        None
+        if responses is None
+        else responses.balance(order, hold, known.reading, best.fit, known.calibration, apart)
+    )
     unbalanced, gains = judge_balance(names, balance, best.fit, known.calibration)
     problems += [*unbalanced, *judge_answers(names, records, balance, best.fit)]
     scales = [] if balance is None else balance.scales_in_doubt(best.fit)

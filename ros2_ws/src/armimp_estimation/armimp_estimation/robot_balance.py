@@ -37,7 +37,7 @@ from armimp_estimation.fit import Calibration, MBKFit, covariance_of_sums, fit_w
 from armimp_estimation.hold_correction import HoldCorrection, answers_to_rounding, without_skew
 from armimp_estimation.plausibility import least_eigenvalue, uneven
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
-from armimp_estimation.record import TrialRecord
+from armimp_estimation.record import APART, TrialRecord
 from armimp_estimation.signal_quality import speed_of
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
@@ -51,7 +51,7 @@ ASYMMETRY = 0.25
 
 Friction that holds a locked joint may take up to a fifth of the element.
 """
-_FLOOR = 0.2
+_FLOOR = 0.03
 """Relative error that the weights of the fit allow for beside the variance."""
 _REACH = 0.6
 """Half width of the smoothing of these weights, Hz."""
@@ -92,6 +92,10 @@ in one of six rigs it is that of a cable which loads the transducer."""
 _PULLED = 0.3
 """Assumption: negative stiffness by which gravity may pull a joint of the robot away from the
 posture, relative to the arm's stiffness."""
+_ALLOWED = 3.0
+"""Standard errors by which gain and cross-talk may differ from the calibration."""
+_LIKELIER = 0.1
+"""Share by which cross-talk must be more significant than a gain, which is off more often."""
 _REFUTED = 3.0
 """Standard errors by which a gain has to differ from 1 to refute a declared calibration."""
 _AT_ONCE, _WHOLE = 0.1, 1.2
@@ -125,6 +129,8 @@ class RobotBalance:
     """Apparent stiffness that friction of the perturbed joint may have, N·m/rad, shape (n,)."""
     order: tuple[int, ...]
     """Row of the commands that belongs to each joint."""
+    unsure: FloatArray
+    """Standard errors of the inertia, kg·m², by calibration and postures of the trials, (n, n)."""
 
     @property
     def M(self) -> FloatArray:
@@ -161,14 +167,28 @@ class RobotBalance:
         """Standard errors of K, N·m/rad, shape (n, n)."""
         return np.asarray(self.errors[2])
 
+    def known(self, calibration: Calibration, arm: MBKFit, apart: float) -> RobotBalance:
+        """Return the balance with what calibration and postures add to the errors of the inertia.
+
+        A gain or cross-talk adds a share of a row of the arm's inertia, the scale of an encoder one
+        of a column of the robot's. Where postures of trials are `apart`, rad, inertias are of
+        different robots.
+        """
+        size = np.sqrt(np.abs(np.diag(self.M)))
+        squares = calibration.shares(len(size)) ** 2 @ arm.mbk.M**2
+        squares += (calibration.angle * self.M) ** 2
+        if apart > APART:
+            squares += (apart * np.outer(size, size)) ** 2 / 6.0
+        return replace(self, unsure=np.sqrt(squares))
+
     @property
     def impossible(self) -> bool:
         """Whether no robot has this inertia: it is asymmetric, or has a negative eigenvalue."""
-        M = self.M
-        value, error = least_eigenvalue(M, self.M_se)
+        M, M_se = self.M, np.hypot(self.M_se, self.unsure)
+        value, error = least_eigenvalue(M, M_se)
         ratio, its_error = self.scales
         unlike = np.abs(ratio) > GAIN_TOLERANCE + _ERRORS * its_error
-        asymmetric = unlike | uneven(M, self.M_se, ASYMMETRY)
+        asymmetric = unlike | uneven(M, M_se, ASYMMETRY)
         return bool(value < -_ERRORS * error or asymmetric.any())
 
     @cached_property
@@ -183,7 +203,7 @@ class RobotBalance:
         taken = np.maximum(self.friction, self.unseen)
         slight = (np.maximum(taken, taken.T) < _SLIGHT) & ~np.eye(len(taken), dtype=np.bool_)
         size = np.maximum(np.minimum(np.abs(M), np.abs(M.T)), _TINY)
-        error = np.hypot(error, self._inertia_hidden)
+        error = np.hypot(error, np.hypot(self._inertia_hidden, self.unsure))
         error = np.hypot(error, error.T)
         return (
             np.where(slight, (M - M.T) / size, 0.0),
@@ -281,6 +301,8 @@ class RobotResponses:
         jump: HoldCorrection | None = None,
         reading: TorqueReading | None = None,
         arm: MBKFit | None = None,
+        calibration: Calibration | None = None,
+        apart: float = 0.0,
     ) -> RobotBalance:
         """Estimate the robot that the commands move.
 
@@ -294,6 +316,10 @@ class RobotResponses:
             How torques were read.
         arm : MBKFit, optional
             Fit of the arm, with the delay of the torques that was found.
+        calibration : Calibration, optional
+            Errors of the sensors, if the arm is known.
+        apart : float
+            Distance between the postures of the trials, rad.
         """
         n, f, rate = len(self.records), self.columns[0].f, self.records[0].rate
         turn = 2j * np.pi * f / rate
@@ -328,7 +354,7 @@ class RobotResponses:
             multiply(multiply(mixed[:, 2 * n :], self.stacked[2 * n :]), self.inverse),
         )
         undamped, pace = self._not_of_a_damper
-        return RobotBalance(
+        found = RobotBalance(
             values=values,
             covariance=covariance,
             damped=damped,
@@ -337,12 +363,16 @@ class RobotResponses:
             undamped=undamped,
             rubbing=np.abs(np.diag(values[1])) * np.diag(undamped) * pace,
             order=order,
+            unsure=np.zeros((n, n)),
         )
+        if arm is None or calibration is None:
+            return found
+        return found.known(calibration, arm, apart)
 
     def _fit(
         self, impedance: ComplexArray, variance: FloatArray, driven: ComplexArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Fit a robot, friction of locked joints and a lag of their drives to an impedance.
+        """Fit a robot, friction of locked joints and a lag of the drives to an impedance.
 
         Returned are values, covariance, friction and damped of a :class:`RobotBalance`; `driven` is
         the contribution of the commands to the impedance, (n, n, n_freq).
@@ -356,7 +386,7 @@ class RobotResponses:
             own = np.stack([s**2, s, np.ones_like(s)])
             held = np.stack([locked[i, j] * s, locked[i, j]])
             lag = np.stack([driven[i, j] * s, driven[i, j] * s**2])
-            terms = own if i == j else np.concatenate([own, held, lag])
+            terms = np.concatenate([own, lag] if i == j else [own, held, lag])
             given = f, impedance[i, j], variance[i, j], correlation
             values, covariance = _least_squares(*given, terms)
             free, spread, taken = values, covariance, np.zeros_like(s)
@@ -424,7 +454,9 @@ def _least_squares(
     return values / scale, covariance / np.outer(scale, scale)
 
 
-def imbalance(robot: RobotBalance, arm: MBKFit) -> tuple[FloatArray, FloatArray, FloatArray]:
+def imbalance(
+    robot: RobotBalance, arm: MBKFit, calibration: Calibration
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Shares of the arm's torque that the balance contains, but no robot has, each (n, n).
 
     The share ρ of the joint's own torque, on the diagonal, is ``(1 - g)/g`` if its transducer shows
@@ -436,13 +468,14 @@ def imbalance(robot: RobotBalance, arm: MBKFit) -> tuple[FloatArray, FloatArray,
     must show in K on the diagonal, too, but for what gravity and friction may add there; otherwise
     friction of the locked joint explains ρ, which is added to its own standard error. Returns the
     shares, their standard errors, and possible shares: those that are significant from all of K,
-    but not from the remaining information, which agrees with them; else 0.
+    but not from the remaining information, which agrees with them; else 0. Last are the standard
+    errors that follow from the calibration: of the share itself, and of what others look like.
     """
-    K = robot.K
+    K, known = robot.K, calibration.shares(len(robot.order))
     potential = np.where(K * K.T > 0.0, np.minimum(np.abs(K), np.abs(K.T)), 0.0)
     np.fill_diagonal(potential, 0.0)
-    whole, whole_error = _imbalance(robot, arm, np.diag(robot.rubbing))
-    left, left_error = _imbalance(robot, arm, np.diag(robot.rubbing) + potential)
+    whole, whole_error, _ = _imbalance(robot, arm, known, np.diag(robot.rubbing))
+    left, left_error, alike = _imbalance(robot, arm, known, np.diag(robot.rubbing) + potential)
     near = np.minimum(np.abs(left), _REFUTED * left_error)
     tells = (np.abs(left - whole) < near) & (left_error < np.abs(whole))
     sure = tells & (np.abs(left) > _REFUTED * left_error)
@@ -451,19 +484,23 @@ def imbalance(robot: RobotBalance, arm: MBKFit) -> tuple[FloatArray, FloatArray,
     own, K_own = np.diag(K), np.diag(arm.mbk.K)
     spring = _PULLED * np.abs(K_own) + robot.rubbing + _REFUTED * np.diag(robot.K_se)
     refuted = (np.abs(own) < spring) & (np.abs(np.diag(shares) * K_own - own) > spring)
-    return shares, np.where(np.diag(refuted), np.hypot(errors, shares), errors), possible
+    errors = np.where(np.diag(refuted), np.hypot(errors, shares), errors)
+    return shares, errors, possible, np.hypot(known, alike)
 
 
 def _imbalance(
-    robot: RobotBalance, arm: MBKFit, other: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Shares and errors as of :func:`imbalance` with further standard errors of K, (n, n)."""
+    robot: RobotBalance, arm: MBKFit, known: FloatArray, other: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Shares and errors as of :func:`imbalance`, with further standard errors of K, (n, n).
+
+    Last is what other shares, of the standard errors `known`, (n, n), look like.
+    """
     n = len(robot.order)
     used, others = ([2], np.ones((1, 1))) if n == 1 else ([1, 2], 1.0 - np.eye(n))
     covariance = robot.covariance.copy()
     covariance[2, 2] += other**2
-    known = np.moveaxis(covariance[np.ix_(used, used)], (0, 1), (2, 3))
-    information = others[:, :, None, None] * np.linalg.pinv(known)
+    covariance = np.moveaxis(covariance[np.ix_(used, used)], (0, 1), (2, 3))
+    information = others[:, :, None, None] * np.linalg.pinv(covariance)
     residual = robot.values[used]
     arms, arms_se = arm.values[used], arm.errors[used]
     # Indices: joint i, row r of the arm whose torque its transducer may show, column j.
@@ -482,17 +519,21 @@ def _imbalance(
     # Where the arm hardly couples the joints, the errors of the arm count.
     own = np.einsum("arj,ijab,brj->ir", arms_se, information, arms_se)
     shares = mixed / square
+    # Shares of other torques, i.e. of rows l of the arm, may look like that of row r.
+    alike = np.einsum("arj,ijab,blj->irl", arms, information, arms) / square[:, :, None]
+    alike *= known[:, None] * (1.0 - np.eye(n))
     # One share has to explain all of the row.
     freedom = max(len(used) * max(n - 1, 1) - 1, 1)
     spread = np.maximum(1.0, (left[:, None] - mixed * mixed / square) / freedom)
     # Friction that holds a joint takes torque: to the transducer it is a gain above 1.
     holds = (mixed < 0.0) | ~np.eye(n, dtype=np.bool_)
     doubt = np.where(holds, _HELD * np.maximum(taken, held), damped) / square
-    return shares, np.sqrt(spread / square + doubt**2 + shares**2 * own / square)
+    errors = np.sqrt(spread / square + doubt**2 + shares**2 * own / square)
+    return shares, errors, np.linalg.norm(alike, axis=2)
 
 
 def _gains_above_one(
-    robot: RobotBalance, arm: MBKFit, shares: FloatArray, errors: FloatArray
+    robot: RobotBalance, arm: MBKFit, shares: FloatArray, errors: FloatArray, allowed: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Shares of the arm's torque, (n,), that follow from negative diagonal elements of the robot.
 
@@ -501,14 +542,14 @@ def _gains_above_one(
     gravity pulls the robot away. It is gravity if the off-diagonal elements determine the gain, and
     put it nearer to 1 than to the one that the stiffness suggests; where they don't, up to
     `_PULLED` may be gravity, and is in doubt. Friction may hide a part of each share. Shares and
-    their standard errors are 0 where none is beyond chance. `shares` and `errors` are the
-    diagonals of those of :func:`imbalance`.
+    their standard errors are 0 where none is beyond chance and what is `allowed`, (n,). `shares`
+    and `errors` are the diagonals of those of :func:`imbalance`.
     """
     own, own_error = (
         np.diagonal(one[1:], axis1=1, axis2=2) for one in (robot.values, robot.errors)
     )
     arms = np.stack((np.diag(arm.mbk.B), np.diag(arm.mbk.K)))
-    least = GAIN_TOLERANCE * arms + _NEGATIVE * own_error
+    least = allowed * arms + _NEGATIVE * own_error
     least[1] += robot.rubbing
     beyond = (arms > 0.0) & (own < -least)
     told = np.divide(own, arms, out=np.zeros_like(own), where=beyond)
@@ -571,8 +612,8 @@ def _may_be_spring(shares: FloatArray) -> BoolArray:
 
 
 def _explained_better(shares: FloatArray, errors: FloatArray) -> BoolArray:
-    """Where a share is the most significant one of its row, (n, n)."""
-    sure = np.abs(shares) / np.maximum(errors, _TINY)
+    """Where a share is the most significant of its row, (n, n); clearly so of another torque."""
+    sure = np.abs(shares) / np.maximum(errors, _TINY) * (1.0 + _LIKELIER * np.eye(len(shares)))
     return np.asarray(sure == np.max(sure, axis=1, keepdims=True))
 
 
@@ -599,10 +640,12 @@ def judge_balance(
         order = ", ".join(names[row] for row in np.argsort(balance.order))
         problems.append(problem(ProblemCode.COMMANDS_PERMUTED, severity=Severity.NOTE, order=order))
     own = np.eye(len(names), dtype=np.bool_)
-    shares, errors, possible = imbalance(balance, arm)
-    less, less_error = _gains_above_one(balance, arm, np.diag(shares), np.diag(errors))
+    shares, errors, possible, known = imbalance(balance, arm, calibration)
+    allowed = np.maximum(GAIN_TOLERANCE, _ALLOWED * known)
+    own_parts = map(np.diag, (shares, errors, allowed))
+    less, less_error = _gains_above_one(balance, arm, *own_parts)
     # Negated so that NaN counts as beyond.
-    beyond = ~(np.abs(shares) <= GAIN_TOLERANCE + _ERRORS * errors)
+    beyond = ~(np.abs(shares) <= allowed + _ERRORS * errors)
     # Where a transducer shows too much of its own torque, its gain explains that, not cross-talk.
     crossed = beyond & ~own & _explained_better(shares, errors) & ~(less < 0.0)[:, None]
     explanations = [
