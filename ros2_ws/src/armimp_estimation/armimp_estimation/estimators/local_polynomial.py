@@ -226,7 +226,8 @@ def local_response(
     found = _assembled(f, weights, observed, residual, freedom, first, width)
     if not perturbed.any():
         raise DataError(
-            f"perturbation has too few spectral lines between {band[0]:.4g} and {band[1]:.4g} Hz"
+            f"perturbation has too few spectral lines between {band[0]:.4g} and {band[1]:.4g} Hz; "
+            "multisines of all trials need the same ones"
         )
     return found if perturbed.all() else found.at(perturbed)
 

@@ -325,6 +325,11 @@ def responses(
         As :func:`local_response` takes it.
     f : ndarray, shape (n_freq,), optional
         Frequencies in place of those bins, Hz.
+
+    Raises
+    ------
+    DataError
+        If a record is too short, or the perturbations have too few frequencies in common.
     """
     rate = records[0].rate
     lines = common_lines((record.periods for record in records), rate, band)
@@ -339,6 +344,11 @@ def responses(
         source = record.perturbation[record.perturbed_joint]
         columns.append(local_response(source, signals, rate, band, width, f, periods, mix))
     shared: FloatArray = reduce(lambda f, g: f[among(f, g)], [one.f for one in columns])
+    if shared.size < FEWEST_FREQUENCIES:
+        raise DataError(
+            f"perturbations of the trials have {shared.size} frequencies in common, too few to fit "
+            "M, B and K: they need the same lines"
+        )
     return [one if one.f.size == shared.size else one.at(among(one.f, shared)) for one in columns]
 
 
