@@ -82,6 +82,52 @@ def _hum(size: float) -> Change:
     return add
 
 
+def _bursts(size: float) -> Callable[[Recording], Recording]:
+    """Noise of the torque below 4 Hz that is as large as the perturbation."""
+
+    def add(recording: Recording) -> Recording:
+        noise = np.random.default_rng(9).standard_normal(recording.torque.shape)
+        slow = sosfilt(butter(2, 0.008, output="sos"), noise, axis=1)
+        push = np.abs(recording.perturbation[recording.joint])
+        slow *= size * push / np.std(slow * push, axis=1, keepdims=True)
+        return replace(recording, torque=recording.torque + slow)
+
+    return add
+
+
+def _links(recording: Recording) -> Recording:
+    """Torques of two links, whose inertia changes with the angle between them."""
+    samples = recording.position.shape[1]
+    s = 2j * np.pi * np.fft.rfftfreq(samples, 1e-9 * float(np.diff(recording.stamps[:2])[0]))
+    s[np.abs(s) > 2.0 * np.pi * 30.0] = 0.0
+
+    def rate(values: FloatArray) -> FloatArray:
+        return np.asarray(np.fft.irfft(s * np.fft.rfft(values), samples))
+
+    upper, lower = rate(recording.position)
+    change = -0.06 * (recording.position[1] - np.mean(recording.position[1]))
+    torque = recording.torque.copy()
+    torque[0] += rate(change * (2.0 * upper + lower))
+    torque[1] += rate(change * upper) + 0.06 * upper * (upper + lower)
+    return replace(recording, torque=torque)
+
+
+def _within_calibration(draw: int) -> Callable[[Recording], Recording]:
+    """Sensors as those of a laboratory are: off by 1 % (torques) and 1.5 % (angles)."""
+    rng = np.random.default_rng(draw)
+
+    def change(recording: Recording) -> Recording:
+        n = len(recording.torque)
+        return replace(
+            recording,
+            torque=np.round((np.eye(n) + 0.01 * mixing[:n, :n]) @ recording.torque, 2),
+            position=(1.0 + 0.015 * scales[:n, None]) * recording.position,
+        )
+
+    mixing, scales = rng.standard_normal((3, 3)), rng.standard_normal(3)
+    return change
+
+
 def _drift(slope: float) -> Change:
     return lambda torque: torque + slope * np.arange(torque.shape[1]) / 1000.0
 
@@ -609,6 +655,20 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         # The distortion by friction isn't independent of voluntary motion at the same time.
         beside = {"friction": friction, "stick": 0.005, "voluntary": 0.3}
         add(NOISE, "sticking, voluntary", (f"{friction:g} N·m", beside))
+    for waveform, size in product(("noise", "multisine"), (0.05, 0.3)):
+        links: dict[str, Any] = {"waveform": waveform, "voluntary": size, "level": 3.0}
+        add(NOISE, f"two links, {waveform}", (f"{size:g} N·m", links | {"readings": _links}))
+    for size in (0.2, 0.6):
+        add(MUST, "noise in bursts", (f"{size:g} N·m", {"readings": _bursts(size)}))
+    for draw, joints in product(range(3), (2, 3)):
+        inexact: dict[str, Any] = {"joints": joints, "friction": 0.0}
+        inexact["readings"] = _within_calibration(draw)
+        add(NOISE, f"sensors as assumed, {joints} joints", (f"{draw}", inexact | undeclared))
+    for factor in (0.92, 1.08):
+        behind: dict[str, Any] = {"drive_lag": 2.0 * MILLI, "friction": 0.0, "lock": 60.0}
+        behind |= {"voluntary": 0.3}
+        behind["readings"] = changed(torque=_of_row(0, _times(factor)))
+        add(MUST, "torque gain behind slow drives, declared", (f"{factor:g}", behind))
     three = {"joints": 3}
     add(NOISE, "three joints", ("", three), ("800", three | {"rate": 800.0}))
     add(

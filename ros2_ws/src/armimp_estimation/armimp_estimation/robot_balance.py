@@ -93,7 +93,7 @@ _PULLED = 0.3
 """Assumption: negative stiffness by which gravity may pull a joint of the robot away from the
 posture, relative to the arm's stiffness."""
 _ALLOWED = 3.0
-"""Standard errors by which gain and cross-talk may differ from the calibration."""
+"""Standard errors of the calibration of other shares by which a share may look wrong."""
 _LIKELIER = 0.1
 """Share by which cross-talk must be more significant than a gain, which is off more often."""
 _REFUTED = 3.0
@@ -468,8 +468,8 @@ def imbalance(
     must show in K on the diagonal, too, but for what gravity and friction may add there; otherwise
     friction of the locked joint explains ρ, which is added to its own standard error. Returns the
     shares, their standard errors, and possible shares: those that are significant from all of K,
-    but not from the remaining information, which agrees with them; else 0. Last are the standard
-    errors that follow from the calibration: of the share itself, and of what others look like.
+    but not from the remaining information, which agrees with them; else 0. Last is what other
+    shares within the calibration look like.
     """
     K, known = robot.K, calibration.shares(len(robot.order))
     potential = np.where(K * K.T > 0.0, np.minimum(np.abs(K), np.abs(K.T)), 0.0)
@@ -485,7 +485,7 @@ def imbalance(
     spring = _PULLED * np.abs(K_own) + robot.rubbing + _REFUTED * np.diag(robot.K_se)
     refuted = (np.abs(own) < spring) & (np.abs(np.diag(shares) * K_own - own) > spring)
     errors = np.where(np.diag(refuted), np.hypot(errors, shares), errors)
-    return shares, errors, possible, np.hypot(known, alike)
+    return shares, errors, possible, alike
 
 
 def _imbalance(
@@ -640,8 +640,8 @@ def judge_balance(
         order = ", ".join(names[row] for row in np.argsort(balance.order))
         problems.append(problem(ProblemCode.COMMANDS_PERMUTED, severity=Severity.NOTE, order=order))
     own = np.eye(len(names), dtype=np.bool_)
-    shares, errors, possible, known = imbalance(balance, arm, calibration)
-    allowed = np.maximum(GAIN_TOLERANCE, _ALLOWED * known)
+    shares, errors, possible, alike = imbalance(balance, arm, calibration)
+    allowed = np.maximum(GAIN_TOLERANCE, _ALLOWED * alike)
     own_parts = map(np.diag, (shares, errors, allowed))
     less, less_error = _gains_above_one(balance, arm, *own_parts)
     # Negated so that NaN counts as beyond.
