@@ -11,7 +11,7 @@ import pytest
 from armimp_common import topics
 from armimp_estimation.figures import write_figures
 from armimp_estimation.problems import ProblemCode, problem
-from armimp_estimation.report.formats import difference, number, percent, plain, uncertain
+from armimp_estimation.report.formats import difference, digits, number, percent, plain, uncertain
 from armimp_estimation.report.run import REPORT_FILE, report_page, write_report
 from armimp_estimation.result import Result, load_result
 from armimp_estimation.summary import Summary
@@ -64,7 +64,7 @@ def test_every_section_is_there_and_the_contents_lead_to_all(page: Page) -> None
 def test_estimates_stand_beside_their_errors_and_the_truth(page: Page, result: Result) -> None:
     one = result.summary.estimators["welch_siso"]
     value, error = one.M[0][0], one.M_se[0][0]
-    interval = " to ".join(number(end, "#.4g") for end in one.M_ci[0][0])
+    interval = " to ".join(number(end, digits(error)) for end in one.M_ci[0][0])
     cells = f"M 11 0.187 {uncertain(value, error)} {interval} {difference(value, 0.187)}"
     assert " ".join(cells.split()) in page.words
     assert "true value" in page.words

@@ -51,12 +51,17 @@ def percent(ratio: float, spec: str = ".2f") -> str:
     return number(100.0 * ratio, spec, "%")
 
 
+def digits(error: float) -> str:
+    """Format specification of numbers with this standard error, for two digits of that."""
+    if not (math.isfinite(error) and error > 0.0):
+        return ".5g"
+    return f".{min(max(1 - math.floor(math.log10(error)), 0), 12)}f"
+
+
 def uncertain(value: float, error: float) -> str:
     """Write an estimate with its standard error to two significant digits."""
-    if not (math.isfinite(error) and error > 0.0):
-        return f"{number(value, '.5g')} ± {NONE}"
-    decimals = min(max(1 - math.floor(math.log10(error)), 0), 12)
-    return f"{number(value, f'.{decimals}f')} ± {number(error, f'.{decimals}f')}"
+    spec = digits(error)
+    return f"{number(value, spec)} ± {number(error, spec) if spec != '.5g' else NONE}"
 
 
 def difference(value: float, true: float) -> str:

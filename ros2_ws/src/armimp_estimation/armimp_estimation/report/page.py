@@ -20,6 +20,7 @@ from armimp_estimation.report.formats import (
     NONE,
     code,
     difference,
+    digits,
     mark,
     number,
     percent,
@@ -34,7 +35,7 @@ from armimp_estimation.report.plots import style_rule
 Content = dict[str, Any]
 Rows = list[list[object]]
 """Rows of a table; the first cell of each row is its header."""
-_FUNCTIONS = (symbol, code, setting, mark, uncertain, difference, written)
+_FUNCTIONS = (symbol, code, setting, mark, digits, uncertain, difference, written)
 """Functions that all templates can call."""
 
 
