@@ -175,7 +175,7 @@ def run(
     json: _Json = False,
     **options: Any,
 ) -> int:
-    """Run the experiment through the node graph: one trial for each joint, then the result."""
+    """Run one trial for each joint through the node graph."""
     with Display() as display:
         display.phase("starting")
         from armimp_bringup.orchestrator import run_experiment
@@ -221,7 +221,7 @@ def estimate(
     estimators: list[str] | None = None,
     **options: Any,
 ) -> int:
-    """Estimate the impedance from bags, one trial for each joint among them."""
+    """Estimate the impedance from bags of all joints' trials."""
     with Display() as display:
         display.phase("starting")
         from armimp_bringup.offline_estimate import estimate_bags
@@ -257,7 +257,7 @@ def replay(
     json: _Json = False,
     estimators: list[str] | None = None,
 ) -> int:
-    """Play bags through the graph into a live estimator node."""
+    """Play bags into a live estimator node."""
     with Display() as display:
         display.phase("starting")
         from armimp_bringup.presentation import present
@@ -312,7 +312,7 @@ def reproduce(
     json: _Json = False,
     **options: Any,
 ) -> int:
-    """Reproduce the paper's study: all levels of friction, resolution and perturbation."""
+    """Reproduce the paper's study, under all its conditions."""
     with Display() as display:
         display.phase("starting")
         from armimp_bringup.study import select_conditions
@@ -346,7 +346,7 @@ def bench(
     ] = None,
     json: _Json = False,
 ) -> int:
-    """Measure how fast and how regular the node graph is on this machine."""
+    """Measure speed and jitter of the graph on this machine."""
     from armimp_bringup.bench import bench as run_bench
 
     return run_bench(names or (), as_json=json)
@@ -363,7 +363,7 @@ def check_driver(
     json: _Json = False,
     **options: Any,
 ) -> int:
-    """Judge a running driver, or the simulator, against the contract of docs/interfaces.md."""
+    """Judge a running driver by docs/interfaces.md."""
     from armimp_bringup.driver_check.command import check_driver as judge_driver
 
     given = {name: value for name, value in options.items() if value is not None}
