@@ -561,7 +561,7 @@ def _gains_above_one(
     return np.maximum(share, -0.99), error
 
 
-def _springs(robot: RobotBalance, arm: MBKFit) -> FloatArray:
+def _springs(robot: RobotBalance, arm: MBKFit, calibration: Calibration) -> FloatArray:
     """Stiffness of each joint of the robot beyond chance, relative to the arm's; shape (2, n).
 
     A robot has no stiffness but that of gravity and of friction that holds a joint, unless the
@@ -573,7 +573,8 @@ def _springs(robot: RobotBalance, arm: MBKFit) -> FloatArray:
     hidden = np.where(own < 0.0, robot.rubbing, 0.0)
     whole = np.stack((own, own - hidden)) / np.maximum(K, _TINY)
     rubbing = _RUBBING * np.abs(np.diag(robot.values[1]))
-    beyond = np.abs(own) - np.stack((np.zeros_like(own), rubbing)) > _SPRING * error
+    sure = _SPRING if calibration.assumed else _REFUTED
+    beyond = np.abs(own) - np.stack((np.zeros_like(own), rubbing)) > sure * error
     return np.asarray(np.where(beyond, np.maximum(whole, -1.0), 0.0))
 
 
@@ -672,7 +673,7 @@ def judge_balance(
         percent, error = 100.0 * ratio[i, j], 100.0 * ratio_error[i, j]
         pair = {"name": names[i], "other": names[j], "percent": percent, "error": error}
         problems.append(problem(ProblemCode.SCALES_DIFFER, severity=Severity.NOTE, **pair))
-    doubts = _gains_in_doubt(shares, errors, _springs(balance, arm), calibration)
+    doubts = _gains_in_doubt(shares, errors, _springs(balance, arm, calibration), calibration)
     doubts = np.maximum(doubts, np.abs(possible))
     own_shares, own_errors, own_doubts = map(np.diag, (shares, errors, doubts))
     for name, share, error, doubt in zip(names, own_shares, own_errors, own_doubts, strict=True):
