@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import chain, product
-from typing import TypeVar
 
 import numpy as np
 from scipy.special import log_ndtr, softmax
@@ -25,8 +24,7 @@ from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.json_model import JsonModel, Number
 from armimp_estimation.mbk import MBK
-
-Values = TypeVar("Values", FloatArray, ComplexArray)
+from armimp_estimation.spectra import Values, sums_within
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -999,13 +997,8 @@ def fit_weights(
 
 def _smooth(f: FloatArray, logarithm: FloatArray, reach: float) -> FloatArray:
     """Mean over all frequencies within `reach`, Hz, on either side of each; (..., n_freq)."""
-    reach *= 1.0 + 1e-9
-    below = np.searchsorted(f, f - reach, side="left")
-    above = np.searchsorted(f, f + reach, side="right")
-    sums = np.zeros((*logarithm.shape[:-1], f.size + 1))
-    np.cumsum(logarithm, axis=-1, out=sums[..., 1:])
-    smooth: FloatArray = (sums[..., above] - sums[..., below]) / (above - below)
-    return smooth
+    sums, count = sums_within(f, logarithm, reach * (1.0 + 1e-9))
+    return np.asarray(sums / count)
 
 
 def covariance_of_sums(spread: Values, correlation: FloatArray) -> FloatArray:
