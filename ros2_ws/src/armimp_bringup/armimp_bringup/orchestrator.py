@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -40,11 +39,9 @@ from armimp_common.status import (
     Level,
     Phase,
     Progress,
-    TimingFigures,
     values_of,
 )
 from armimp_estimation.bags.writer import finish_bags, require_free_space
-from armimp_estimation.metadata import RECORD_KEY, Timing
 from armimp_estimation.node import RESULT_NAME
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.problems import Problem, ProblemCode, problem
@@ -127,11 +124,7 @@ def run_experiment(
                 supervisor, spinner, nodes, interrupted=interrupted, confirm=asked.differences
             )
             problems, result = course.run()
-    problems += supervisor.faults
-    timing = None
-    if supervisor.timing is not None:
-        timing = Timing.of(supervisor.timing, parameters.estimator.realtime)
-    return settle(directory, parameters.estimator, result, problems, timing)
+    return settle(directory, parameters.estimator, result, [*problems, *supervisor.faults])
 
 
 def _prepare(directory: Path, parameters: NodeParameters) -> Path:
@@ -164,8 +157,6 @@ class Supervisor(Node):
         """Whether there is a result, and whether all trials have ended, in good order or not."""
         self.realtime = False
         """True in real time: a fault ends the experiment, and is ignored after the last trial."""
-        self.timing: TimingFigures | None = None
-        """Last figures of a rig in real time."""
         self._done = False
         self._answered: str | None = None
         self.last_news = time.monotonic()
@@ -212,12 +203,6 @@ class Supervisor(Node):
                 answered = values_of(status).get("tick")
                 if answered != self._answered:
                     self._answered, self.last_news = answered, time.monotonic()
-            # Figures from after the end count only if there are none from before it.
-            if status.name == TimingFigures.STATUS_NAME and not (
-                self.finished and self.timing is not None
-            ):
-                with suppress(MalformedMessageError):  # the estimator complains
-                    self.timing = TimingFigures.from_values(values_of(status))
             if status.level == bytes([Level.ERROR]):
                 self._note_fault(status.name, status.message)
 
@@ -371,7 +356,6 @@ def settle(
     estimator: EstimatorParameters,
     found: Result | None,
     problems: Sequence[Problem],
-    timing: Timing | None = None,
 ) -> Result:
     """Merge the stored result of the estimator with what the orchestrator observed.
 
@@ -381,17 +365,13 @@ def settle(
     estimator : parameters of the estimator, needed if it has stored no summary
     found : result of an estimator in this process
     problems : problems that the orchestrator observed
-    timing : timing that the orchestrator knows; either may know more, the estimator not of the end
     """
     finish_bags(directory)  # a killed estimator could not
     path = directory / SUMMARY_FILE
     if not path.exists():
-        metadata = estimator.bag_metadata()
         result = conclude(
             [],
-            metadata=metadata
-            if timing is None
-            else {**metadata, RECORD_KEY: timing.model_dump_json()},
+            metadata=estimator.bag_metadata(),
             joint_names=estimator.joints,
             estimators=estimator.estimators,
             problems=problems,
@@ -402,15 +382,7 @@ def settle(
             raise DataError("; ".join([*map(str, problems), str(error)])) from None
         return result
     result = Result(summary=read_summary(path)) if found is None else found
-    summary = complete = result.summary
-    stored = summary.timing
-    if timing is not None and (stored is None or timing.ticks > stored.ticks):
-        before = [] if stored is None else stored.problems
-        others = [one for one in summary.problems if one not in before]
-        complete = summary.model_copy(
-            update={"timing": timing, "problems": [*timing.problems, *others]}
-        )
-    complete = complete.with_problems(problems)
-    if complete != summary:
-        write_summary(path, complete, anew=True)
-    return replace(result, summary=complete)
+    summary = result.summary.with_problems(problems)
+    if summary != result.summary:
+        write_summary(path, summary, anew=True)
+    return replace(result, summary=summary)
