@@ -9,7 +9,6 @@ from armimp_bringup.offline import run_offline
 from armimp_bringup.parameters import NodeParameters
 from armimp_common.arrays import FloatArray as Array
 from armimp_common.errors import DataError
-from armimp_control.safety_limiter import Action
 from armimp_estimation.record import TrialRecord
 from armimp_sim.dynamics import WIDTH
 from armimp_sim.presets import human_arm
@@ -79,7 +78,7 @@ def test_experiments_side_by_side_give_the_bits_that_each_gives_alone(cuff: floa
     [
         ({"position_limit": (0.01,)}, r"trial 1: joint 1 is -?0\.01\d* rad away from the posture"),
         ({"velocity_limit": (9.0, 0.1)}, "velocity of joint 2 is .* beyond the limit of 0.1 rad/s"),
-        ({"rate_action": Action.STOP, "rate_limit": 1e4}, "changes by .* in a tick"),
+        ({"rate_action": "stop", "rate_limit": 1e4}, "changes by .* in a tick"),
     ],
 )
 def test_when_the_limiter_stops_an_experiment_expect_no_result_but_the_reason(

@@ -381,7 +381,7 @@ class ImbicControllerNode(ManagedNode):
             {
                 "fault": self._fault,
                 "tick": 0 if sequencer is None else sequencer.tick,
-                **{f"clipped_{one.value}": clipped.get(one, 0) for one in COMMAND_LIMITS},
+                **{f"clipped_{one}": clipped.get(one, 0) for one in COMMAND_LIMITS},
             },
         )
         self._diagnostics.publish(make_array(self._stamp_ns, [status]))

@@ -33,7 +33,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from enum import Enum
+from typing import Final, Literal, TypeAlias
 
 import numpy as np
 from pydantic import Field
@@ -48,17 +48,22 @@ from armimp_common.topics import PERIOD
 WINDOW = 5
 """Ticks over which a velocity is taken."""
 
-POSITION, VELOCITY, TORQUE, RATE, POWER = range(5)
-"""Indices of the limits."""
+LIMITS: Final = ("position", "velocity", "torque", "rate", "power")
+POSITION, VELOCITY, TORQUE, RATE, POWER = range(len(LIMITS))
+"""What is limited, and indices of the limits."""
 
-LIMITS = 5
-"""Number of limits."""
+COMMAND_LIMITS: Final = LIMITS[TORQUE:]
+"""The limits of commands, which may be clipped."""
+
+Action: TypeAlias = Literal["clip", "stop"]
+"""What is done with a command beyond a limit of torque, rate or power."""
 
 # Rows of the rules, an array (RULE_ROWS, n): the limits by index, in rad, rad/s, N·m, N·m per tick
 # and W; then, at STOPS + index, whether a limit of commands means a stop, 1 or 0; the posture, rad;
 # the number of ticks of a ramp.
-STOPS = LIMITS - TORQUE
-CENTRE, RAMP = STOPS + LIMITS, STOPS + LIMITS + 1
+STOPS = len(LIMITS) - TORQUE
+CENTRE = STOPS + len(LIMITS)
+RAMP = CENTRE + 1
 RULE_ROWS = RAMP + 1
 
 # Rows of the memory, an array (LIMITER_ROWS, n), zeros before the first tick: what was sent last,
@@ -72,7 +77,7 @@ LIMITER_ROWS = HISTORY + WINDOW
 # cause, a joint and a value, of the latched fault and of what is wrong with the last sample.
 # CLIPPED: number of clipped joint commands for each limit.
 STOPPED, REMAINING, SAMPLES, FAULT, PRESENT, CLIPPED = 0, 1, 2, 3, 6, 9
-JOURNAL = CLIPPED + LIMITS
+JOURNAL = CLIPPED + len(LIMITS)
 
 # Causes of a fault; those from LIMIT_CAUSE on are limits.
 NO_CAUSE, BAD_POSITION, BAD_TORQUE, BAD_PERTURBATION, BAD_COMMAND = range(5)
@@ -93,27 +98,6 @@ _BEYOND = {
 }
 
 
-class Action(str, Enum):
-    """What is done with a command beyond a limit of torque, rate or power."""
-
-    CLIP = "clip"
-    STOP = "stop"
-
-
-class Limit(str, Enum):
-    """What is limited, in the order of the indices of the limits."""
-
-    POSITION = "position"
-    VELOCITY = "velocity"
-    TORQUE = "torque"
-    RATE = "rate"
-    POWER = "power"
-
-
-COMMAND_LIMITS = (Limit.TORQUE, Limit.RATE, Limit.POWER)
-"""The limits of commands, which may be clipped."""
-
-
 class SafetyParameters(Schema):
     """Limits of commands, what is done beyond them, and the patience of the watchdog."""
 
@@ -124,15 +108,15 @@ class SafetyParameters(Schema):
     """Largest speed of a joint over 5 ticks (rad/s); one value for all joints or one for each."""
     torque_limit: float = Field(default=80.0, gt=0.0)
     """Largest commanded torque of any joint (N·m)."""
-    torque_action: Action = Action.CLIP
+    torque_action: Action = "clip"
     """What is done beyond the torque limit: clip or stop."""
     rate_limit: float = Field(default=150e3, gt=0.0)
     """Largest change of a command from tick to tick, per second (N·m/s)."""
-    rate_action: Action = Action.CLIP
+    rate_action: Action = "clip"
     """What is done beyond the rate limit: clip or stop."""
     power_limit: float = Field(default=200.0, gt=0.0)
     """Largest power of a joint, commanded torque times velocity (W)."""
-    power_action: Action = Action.CLIP
+    power_action: Action = "clip"
     """What is done beyond the power limit: clip or stop."""
     watchdog_ticks: int = Field(default=5, ge=1, le=100)
     """Control periods without a sample after which the torque is taken away."""
@@ -163,11 +147,11 @@ class SafetyParameters(Schema):
         """
         n, ticks = posture.size, self.ramp_ticks
         rows = np.empty((RULE_ROWS, n))
-        for i, limit in enumerate(Limit):
-            name = f"{limit.value}_limit"
+        for i, limit in enumerate(LIMITS):
+            name = f"{limit}_limit"
             rows[i] = each(f"safety.{name}", np.atleast_1d(getattr(self, name)).tolist(), n)
         for i, limit in enumerate(COMMAND_LIMITS, TORQUE):
-            rows[STOPS + i] = getattr(self, f"{limit.value}_action") is Action.STOP
+            rows[STOPS + i] = getattr(self, f"{limit}_action") == "stop"
         rows[RATE] *= PERIOD
         rows[CENTRE] = posture
         rows[RAMP] = ticks

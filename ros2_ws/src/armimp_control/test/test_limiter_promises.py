@@ -160,8 +160,8 @@ def _rules(rng: np.random.Generator, m: int, n: int) -> FloatArray:
     rows[:, TORQUE] = torque
     rows[:, RATE] = np.maximum(10.0 ** rng.uniform(-3, 6, (m, 1)), torque / ramp)
     rows[:, POWER] = 10.0 ** rng.uniform(-3, 6, (m, 1))
-    stops = rng.random((m, LIMITS - TORQUE)) < rng.choice([0.0, 0.2, 0.6], (m, 1))
-    rows[:, STOPS + TORQUE : STOPS + LIMITS] = stops[:, :, None]
+    stops = rng.random((m, len(LIMITS) - TORQUE)) < rng.choice([0.0, 0.2, 0.6], (m, 1))
+    rows[:, STOPS + TORQUE : STOPS + len(LIMITS)] = stops[:, :, None]
     rows[:, CENTRE] = rng.uniform(-2, 2, (m, n))
     rows[:, RAMP] = ramp
     return rows

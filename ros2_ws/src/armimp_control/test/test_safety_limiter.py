@@ -16,11 +16,10 @@ from armimp_control.safety_limiter import (
     FAULT,
     JOURNAL,
     LIMITER_ROWS,
+    LIMITS,
     PRESENT,
     STOPPED,
     WINDOW,
-    Action,
-    Limit,
     SaturationCounter,
     check_sample,
     continue_ramp,
@@ -75,8 +74,8 @@ class SafetyLimiter:
     def present(self) -> str:
         return fault_of(self.journal, PRESENT, self.rules)[1]
 
-    def count(self, limit: Limit) -> int:
-        counts = {one: int(self.journal[CLIPPED + i]) for i, one in enumerate(Limit)}
+    def count(self, limit: str) -> int:
+        counts = {one: int(self.journal[CLIPPED + i]) for i, one in enumerate(LIMITS)}
         assert sum(counts.values()) == counts[limit]
         return counts[limit]
 
@@ -157,16 +156,16 @@ def test_velocity_is_a_difference_over_the_window_so_one_count_does_not_stop() -
 def test_when_a_joint_is_asked_for_too_much_torque_expect_less_of_all_in_proportion() -> None:
     limiter = SafetyLimiter(torque_limit=80.0)
     assert limiter.tick((40.0, -160.0)).tolist() == [20.0, -80.0]
-    assert limiter.clipped == limiter.count(Limit.TORQUE) == 2
+    assert limiter.clipped == limiter.count("torque") == 2
     assert limiter.tick((0.0, 1e300)).tolist() == [0.0, 80.0]
     assert limiter.clipped == 1
     assert limiter.tick((80.0, -80.0)).tolist() == [80.0, -80.0]
     assert limiter.clipped == 0
-    assert limiter.count(Limit.TORQUE) == 3
+    assert limiter.count("torque") == 3
 
 
 def test_torque_beyond_a_limit_that_stops_ramps_down_from_the_last_command() -> None:
-    limiter = SafetyLimiter(torque_limit=80.0, torque_action=Action.STOP, ramp_time=0.004)
+    limiter = SafetyLimiter(torque_limit=80.0, torque_action="stop", ramp_time=0.004)
     limiter.tick((40.0, -80.0))
     outputs = [limiter.tick((0.0, 80.5)).tolist() for _ in range(6)]
     assert outputs == [[30.0, -60.0], [20.0, -40.0], [10.0, -20.0], [0.0, 0.0], *[[0.0, 0.0]] * 2]
@@ -180,7 +179,7 @@ def test_power_beyond_its_limit_is_clipped_joint_by_joint() -> None:
         output = limiter.tick((50.0, 50.0), theta)
     assert output == pytest.approx([5.0, 50.0], rel=1e-12)
     assert limiter.tick((-50.0, 50.0), (20e-3, 0.0)) == pytest.approx([-5.0, 50.0], rel=1e-12)
-    assert limiter.count(Limit.POWER) == 10
+    assert limiter.count("power") == 10
 
 
 @pytest.mark.parametrize(("ramp_time", "ticks"), [(0.05, 50), (0.01, 10), (0.001, 1), (0.0, 1)])

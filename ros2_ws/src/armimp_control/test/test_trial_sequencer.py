@@ -13,7 +13,7 @@ from armimp_common.arrays import FloatArray
 from armimp_common.status import NOTICE_TICKS, Phase, StoppingDecision, TrialStatus
 from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_control.parameters import ControllerParameters
-from armimp_control.safety_limiter import Limit, SafetyParameters
+from armimp_control.safety_limiter import SafetyParameters
 from armimp_control.sequence import TareParameters
 from armimp_control.trial_sequencer import SamplePairs, TrialSequencer, Watchdog
 from support.controller import POSTURE, controller_parameters, wobble
@@ -151,7 +151,7 @@ def test_clipped_commands_are_counted_where_the_arm_is_perturbed() -> None:
     clipped = np.any(np.abs(commands) == 1e-3, axis=1, keepdims=True) & (commands != 0.0)
     trial = clipped[SETTLE : SETTLE + PERTURB]
     assert np.abs(bench.commands).max() <= 1e-3
-    assert bench.experiment.controller.clipped[Limit.TORQUE] == clipped.sum() > TRIAL
+    assert bench.experiment.controller.clipped["torque"] == clipped.sum() > TRIAL
     settle, perturb, rest, *_ = bench.statuses
     assert (settle.clipped, perturb.clipped, rest.clipped) == (0, 0, trial.sum())
     ticks = np.concatenate(

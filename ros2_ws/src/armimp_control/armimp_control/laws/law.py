@@ -35,7 +35,6 @@ from armimp_control.safety_limiter import (
     SENT,
     STOPPED,
     TORQUE,
-    Limit,
     SafetyParameters,
     check_sample,
     continue_ramp,
@@ -183,7 +182,7 @@ class Controller:
         return fault_of(self._journal, PRESENT, self.rules)[1]
 
     @property
-    def clipped(self) -> dict[Limit, int]:
+    def clipped(self) -> dict[str, int]:
         """Number of clipped joint commands for each limit of commands."""
         counts = enumerate(COMMAND_LIMITS, TORQUE)
         return {limit: int(self._journal[CLIPPED + i]) for i, limit in counts}
