@@ -6,7 +6,7 @@ import itertools
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, TypeVar
 
 import numpy as np
@@ -155,10 +155,10 @@ def estimate(
         else:
             known = experiment.known
             data = [
-                TrialData.of(one, segment=segment, reading=known.reading)
+                TrialData.of(replace(one, reading=known.reading), segment=segment)
                 for one in experiment.records
             ]
-            (estimator,) = make_estimators([name], known.lpm)
+            (estimator,) = make_estimators([name])
             impedance = estimator.estimate(data)
         impedance, fit = fit_impedance(impedance)
         runs[name] = Run(

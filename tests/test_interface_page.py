@@ -21,7 +21,6 @@ from armimp_estimation.metadata import READING_KEYS
 from armimp_estimation.node import column_message, result_message
 from armimp_estimation.result import Result, load_result
 from armimp_estimation.summary import write_frf
-from armimp_estimation.torque_timing import TorqueReading
 from support.pages import markdown_tables
 from support.places import ROOT
 from support.results import make_result
@@ -71,7 +70,7 @@ def test_the_keys_of_column_and_conclusion_are_those_of_the_code(
     directory: Path, result: Result
 ) -> None:
     (trial, _) = read_bag(directory / "bags" / "session").trials
-    column, conclusion = column_message(trial, TorqueReading()), result_message(result)
+    column, conclusion = column_message(trial), result_message(result)
     assert _keys("Column") == _general(values_of(column))
     assert _keys("Conclusion") == _general(values_of(conclusion))
     assert column.name.replace("1", "K") in PAGE
@@ -86,7 +85,7 @@ def test_the_metadata_keys_of_the_page_are_those_that_a_run_stores() -> None:
     rows = _table("Bags", "key")
     assert set(rows) | _keys("Bags", 1) == set(stored)
     assert all(f"`{part}`" in rows["config"]["value"] for part in json.loads(stored["config"]))
-    assert _keys("Bags", 1) == set(READING_KEYS) - {"torque_timing"}
+    assert _keys("Bags", 1) == set(READING_KEYS) - {"torque_timing", "torque_uncertainty"}
 
 
 def test_the_arrays_of_frf_npz_are_those_that_are_written(result: Result, tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ from armimp_estimation.trial import TrialData
 from armimp_sim.presets import human_arm
 
 _STUDY = human_arm(2)
+SIMULTANEOUS = TorqueReading(timing=TorqueTiming.SIMULTANEOUS)
 TWO_JOINT_ARM = MBK(M=_STUDY.M, B=_STUDY.B, K=_STUDY.K)
 """Arm of Table I of Kang & Zhang."""
 
@@ -82,6 +83,7 @@ def synthetic_trial(arm: MBK, joint: int, config: SyntheticConfig, seed: int) ->
         trial=joint + 1,
         perturbed_joint=joint,
         rate=config.rate,
+        reading=SIMULTANEOUS,
     )
 
 
@@ -132,8 +134,7 @@ def _noise(rng: np.random.Generator, samples: int, shape: FloatArray, rms: float
 
 # Like 50 s at 1 kHz in resolution, band and number of segments, with an eighth of the samples.
 SEGMENT = 1024
-LPM = LpmFull(reading=TorqueReading(timing=TorqueTiming.SIMULTANEOUS))
-"""Local polynomials for these records, whose angles and torques are simultaneous."""
+LPM = LpmFull()
 LOOP = SyntheticConfig(rate=125.0, samples=6144, viscosity=4.0, stiffness=30.0)
 THREE_JOINT_ARM = MBK(
     M=np.array([[0.3, 0.1, 0.02], [0.09, 0.1, 0.015], [0.021, 0.014, 0.01]]),

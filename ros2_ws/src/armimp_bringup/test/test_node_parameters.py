@@ -64,13 +64,14 @@ def test_the_estimator_knows_what_is_simulated_unless_it_is_told_otherwise() -> 
         config = ExperimentConfig.model_validate({**values, **more})
         return Metadata.of(node_parameters(config, None).estimator.bag_metadata()).reading
 
-    prompt = TorqueReading(timing=TorqueTiming.BEFORE_UPDATE)
+    prompt = TorqueReading(timing=TorqueTiming.BEFORE_UPDATE, uncertainty=0.0)
     everything = TorqueReading(
         timing=prompt.timing,
         delay=0.0015,
         cutoff=150.0,
         order=2,
         actuator_lag=1.0 / (2.0 * np.pi * 800.0),
+        uncertainty=0.0,
     )
     assert known() == everything
     assert known(torque_delay=0.001) == everything.model_copy(update={"delay": 0.001})

@@ -72,12 +72,7 @@ class HoldCorrection:
 
 
 def without_skew(
-    f: FloatArray,
-    rate: float,
-    joints: int,
-    reading: TorqueReading,
-    jump: HoldCorrection | None = None,
-    late: float = 0.0,
+    f: FloatArray, record: TrialRecord, jump: HoldCorrection | None = None, late: float = 0.0
 ) -> ComplexArray:
     """Coefficients that give the torques on the arm from readings and steps of commands.
 
@@ -85,25 +80,21 @@ def without_skew(
     ----------
     f : ndarray, shape (n_freq,)
         Frequencies, Hz.
-    rate : float
-        Readings per second, Hz.
-    joints : int
-        Number n of joints.
-    reading : TorqueReading
-        How torques were read.
+    record : TrialRecord
+        A trial with n joints.
     jump : HoldCorrection, optional
         How torques jump with the commands; by default steps have no coefficients.
     late : float
-        Fitted delay of the torques beyond `reading`, s.
+        Fitted delay of the torques beyond the known one, s.
 
     Returns
     -------
     ndarray, shape (n, n, n_freq) or, with those of the n steps, (n, 2n, n_freq)
     """
-    known = reading.at_rate(rate)
-    coefficients = np.eye(joints)[:, :, None]
+    known = record.reading.at_rate(record.rate)
+    coefficients = np.eye(record.joints)[:, :, None]
     if jump is not None:
-        edge, bend = known.folded(f, rate)
+        edge, bend = known.folded(f, record.rate)
         lacking = jump.torque[:, :, None] * edge + jump.slope[:, :, None] * bend
         coefficients = np.concatenate((coefficients + 0.0 * f, lacking), axis=1)
     turned = np.exp(2j * np.pi * f * late) / known.response(f)
@@ -122,9 +113,7 @@ def command_steps(record: TrialRecord) -> FloatArray:
     return steps
 
 
-def update_jump(
-    records: Sequence[TrialRecord], reading: TorqueReading | None = None
-) -> HoldCorrection | None:
+def update_jump(records: Sequence[TrialRecord]) -> HoldCorrection | None:
     """Estimate the jumps of the torques and their slopes with steps Δu of the commands.
 
     With encoders of finite resolution the command chatters, and fourth differences of the torque
@@ -149,9 +138,7 @@ def update_jump(
     Parameters
     ----------
     records : sequence of TrialRecord
-        Trials of one arm.
-    reading : TorqueReading, optional
-        How their torques were read; just before the updates if that is not known.
+        Trials of one arm, with torques read just before the updates if it is not known how.
 
     Returns
     -------
@@ -160,7 +147,7 @@ def update_jump(
         neither way explains a torque, commands seem to be those of other samples, or the
         eigenvalues of D do not lie between 0 and 1, as they do for any two inertias.
     """
-    known = (reading or TorqueReading()).at_rate(records[0].rate)
+    known = records[0].reading.at_rate(records[0].rate)
     if known.without_jumps or any(record.command is None for record in records):
         return None
     chatter = _chatter(records, known)

@@ -139,8 +139,9 @@ def identify_records(
 
     Welch segments have the length that suits the shortest trial; for the rest see :func:`identify`.
     """
+    trials = [[replace(part, reading=known.reading) for part in parts] for parts in trials]
     segment = segment_for(trials)
-    data = [TrialData.of(*one, segment=segment, reading=known.reading) for one in trials]
+    data = [TrialData.of(*one, segment=segment) for one in trials]
     return identify(data, estimators, known)
 
 
@@ -169,7 +170,7 @@ def identify(
         If a joint has no trial or the data cannot be estimated.
     """
     known = known or Metadata()
-    workers = make_estimators(estimators, known.lpm)
+    workers = make_estimators(estimators)
     ordered = order_trials(trials)
     names = ordered[0].record.joint_names
     if (truth := known.truth) is not None and truth.joints != len(names):
@@ -216,7 +217,7 @@ def identify(
     apart = float(np.max(np.ptp(postures, axis=0)))
     for name, one in results.items():
         problems += verdict.judge_estimate(
-            names, one.estimate, one.fit, known.reading, apart=apart, decides=name in deciding
+            names, one.estimate, one.fit, records[0].reading, apart=apart, decides=name in deciding
         )
         problems += verdict.judge_models(name, one.models)
     if known.calibration.assumed:
@@ -224,14 +225,13 @@ def identify(
         assumed = {one: 100.0 * getattr(known.calibration, one) for one in parts}
         code = ProblemCode.CALIBRATION_ASSUMED
         problems.append(problem(code, severity=Severity.NOTE, **assumed))
-    hold = best.estimate.hold or update_jump(records, known.reading)
+    hold = best.estimate.hold or update_jump(records)
     if best.estimate.unbiased:
         of_motion, doubts, gains = judge_linearity(
             steady,
             best.estimate,
             best.fit,
             hold,
-            known.reading,
             resolved=np.all(lost_motion(records)[0] < RESOLVED_SHARE, axis=0),
             linearity=known.calibration.linearity,
         )
@@ -248,7 +248,7 @@ def identify(
     balance = (
         None
         if responses is None
-        else responses.balance(order, hold, known.reading, best.fit, known.calibration, apart)
+        else responses.balance(order, hold, best.fit, known.calibration, apart)
     )
     unbalanced, gains = judge_balance(names, balance, best.fit, known.calibration)
     problems += [*unbalanced, *judge_answers(names, records, balance, best.fit)]

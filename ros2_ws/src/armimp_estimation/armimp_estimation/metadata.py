@@ -25,7 +25,6 @@ from armimp_common.realtime import LATE_NS, TimingLimits
 from armimp_common.status import TimingFigures
 from armimp_common.topics import CONTROLLER_NODE, RATE
 from armimp_estimation.arm_models import AUTO, require_model
-from armimp_estimation.estimators.lpm import LpmFull
 from armimp_estimation.fit import Calibration
 from armimp_estimation.json_model import first_complaint
 from armimp_estimation.mbk import MBK
@@ -44,6 +43,7 @@ READING_KEYS = {
     "torque_delay": "delay",
     "torque_cutoff": "cutoff",
     "torque_order": "order",
+    "torque_uncertainty": "uncertainty",
     "actuator_lag": "actuator_lag",
 }
 """Attribute of :class:`TorqueReading` by the key that declares it."""
@@ -134,8 +134,6 @@ class Metadata(BaseModel):
     """Timing of a run in real time."""
     reading: TorqueReading = TorqueReading()
     """How torques were read."""
-    torque_uncertainty: Annotated[float | None, Field(strict=True, ge=0.0, le=1.0)] = None
-    """Standard error of the instant of the readings, s."""
     calibration: Calibration = Calibration.undeclared()
     """Standard errors of the sensors: declared ones, or else those assumed for any sensor."""
     sampling_rate: Annotated[float | None, Field(strict=True)] = None
@@ -186,14 +184,6 @@ class Metadata(BaseModel):
         if self.sampling_rate is None and CONTROLLER_NODE in self.config:
             return RATE  # the only one at which that controller works
         return self.sampling_rate
-
-    @property
-    def lpm(self) -> LpmFull:
-        """The estimator ``lpm_full``, as the metadata tell that torques were read."""
-        lpm = LpmFull(reading=self.reading)
-        if self.torque_uncertainty is None:
-            return lpm
-        return replace(lpm, timing_uncertainty=self.torque_uncertainty)
 
     @property
     def target(self) -> MBK | None:

@@ -56,7 +56,6 @@ from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.problems import Problem, ProblemCode, problem
 from armimp_estimation.recorder import TrialRecorder
 from armimp_estimation.result import Result, conclude
-from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.trial import TrialData
 
 _POLL_PERIOD = 0.001
@@ -176,7 +175,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             self._metadata,
             self._on_finished,
             self._refuse,
-            lpm=self._known.lpm,
+            reading=self._known.reading,
             target_error=self._settings.target_error,
             least_duration=self._settings.least_duration,
         )
@@ -299,8 +298,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             self._note(trial)
         else:
             self._finished.append(trial)
-            allow_gaps, reading = self._settings.allow_gaps, self._known.reading
-            self._result.publish(column_message(trial, reading, allow_gaps=allow_gaps))
+            self._result.publish(column_message(trial, allow_gaps=self._settings.allow_gaps))
         if self._ended == len(self._settings.joints):
             self._conclude()
 
@@ -347,16 +345,12 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             self._progress.publish(status_message(progress))
 
 
-def column_message(
-    trial: Trial, reading: TorqueReading, *, allow_gaps: bool = False
-) -> DiagnosticStatus:
+def column_message(trial: Trial, *, allow_gaps: bool = False) -> DiagnosticStatus:
     """Make the status with column k of T, R and ``Z = T/R_kk``, or the reason why there is none.
 
     Parameters
     ----------
     trial : Trial
-    reading : TorqueReading
-        How torques were read.
     allow_gaps : bool
         As in :meth:`Trial.intact`.
     """
@@ -365,7 +359,7 @@ def column_message(
     values = {"trial": trial.trial, "joint": k, "lost": trial.statistics.lost}
     try:
         parts = trial.intact(allow_gaps=allow_gaps)
-        frf = frf_matrix([TrialData.of(*parts, reading=reading)])
+        frf = frf_matrix([TrialData.of(*parts)])
     except DataError as error:
         return make_status(name, Level.ERROR, str(error), values)
     R, T = frf.R[:, 0], frf.T[:, 0]

@@ -56,7 +56,6 @@ from armimp_estimation.hold_correction import HoldCorrection, command_steps, wit
 from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import Concern, Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.torque_timing import TorqueReading
 
 BAND = ((0.2, 0.7), (11.0, 15.0))
 """Edges of the analysed band, Hz: voluntary torque is mostly below it. They are gradual, so that
@@ -636,16 +635,11 @@ def _onto(forces: FloatArray) -> Callable[[FloatArray], FloatArray]:
 
 
 def _left(
-    record: TrialRecord,
-    band: _Band,
-    arm: MBK,
-    jump: HoldCorrection | None,
-    reading: TorqueReading | None,
-    late: float = 0.0,
+    record: TrialRecord, band: _Band, arm: MBK, jump: HoldCorrection | None, late: float = 0.0
 ) -> ComplexArray:
     """Spectra, (n, n_freq), of the torques that an arm leaves; see :func:`deviations`."""
     n = record.joints
-    coefficients = without_skew(band.f, record.rate, n, reading or TorqueReading(), jump, late)
+    coefficients = without_skew(band.f, record, jump, late)
     torques = np.einsum("iif,if->if", coefficients[:, :n], band.of(record.torque))
     if jump is not None:
         steps = band.of(command_steps(record))
@@ -693,7 +687,7 @@ def at_posture(records: Sequence[TrialRecord], lpm: LpmFull) -> list[TrialRecord
     parts = []
     for record in (one.whole_periods for one in records):
         band = _Band(record)
-        left = _left(record, band, arm, jump, lpm.reading)
+        left = _left(record, band, arm, jump)
         terms = _turning(record)[..., band.bins] * band.passed / record.samples
         for rest, term in zip(left, np.moveaxis(terms, 1, 0), strict=True):
             weights = band.weights(band.inner(band.signal(rest)))
@@ -714,9 +708,7 @@ def at_posture(records: Sequence[TrialRecord], lpm: LpmFull) -> list[TrialRecord
     ]
 
 
-def _bursts(
-    record: TrialRecord, arm: MBK, jump: HoldCorrection | None, reading: TorqueReading
-) -> FloatArray:
+def _bursts(record: TrialRecord, arm: MBK, jump: HoldCorrection | None) -> FloatArray:
     """Square root, (3, n), of the excess of the variance of M, B and K over that of steady noise.
 
     Noise that is larger while the perturbation moves the joint, as of a person who tenses then,
@@ -731,7 +723,7 @@ def _bursts(
     caused = np.fft.rfft(band.caused(angle))[band.bins] / band.samples
     motion = caused * (2j * np.pi * band.f) ** np.arange(3)[::-1, None]
     excess = []
-    for rest in _left(record, band, arm, jump, reading):
+    for rest in _left(record, band, arm, jump):
         weights = band.weights(band.inner(band.signal(rest)))
         *moved, noise = band.signal(weights * np.vstack((motion, rest)))[:, band.kept]
         pull = np.linalg.pinv(np.transpose(moved)) ** 2
@@ -746,11 +738,7 @@ def _bursts(
 
 
 def deviations(
-    record: TrialRecord,
-    arm: MBK,
-    jump: HoldCorrection | None = None,
-    reading: TorqueReading | None = None,
-    late: float = 0.0,
+    record: TrialRecord, arm: MBK, jump: HoldCorrection | None = None, late: float = 0.0
 ) -> list[dict[str, Deviation]]:
     """Estimate each term of nonlinearity in the torques of a trial.
 
@@ -762,10 +750,8 @@ def deviations(
         Fitted arm.
     jump : HoldCorrection, optional
         How torques jump with the commands, if that is known.
-    reading : TorqueReading, optional
-        How torques were read.
     late : float
-        Fitted delay of the torques beyond that of `reading`, s.
+        Fitted delay of the torques beyond the known one, s.
 
     Returns
     -------
@@ -778,7 +764,7 @@ def deviations(
     record = record.whole_periods
     n, k, band = record.joints, record.perturbed_joint, _Band(record)
     angles, impedance = band.of(record.position), arm.impedance(band.f)
-    residuals = band.signal(_left(record, band, arm, jump, reading, late))
+    residuals = band.signal(_left(record, band, arm, jump, late))
     # Angle of the perturbed joint, rad, and its first two derivatives, (3, N).
     motion = band.signal(angles[k] * (2j * np.pi * band.f) ** np.arange(3)[:, None])
     moved = _Motion(record, band, motion)
@@ -1153,7 +1139,6 @@ def judge_linearity(
     estimate: ImpedanceEstimate,
     fit: MBKFit,
     jump: HoldCorrection | None,
-    reading: TorqueReading,
     *,
     resolved: BoolArray,
     linearity: float | None,
@@ -1169,8 +1154,7 @@ def judge_linearity(
     fit : MBKFit
         Its M, B and K.
     jump : HoldCorrection or None
-    reading : TorqueReading
-        As :func:`deviations` takes them.
+        As :func:`deviations` takes it.
     resolved : ndarray of bool, shape (n,)
         Whether encoders resolve the motion of all locked joints in each trial. The torque of motion
         that they do not resolve may look nonlinear, so what is found then is a note, not an error.
@@ -1189,10 +1173,10 @@ def judge_linearity(
     problems: list[Problem] = []
     doubts, gain, scale = list[FloatArray](), np.zeros(n), np.zeros(n)
     late = 0.0 if fit.delay is None else fit.delay.delay
-    jumps_known = jump is not None or reading.without_jumps
-    found = [deviations(record, fit.mbk, jump, reading, late) for record in records]
+    jumps_known = jump is not None or records[0].reading.without_jumps
+    found = [deviations(record, fit.mbk, jump, late) for record in records]
     own = [found[k][k] for k in range(n)]
-    excess = np.stack([_bursts(record, fit.mbk, jump, reading) for record in records], axis=-1)
+    excess = np.stack([_bursts(record, fit.mbk, jump) for record in records], axis=-1)
     doubts += list(np.einsum("pij,jk->kpij", excess * fit.errors, np.eye(n)))
 
     def of_torque(joint: int, trial: int, torque: FloatArray) -> FloatArray:

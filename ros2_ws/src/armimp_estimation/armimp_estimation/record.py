@@ -1,6 +1,6 @@
 """The record of one trial as arrays, from which every estimator starts."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -10,6 +10,7 @@ from armimp_common.errors import DataError
 from armimp_common.topics import JOINT_STATES, TORQUE_SENSORS
 from armimp_estimation.periods import FEWEST_LINES, Periods
 from armimp_estimation.spectra import BAND
+from armimp_estimation.torque_timing import TorqueReading
 
 EXACT = 1e-9
 """Differences of a signal, relative to its peak-to-peak range, that are floating-point rounding."""
@@ -51,6 +52,8 @@ class TrialRecord:
     """Torques applied to the arm as the transducers read them, N·m; shape (n, N)."""
     start_ns: int
     """Stamp of the first sample, ns."""
+    reading: TorqueReading = field(default_factory=TorqueReading)
+    """What is known of how the torques were read."""
     command: FloatArray | None = None
     """Torque command sent in answer to each sample, in force until the next, N·m, if known; shape
     (n, N)."""

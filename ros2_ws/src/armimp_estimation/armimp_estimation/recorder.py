@@ -42,6 +42,7 @@ from armimp_estimation.metadata import RECORD_KEY, Timing
 from armimp_estimation.problems import Problem, ProblemCode
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.scores import coherence
+from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.trial import TrialData
 
 _ROUND = 1000
@@ -88,8 +89,8 @@ class TrialRecorder:
         Called with each finished trial, or with the problem that prevented its assembly.
     refuse : callable, optional
         Called with topic and error for each message that is too short to have a stamp.
-    lpm : LpmFull, optional
-        Estimator of the column from the running trial.
+    reading : TorqueReading, optional
+        What is known of how torques are read.
     target_error, least_duration : float
         Bound and least length (s) of the stopping rule; with a bound of 0, no trial ends early.
     """
@@ -102,14 +103,14 @@ class TrialRecorder:
         on_finished: Callable[[Trial | Problem], None],
         refuse: Callable[[str, MalformedMessageError], None] = lambda *_: None,
         *,
-        lpm: LpmFull | None = None,
+        reading: TorqueReading | None = None,
         target_error: float = 0.0,
         least_duration: float = 20.0,
     ) -> None:
         self._joint_names = joint_names
         self._directory, self._metadata = directory, metadata
         self._on_finished, self._refuse = on_finished, refuse
-        self._lpm = lpm or LpmFull()
+        self._reading = reading or TorqueReading()
         self._target_error, self._least_duration = target_error, least_duration
         self._writer: BagWriter | None = None
         if directory is not None:
@@ -270,7 +271,8 @@ class TrialRecorder:
         self._column = None
         if record is not None and record.samples:
             with suppress(DataError):  # too few samples
-                self._column = self._lpm.column(record, self._past)
+                record = replace(record, reading=self._reading)
+                self._column = LpmFull().column(record, self._past)
         return self._column
 
     def stop(self) -> None:
@@ -426,7 +428,7 @@ class TrialRecorder:
                 self.close()
         except ArmimpError as error:
             return Problem.of(error, ProblemCode.RECORDING_FAILED)
-        (trial,) = trials
+        trial = trials[0].read_as(self._reading)
         if trial.record is not None:
             self._past.append(trial.record)
         rtf = trial.statistics.span / RATE / elapsed

@@ -39,7 +39,7 @@ from armimp_estimation.plausibility import least_eigenvalue, uneven
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import APART, TrialRecord
 from armimp_estimation.signal_quality import speed_of
-from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
+from armimp_estimation.torque_timing import TorqueTiming
 from armimp_estimation.trial import TrialData
 
 BAND = (0.25, 12.0)
@@ -299,7 +299,6 @@ class RobotResponses:
         self,
         order: tuple[int, ...],
         jump: HoldCorrection | None = None,
-        reading: TorqueReading | None = None,
         arm: MBKFit | None = None,
         calibration: Calibration | None = None,
         apart: float = 0.0,
@@ -312,8 +311,6 @@ class RobotResponses:
             Row of the commands that belongs to each joint.
         jump : HoldCorrection, optional
             How torques jump with the commands, if that is known.
-        reading : TorqueReading, optional
-            How torques were read.
         arm : MBKFit, optional
             Fit of the arm, with the delay of the torques that was found.
         calibration : Calibration, optional
@@ -324,9 +321,9 @@ class RobotResponses:
         n, f, rate = len(self.records), self.columns[0].f, self.records[0].rate
         turn = 2j * np.pi * f / rate
         step = 1.0 - np.exp(-turn)
-        reading, delay = reading or TorqueReading(), None if arm is None else arm.delay
+        delay = None if arm is None else arm.delay
         late = 0.0 if delay is None else delay.delay
-        torques = without_skew(f, rate, n, reading, jump, late)
+        torques = without_skew(f, self.records[0], jump, late)
         # Coefficients of angles, torques and commands, (n, 3n), in the torque on the robot.
         mixed = np.zeros((n, 3 * n, f.size), dtype=np.complex128)
         mixed[:, n : 2 * n] = -torques[:, :n]
@@ -342,7 +339,7 @@ class RobotResponses:
         if delay is not None:
             torque = multiply(mixed[:, n : 2 * n], self.stacked[n : 2 * n])
             systematics.append(delay.error * turn * rate * multiply(torque, self.inverse))
-        if arm is not None and reading.timing is TorqueTiming.UNKNOWN:
+        if arm is not None and self.records[0].reading.timing is TorqueTiming.UNKNOWN:
             # Torques that don't jump with commands may be half a period late, or in time.
             steady = replace(arm.mbk, M=np.zeros((n, n))).impedance(f)
             systematics.append(0.5 * turn * steady)

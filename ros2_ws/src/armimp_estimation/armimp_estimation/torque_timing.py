@@ -83,6 +83,8 @@ class TorqueReading(JsonModel):
     actuator_lag: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)
     """Time constant with which the torque of the drives follows the commands, s; 0: at once. It
     delays torques and angles alike, so it matters only for what sampling folds back."""
+    uncertainty: float = Field(default=20e-6, ge=0.0, le=LATEST)
+    """Standard error of the instant where that is known, s."""
 
     @property
     def prompt(self) -> bool:

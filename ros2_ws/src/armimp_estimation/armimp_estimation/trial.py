@@ -135,12 +135,11 @@ class TrialData:
         cls,
         *stretches: TrialRecord,
         segment: int | None = None,
-        reading: TorqueReading | None = None,
     ) -> TrialData:
         """Compute the spectra of a whole record, or of the intact stretches of a trial.
 
         Segments have `segment` samples, by default those of :func:`segment_for`; none spans a gap.
-        The delay and the filter of the torque `reading` are removed from the spectra. Lost readings
+        Delay and filter of the torque readings are removed from the spectra. Lost readings
         are interpolated. Drift, estimated from the longest stretch, is removed from record and
         spectra. If segments fit the periods of the perturbation, spectra are taken at its lines.
 
@@ -169,7 +168,7 @@ class TrialData:
                 periods = None
             if periods is not None:
                 found = found.at(periods.frequencies(record.rate))
-            spectra = _read_at_once(found, reading or TorqueReading())
+            spectra = _read_at_once(found, record.reading)
             return cls(
                 record=record,
                 spectra=spectra,

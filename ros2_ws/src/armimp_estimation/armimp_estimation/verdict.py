@@ -23,7 +23,7 @@ from armimp_estimation.plausibility import judge_matrices
 from armimp_estimation.problems import Concern, Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.signal_quality import followed, spectrum_by_bins
-from armimp_estimation.torque_timing import TorqueReading
+from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 
 LOCK_RATIO = 0.02
 """Largest motion of a locked joint, within the band and caused by the perturbation, relative to the
@@ -247,7 +247,7 @@ def judge_estimate(
     if delay is not None and abs(delay.delay) > _NOTICED * max(delay.error, _SUREST):
         told: dict[str, Any] = {"delay_ms": 1e3 * delay.delay, "error_ms": 1e3 * delay.error}
         code = ProblemCode.DELAY_CORRECTED
-        if delay.refuted and reading != TorqueReading():
+        if delay.refuted and (reading.timing is not TorqueTiming.UNKNOWN or not reading.prompt):
             code, told = ProblemCode.TIMING_REFUTED, {**told, "declared": reading.sentence}
         yield problem(code, severity=Severity.NOTE, estimator=name, **told)
 

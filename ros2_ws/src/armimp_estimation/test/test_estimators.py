@@ -11,7 +11,6 @@ from armimp_common.arrays import FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.direct import Direct
 from armimp_estimation.estimators.estimate import Estimator
-from armimp_estimation.estimators.lpm import LpmFull
 from armimp_estimation.estimators.welch import WelchFull, WelchSiso
 from armimp_estimation.fit import fit_mbk
 from armimp_estimation.frf import stands_out
@@ -178,10 +177,13 @@ def test_a_delay_of_all_torques_is_corrected() -> None:
         torque = np.fft.irfft(np.fft.rfft(trial.record.torque, axis=1) * late, samples, axis=1)
         # Its spectra do not matter here.
         delayed.append(with_readings(trial, torque=torque))
-    told = LpmFull(reading=TorqueReading(timing=TorqueTiming.INTERVAL_MEAN))
-    corrected = fit_mbk(told.estimate(delayed)).mbk
+    mean, unknown = (
+        [with_readings(one, reading=TorqueReading(timing=timing)) for one in delayed]
+        for timing in (TorqueTiming.INTERVAL_MEAN, TorqueTiming.UNKNOWN)
+    )
+    corrected = fit_mbk(LPM.estimate(mean)).mbk
     assert max(worst_errors(corrected, TWO_JOINT_ARM).values()) < 0.005
-    fit = fit_mbk(LpmFull().estimate(delayed))
+    fit = fit_mbk(LPM.estimate(unknown))
     assert fit.delay is not None
     assert fit.delay.delay == pytest.approx(0.004, rel=0.02)
     assert off(fit).max() < 3.5
@@ -245,12 +247,12 @@ def test_column_of_one_trial_is_that_of_the_whole_estimate_where_joints_are_lock
     # So little noise hides few reflexes.
     for k, trial in enumerate(synthetic_trials(dataclasses.replace(LOOP, voluntary=0.03))):
         position = np.where(np.arange(2)[:, None] == k, trial.record.position, 0.0)
-        data.append(with_readings(trial, position=position))
-    # Without a delay, of which each trial alone would find a different one.
-    exact = dataclasses.replace(LPM, timing_uncertainty=0.0)
-    whole = fit_mbk(exact.estimate(data))
+        # Without a delay, of which each trial alone would find a different one.
+        exact = trial.record.reading.model_copy(update={"uncertainty": 0.0})
+        data.append(with_readings(trial, position=position, reading=exact))
+    whole = fit_mbk(LPM.estimate(data))
     for k, trial in enumerate(data):
-        column = exact.column(trial.record)
+        column = LPM.column(trial.record)
         assert column.joint == k
         for row, name in enumerate("MBK"):
             # The whole estimate weighs by the noise at the fitted impedance.

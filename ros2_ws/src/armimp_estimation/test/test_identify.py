@@ -10,6 +10,7 @@ from armimp_estimation.fit import Calibration
 from armimp_estimation.identify import identify
 from armimp_estimation.metadata import Metadata
 from armimp_estimation.problems import Concern, Problem, ProblemCode, Severity, kinds
+from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.trial import TrialData
 from armimp_estimation.verdict import Verdict, judge_coherence, judge_locking
 from support.synthetic_trials import (
@@ -27,6 +28,7 @@ EXACT = Metadata(calibration=Calibration())
 KNOWN = Metadata(calibration=Calibration(), truth=TWO_JOINT_ARM)
 LOOP = SyntheticConfig(rate=125.0, samples=6144, torque_noise=0.02)
 ESTIMATORS = ("welch_siso", "welch_full")
+UNKNOWN = TorqueReading()
 
 
 def test_a_good_experiment_is_valid_and_close_to_the_truth() -> None:
@@ -155,7 +157,7 @@ def test_cross_talk_from_another_joint_is_refused_or_in_the_errors(
     # The sign is the one that makes this arm look less symmetric than it is.
     mixing = np.array([[1.0, share], [0.0, 1.0]])
     data = [
-        with_readings(trial, **{mixed: mixing @ getattr(trial.record, mixed)})
+        with_readings(trial, reading=UNKNOWN, **{mixed: mixing @ getattr(trial.record, mixed)})
         for trial in synthetic_trials(LOOP)
     ]
     result = identify(data, ("lpm_full",))

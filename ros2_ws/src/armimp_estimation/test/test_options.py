@@ -9,7 +9,6 @@ import pytest
 
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.arm_models import require_model
-from armimp_estimation.estimators.lpm import LpmFull
 from armimp_estimation.estimators.registry import make_estimators
 from armimp_estimation.estimators.welch import WelchSiso, invert
 from armimp_estimation.frf import frf_matrix, order_trials
@@ -27,10 +26,6 @@ of_matrices = functools.partial(MBK, M=EYE, K=EYE)
 @pytest.mark.parametrize(
     ("make", "message", "wrong"),
     [
-        *(
-            (LpmFull, "timing_uncertainty must not be negative", {"timing_uncertainty": error})
-            for error in (-0.1, NAN)
-        ),
         (of_matrices, r"B has shape \(3, 3\), expected \(2, 2\)", {"B": np.eye(3)}),
         (of_matrices, "finite", {"B": np.full((2, 2), NAN)}),
         (require_model, r"'spring'.*reflex", {"name": "spring"}),
@@ -42,6 +37,8 @@ of_matrices = functools.partial(MBK, M=EYE, K=EYE)
                 {"cutoff": INFINITE},
                 {"order": 0},
                 {"actuator_lag": -1e-3},
+                {"uncertainty": -0.1},
+                {"uncertainty": NAN},
             )
         ),
     ],

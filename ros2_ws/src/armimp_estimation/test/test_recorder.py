@@ -32,7 +32,6 @@ from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.alignment.streams import Streams
 from armimp_estimation.bags.reader import read_bag
 from armimp_estimation.bags.writer import definitions
-from armimp_estimation.estimators.lpm import LpmFull
 from armimp_estimation.problems import Problem, ProblemCode
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.recorder import TrialRecorder, largest_error, record_so_far
@@ -45,7 +44,7 @@ from support.synthetic_bags import (
     recording_of,
     synthetic_recording,
 )
-from support.synthetic_trials import LPM, SyntheticConfig, part_of, synthetic_trial
+from support.synthetic_trials import LPM, SIMULTANEOUS, SyntheticConfig, part_of, synthetic_trial
 from support.synthetic_trials import TWO_JOINT_ARM as ARM
 
 SETTLE, TICKS, REST = 10, 100, 10
@@ -279,7 +278,7 @@ def test_when_a_trial_ends_depends_on_its_first_samples_and_the_trials_before(
     together: int,
 ) -> None:
     considered = 6000 - NOTICE_TICKS
-    desk = Desk(None, ARM_NAMES, target_error=0.5, least_duration=6.0)
+    desk = Desk(None, ARM_NAMES, reading=SIMULTANEOUS, target_error=0.5, least_duration=6.0)
     made: list[StoppingDecision | None] = []
     messages = ARM_RECORDING.messages
     record(desk.recorder, messages, together, lambda: made.append(desk.recorder.decide()))
@@ -288,7 +287,7 @@ def test_when_a_trial_ends_depends_on_its_first_samples_and_the_trials_before(
     assert told == [(k, samples, samples > 0) for k in (1, 2) for samples in (0, considered)]
     past: list[TrialRecord] = []
     for decision, whole in zip(decisions[1::2], ARM_RECORDING.records, strict=True):
-        column = LpmFull().column(with_commands(part_of(whole, 0, considered)), past)
+        column = LPM.column(with_commands(part_of(whole, 0, considered)), past)
         assert (decision.largest, decision.element) == largest_error(column)
         past.append(with_commands(whole))
 

@@ -158,7 +158,7 @@ ONE = "[[1, 0], [0, 1]]"
         ("torque_delay", "true", "delay: Input should be a valid number, got True"),
         ("torque_delay", "-2", "delay: Input should be greater than or equal to -1, got -2"),
         ("torque_order", "1.5", "order: Input should be a valid integer, got 1.5"),
-        ("torque_uncertainty", "-1", "torque_uncertainty: Input should be greater .*got -1"),
+        ("torque_uncertainty", "-1", "uncertainty: Input should be greater .*got -1"),
         ("torque_timing", '"later"', "timing: Input should be 'unknown', 'before_update'"),
         (RECORD_KEY, "3", "timing: Input should be"),
         (RECORD_KEY, '{"ticks": 3}', "timing.*late: Field required"),

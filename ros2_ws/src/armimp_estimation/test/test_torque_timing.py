@@ -1,7 +1,7 @@
 """Torques that are read late, filtered or before the update: what that does, and its cure."""
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -69,6 +69,11 @@ latest = pytest.mark.parametrize(
 )
 
 
+def told(records: Sequence[TrialRecord], reading: TorqueReading) -> list[TrialRecord]:
+    """The records with what is known of their torque readings."""
+    return [replace(record, reading=reading) for record in records]
+
+
 def images(reading: TorqueReading, power: int) -> ComplexArray:
     """What sampling folds back, as the sum over the images of the spectrum, symmetric about 0."""
     m = np.concatenate([np.arange(-100_000, 0), np.arange(1, 100_001)])[:, None]
@@ -96,7 +101,7 @@ def test_drives_may_lag_by_the_time_constant_of_the_filter(order: int) -> None:
 
 @latest
 def test_jumps_are_found_behind_delay_and_filter(reading: TorqueReading) -> None:
-    jump = update_jump(rig_records(reading), reading)
+    jump = update_jump(told(rig_records(reading), reading))
     assert jump is not None
     np.testing.assert_allclose(jump.torque, TRANSMISSION, atol=0.03 * np.max(TRANSMISSION))
 
@@ -104,12 +109,11 @@ def test_jumps_are_found_behind_delay_and_filter(reading: TorqueReading) -> None
 @latest
 def test_known_delay_and_filter_leave_no_error_and_unknown_ones_do(reading: TorqueReading) -> None:
     records = rig_records(reading)
-    known = [TrialData.of(record, reading=reading) for record in records]
-    estimate = LpmFull(reading=reading).estimate(known)
-    told = worst_errors(fit_mbk(estimate).mbk, ARM)
-    assert told["M"] < 0.002
-    assert told["B"] < 0.005
-    assert told["K"] < 0.002
+    known = [TrialData.of(record) for record in told(records, reading)]
+    worst = worst_errors(fit_mbk(LpmFull().estimate(known)).mbk, ARM)
+    assert worst["M"] < 0.002
+    assert worst["B"] < 0.005
+    assert worst["K"] < 0.002
     # Undeclared, it is found as a common delay or is in the standard errors.
     data = [TrialData.of(record) for record in records]
     fit = fit_mbk(LpmFull().estimate(data))
@@ -125,7 +129,7 @@ def test_spectra_are_corrected_for_delay_and_filter_and_coherences_stay() -> Non
     slow = replace(prompt, torque=torque)
     plain = TrialData.of(prompt).spectra.matrix
     raw = TrialData.of(slow).spectra.matrix
-    corrected = TrialData.of(slow, reading=reading).spectra.matrix
+    corrected = TrialData.of(replace(slow, reading=reading)).spectra.matrix
 
     np.testing.assert_allclose(corrected[0, 3:], plain[0, 3:], rtol=0.03)
     assert np.max(np.abs(raw[0, 3:] / plain[0, 3:] - 1.0)) > 0.3
@@ -143,10 +147,10 @@ def test_spectra_are_corrected_for_delay_and_filter_and_coherences_stay() -> Non
 # --- Skew of torques that are read just before the command is updated: what it is, and its cure
 
 
-def viscosity(records: list[TrialRecord], estimator: LpmFull | None = None) -> FloatArray:
+def viscosity(records: list[TrialRecord]) -> FloatArray:
     """Fitted viscosity relative to the true one."""
     data = [TrialData.of(record) for record in records]
-    return fit_mbk((estimator or LpmFull()).estimate(data)).mbk.B / ARM.B
+    return fit_mbk(LpmFull().estimate(data)).mbk.B / ARM.B
 
 
 @pytest.mark.parametrize("law", ["tde", "observer"])
@@ -168,13 +172,13 @@ def test_commands_that_noise_of_the_angles_swamps_tell_no_jump() -> None:
 @pytest.mark.parametrize("law", ["tde", pytest.param("observer", marks=pytest.mark.slow)])
 def test_viscosity_is_right_with_commands_and_nearly_so_without(law: str) -> None:
     records = rig_records(law=law)
-    before = LpmFull(reading=TorqueReading(timing=TorqueTiming.BEFORE_UPDATE))
-    np.testing.assert_allclose(viscosity(records, before), 1.0, atol=0.005)
+    before = TorqueReading(timing=TorqueTiming.BEFORE_UPDATE)
+    np.testing.assert_allclose(viscosity(told(records, before)), 1.0, atol=0.005)
     without = [replace(record, command=None) for record in records]
     np.testing.assert_allclose(viscosity(without), 1.0, atol=0.025)
     # Where the records refute what is declared, it is not believed.
-    simultaneous = LpmFull(reading=TorqueReading(timing=TorqueTiming.SIMULTANEOUS))
-    np.testing.assert_allclose(viscosity(without, simultaneous), 1.0, atol=0.025)
+    simultaneous = TorqueReading(timing=TorqueTiming.SIMULTANEOUS)
+    np.testing.assert_allclose(viscosity(told(without, simultaneous)), 1.0, atol=0.025)
 
 
 FOREIGN: dict[str, Callable[[FloatArray], FloatArray]] = {

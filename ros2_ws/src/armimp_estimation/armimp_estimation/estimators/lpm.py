@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
 
 from armimp_common.arrays import ComplexArray, FloatArray
-from armimp_common.errors import ConfigurationError, DataError
+from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate, combined, variance_of
 from armimp_estimation.estimators.local_polynomial import (
     ORDER,
@@ -35,7 +35,7 @@ from armimp_estimation.signal_quality import (
     without_slow,
 )
 from armimp_estimation.spectra import BAND, bins_in_band
-from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
+from armimp_estimation.torque_timing import TorqueTiming
 from armimp_estimation.trial import TrialData, cleaned
 
 _SPARE_BINS = 3
@@ -82,23 +82,15 @@ class FittedColumn:
 
 @dataclass(frozen=True, kw_only=True)
 class LpmFull:
-    """``Z = T R⁻¹`` from local polynomials, at every bin of the record."""
+    """``Z = T R⁻¹`` from local polynomials, at every bin of the record.
 
-    reading: TorqueReading = field(default_factory=TorqueReading)
-    """How torques are read, and so what is corrected: see :mod:`armimp_estimation.torque_timing`.
+    How torques were read tells what is corrected: see :mod:`armimp_estimation.torque_timing`.
     :mod:`armimp_estimation.hold_correction` identifies the part of the torques that jumps with the
-    commands. Without commands in the records, the M-B-K fit estimates a common delay instead."""
-    timing_uncertainty: float = 20e-6
-    """Standard error of the instant of torque readings where that was declared, s. It is half a
-    period where it was not, or where the jumps that it implies were not identified."""
+    commands. Without commands in the records, the M-B-K fit estimates a common delay instead.
+    """
+
     name: str = "lpm_full"
     """Name of the estimator."""
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.timing_uncertainty < np.inf:
-            raise ConfigurationError(
-                f"timing_uncertainty must not be negative, got {self.timing_uncertainty!r}"
-            )
 
     def estimate(self, trials: Sequence[TrialData]) -> ImpedanceEstimate:
         """Estimate the whole matrix from n trials, one for each joint, in any order.
@@ -126,7 +118,7 @@ class LpmFull:
         If only m joints have a record, estimate their columns alone, (n, m, n_freq), as if all
         other joints were still.
         """
-        jump = update_jump(records, self.reading)
+        jump = update_jump(records)
         rate, n = records[0].rate, records[0].joints
         joints = [record.perturbed_joint for record in records]
         channels = _channels(records, jump)
@@ -147,7 +139,7 @@ class LpmFull:
         coefficients = every[n:].copy()
         every[n:, :n], coefficients[:, joints] = reference.impedance(f), -offset
         half_period = 0.5 / rate
-        delay_uncertainty = self._delay_uncertainty(jump, rate)
+        delay_uncertainty = _delay_uncertainty(records[0], jump)
         bounds: list[ComplexArray] = []
         lost: list[ComplexArray] = []
         whole = len(records) == n
@@ -225,16 +217,8 @@ class LpmFull:
 
     def reference(self, records: Sequence[TrialRecord]) -> tuple[MBK, HoldCorrection | None]:
         """Fit an arm near the one sought, and find how torques jump with the commands."""
-        jump = update_jump(records, self.reading)
+        jump = update_jump(records)
         return self._reference_arm(records, _channels(records, jump), jump), jump
-
-    def _delay_uncertainty(self, jump: HoldCorrection | None, rate: float) -> float:
-        """Standard error of the delay between torques and angles, s."""
-        reading = self.reading
-        jumps_told = jump is not None and reading.timing is not TorqueTiming.UNKNOWN
-        if reading.without_jumps or jumps_told:
-            return self.timing_uncertainty
-        return 0.5 / rate
 
     def _residuals(
         self,
@@ -245,10 +229,10 @@ class LpmFull:
         f: FloatArray | None = None,
     ) -> list[LocalResponse]:
         """Responses of angles, torques less those of a reference arm, and skew corrections."""
-        n, rate = reference.joints, records[0].rate
+        n = reference.joints
 
         def mixed(at: FloatArray) -> ComplexArray:
-            skew = without_skew(at, rate, n, self.reading, jump)
+            skew = without_skew(at, records[0], jump)
             chosen = _unit(3 * n, n + skew.shape[1], at)
             chosen[n : 2 * n, :n] = -reference.impedance(at)
             chosen[n:, n:] = np.concatenate((skew, skew))
@@ -289,6 +273,17 @@ class LpmFull:
                 solved = np.linalg.lstsq((parts / scale).T, aims, rcond=None)[0] / scale[:, 0]
                 found[:, row, joints] += solved.reshape(3, -1)
         return MBK(M=found[0], B=found[1], K=found[2])
+
+
+def _delay_uncertainty(record: TrialRecord, jump: HoldCorrection | None) -> float:
+    """Standard error of the delay between torques and angles, s.
+
+    It is half a period unless it is known how torques are read, and the jumps that this implies
+    were identified.
+    """
+    reading = record.reading
+    jumps_told = jump is not None and reading.timing is not TorqueTiming.UNKNOWN
+    return reading.uncertainty if reading.without_jumps or jumps_told else 0.5 / record.rate
 
 
 def _channels(records: Sequence[TrialRecord], jump: HoldCorrection | None) -> list[FloatArray]:

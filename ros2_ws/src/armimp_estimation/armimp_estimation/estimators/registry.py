@@ -19,28 +19,24 @@ ESTIMATORS: Final[Mapping[str, Estimator]] = {one.name: one for one in _EACH}
 """By name, in the order in which tables list them."""
 
 
-def make_estimators(
-    estimators: Sequence[str | Estimator], lpm: LpmFull | None = None
-) -> list[Estimator]:
+def make_estimators(estimators: Sequence[str | Estimator]) -> list[Estimator]:
     """Make the estimators that are given by name; others are taken as they are.
 
     Parameters
     ----------
     estimators : sequence of str or Estimator
         Names, or custom estimators.
-    lpm : LpmFull, optional
-        The estimator ``lpm_full``, if something is known of the torque readings.
 
     Raises
     ------
     ConfigurationError
         If there is none, one twice, or one of unknown name.
     """
-    known = ESTIMATORS if lpm is None else {**ESTIMATORS, lpm.name: lpm}
     for one in estimators:
-        if isinstance(one, str) and one not in known:
-            raise ConfigurationError(f"unknown estimator {one!r}, known are {', '.join(known)}")
-    made = [known[one] if isinstance(one, str) else one for one in estimators]
+        if isinstance(one, str) and one not in ESTIMATORS:
+            known = ", ".join(ESTIMATORS)
+            raise ConfigurationError(f"unknown estimator {one!r}, known are {known}")
+    made = [ESTIMATORS[one] if isinstance(one, str) else one for one in estimators]
     names = [one.name for one in made]
     if not names or len(set(names)) != len(names):
         raise ConfigurationError(f"estimators must be distinct, at least one: {names}")

@@ -48,6 +48,7 @@ from armimp_estimation.report.plots import (
 )
 from armimp_estimation.result import Result
 from armimp_estimation.summary import Summary
+from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.verdict import BIAS_BOUND, LOCK_RATIO, SINGLE
 
 REPORT_FILE = "report.html"
@@ -269,16 +270,17 @@ def _distortion(result: Result) -> Content | None:
     fitted = max(summary.estimators.values(), key=lambda one: one.decides)
     arm = MBK(M=np.array(fitted.M), B=np.array(fitted.B), K=np.array(fitted.K))
     late = 0.0 if fitted.delay is None else fitted.delay.delay
+    reading = summary.torque_reading or TorqueReading()
     periodic = [
         (one, one.record, found)
-        for one in result.trials
+        for one in (trial.read_as(reading) for trial in result.trials)
         if one.record is not None and (found := Distortion.of(one.record, arm)) is not None
     ]
     if not periodic:
         return None
-    jump, trials = update_jump([record for _, record, _ in periodic], summary.torque_reading), []
+    jump, trials = update_jump([record for _, record, _ in periodic]), []
     for one, record, found in periodic:
-        changes = deviations(record, arm, jump, summary.torque_reading, late)[one.joint]
+        changes = deviations(record, arm, jump, late)[one.joint]
         trials.append((one, found, changes.get("amplitude"), changes.get("time")))
     plots = [distortion_plot(found, one.trial) for one, found, *_ in trials]
     return {"trials": trials, "plots": plots, "joints": min(len(plots), SIDE_BY_SIDE)}
