@@ -24,6 +24,8 @@ from armimp_bringup import cli
 from armimp_common.arrays import FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.arm_models import ModelFit
+from armimp_estimation.identify import identify_records
+from research.direct import Direct
 from research.writing import print_table
 
 PARTS = 4
@@ -38,7 +40,9 @@ def reflex_of(angle: FloatArray, torque: FloatArray, rate: float) -> ModelFit:
     recording = armimp.Recording.from_arrays(
         moved, [angle[None]], [torque[None]], rate=rate, timing="simultaneous"
     )
-    return armimp.identify(recording, "direct", model="reflex").models["reflex"]
+    known = recording.known.model_copy(update={"arm_model": "reflex"})
+    found = identify_records([[one] for one in recording.trials], [Direct()], known)
+    return found.estimators[Direct().name].models["reflex"]
 
 
 def honesty(parts: list[ModelFit], name: str) -> float:

@@ -31,6 +31,7 @@ from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.trial import TrialData
 from armimp_sim.dynamics import WIDTH
+from research.direct import Direct
 from research.mimo import InputCoupling, estimate_mimo
 
 Work = TypeVar("Work")
@@ -38,7 +39,8 @@ Result = TypeVar("Result")
 
 ESTIMATOR: Final = "lpm_full"
 """Estimator of the studies of verdicts."""
-JOINT_BY_JOINT: Final = ("direct", "welch_siso", "welch_full", ESTIMATOR)
+DIRECT: Final = Direct()
+JOINT_BY_JOINT: Final = (DIRECT.name, "welch_siso", "welch_full", ESTIMATOR)
 MIMO: Final = "mimo"
 ESTIMATORS: Final = (*JOINT_BY_JOINT, MIMO)
 
@@ -158,7 +160,7 @@ def estimate(
                 TrialData.of(replace(one, reading=known.reading), segment=segment)
                 for one in experiment.records
             ]
-            (estimator,) = make_estimators([name])
+            (estimator,) = make_estimators([DIRECT if name == DIRECT.name else name])
             impedance = estimator.estimate(data)
         impedance, fit = fit_impedance(impedance)
         runs[name] = Run(

@@ -37,7 +37,7 @@ def printed(number: str, *arguments: str) -> str:
     ("number", "words"),
     [
         ("01", ["M11 = ", "K22 = ", "valid\n"]),
-        ("02", ["welch_siso", "welch_full", "lpm_full", "direct"]),
+        ("02", ["welch_siso", "welch_full", "lpm_full"]),
         ("03", ["direct", "lpm_full"]),
         ("04", ["none", "dahl", "viscous", "valid\n"]),
         ("08", ["truth", "welch_siso", "welch_shifted"]),

@@ -89,7 +89,7 @@ class ExperimentConfig(Schema):
     priority: int = Field(default=0, ge=0, le=99)
     """SCHED_FIFO priority of rig and controller in realtime, 1 to 99; 0: ordinary."""
     estimators: tuple[str, ...] = ("welch_siso", "lpm_full")
-    """Estimator: welch_siso, welch_full, lpm_full, direct. May be given more than once."""
+    """Estimator: welch_siso, welch_full, lpm_full. May be given more than once."""
     target_error: Annotated[float, BeforeValidator(_share)] = Field(
         default=0.0,
         ge=0.0,

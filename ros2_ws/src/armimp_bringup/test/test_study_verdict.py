@@ -109,7 +109,7 @@ def test_targets_are_those_of_the_design() -> None:
     scores = {"VAF": 99.5, "R²": 0.99, "derived coherence": 0.985}
     assert targets(2, "welch_siso") == {**scores, "M, K error": 3.0, "B error": 8.0}
     assert targets(3, "welch_siso") == scores
-    assert targets(2, "direct") == {}
+    assert targets(2, "welch_full") == {}
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,6 @@ import pytest
 
 from armimp_common.arrays import FloatArray
 from armimp_common.errors import DataError
-from armimp_estimation.estimators.direct import Direct
 from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.estimators.welch import WelchFull, WelchSiso
 from armimp_estimation.fit import fit_mbk
@@ -18,6 +17,7 @@ from armimp_estimation.mbk import MBK
 from armimp_estimation.signal_quality import rounding_lead
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
+from research.direct import Direct
 from support.synthetic_trials import (
     LOOP,
     LPM,

@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 from armimp_common.errors import ConfigurationError
-from armimp_estimation.estimators.direct import Direct
 from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.estimators.lpm import LpmFull
 from armimp_estimation.estimators.welch import WelchFull, WelchSiso
@@ -13,7 +12,6 @@ _EACH: tuple[Estimator, ...] = (
     WelchSiso(),
     WelchFull(),
     LpmFull(),
-    Direct(),
 )
 ESTIMATORS: Final[Mapping[str, Estimator]] = {one.name: one for one in _EACH}
 """By name, in the order in which tables list them."""
