@@ -48,7 +48,7 @@ def _bytes(directory: Path) -> dict[str, bytes]:
 
 def test_study_leaves_all_its_files_and_no_others(study: Path) -> None:
     found = {path.name for path in study.iterdir()}
-    assert found == {*TABLES, "config.json", "conditions"}
+    assert found == {*TABLES, "conditions"}
     assert {path.name for path in (study / "conditions").iterdir()} == {
         f"{one.name}.{suffix}" for one in CONDITIONS for suffix in ("json", "npz")
     }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from contextlib import closing
 from functools import partial
@@ -18,7 +17,7 @@ from rich.table import Table
 from armimp_bringup.config import ExperimentConfig, prepare_directory
 from armimp_bringup.offline import simulate
 from armimp_bringup.parameters import node_parameters
-from armimp_bringup.study import LEVELS, Condition, StudyEntry
+from armimp_bringup.study import Condition, StudyEntry
 from armimp_bringup.study.engine import Backend, condition_config, run_batch, split_evenly
 from armimp_bringup.study.scores import SCORES, StudyVerdict, judge, results_csv, results_table
 from armimp_bringup.terminal import display, say
@@ -34,7 +33,6 @@ from armimp_estimation.summary import (
     write_summary,
 )
 
-CONFIG_FILE: Final = "config.json"
 RESULTS_DIRECTORY: Final = "conditions"
 STUDY_FILE: Final = "study.json"
 VERDICT_FILE: Final = "verdict.json"
@@ -42,13 +40,10 @@ _FILES: Final = {
     STUDY_FILE: "all results",
     "results.csv": "one row for each condition, element and estimator",
     VERDICT_FILE: "worst values and targets",
-    CONFIG_FILE: "what the results were made with",
     RESULTS_DIRECTORY + "/": "result and curves of each condition",
 }
 _MOMENT: Final = 2.0  # s, length of the trials of a run that compiles the machine code
 _MOST_FAILURES: Final = 20
-_VARIED: Final = {*LEVELS, "seed", "mode", "processes"}
-"""Fields that differ between conditions or do not matter, left out of ``config.json``."""
 
 
 def run_study(
@@ -83,7 +78,6 @@ def run_study(
     DataError
         If the study cannot be run or stored.
     """
-    here = software()
     # Wrong settings should be found before any file is written.
     first = condition_config(base, conditions[0])
     node_parameters(first, None)
@@ -93,16 +87,13 @@ def run_study(
         results.mkdir()
     except OSError as error:
         raise DataError(f"{directory}: cannot be used: {error.strerror}") from None
-    described = json.loads(base.model_dump_json(exclude=_VARIED))
-    described = {"schema": 1, "experiment": described, **here}
-    write_text(directory / CONFIG_FILE, json.dumps(described, indent=1) + "\n")
     # A short run compiles the machine code here, so that no worker has to.
     simulate([first.model_copy(update={"duration": _MOMENT})])
     batches = split_evenly(conditions, backend.workers)
     found: dict[Condition, StudyEntry] = {}
     display().progress(0, len(conditions), things="conditions")
     display().phase("simulating and estimating the first")
-    with closing(backend.run(partial(run_batch, base, here), batches)) as done:
+    with closing(backend.run(partial(run_batch, base, software()), batches)) as done:
         for batch in done:
             for entry, of_estimators in batch:
                 name = entry.condition.name
