@@ -159,8 +159,8 @@ def identify(
     estimators : sequence of str or Estimator
         Names from :mod:`armimp_estimation.estimators.registry`, or custom estimators.
     known : Metadata, optional
-        What is known beside the samples. True matrices are for the VAF only; they have no part in
-        the verdict.
+        What is known beside the records, which know themselves how their torques were read. True
+        matrices are for the VAF only; they have no part in the verdict.
 
     Raises
     ------
