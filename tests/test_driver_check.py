@@ -81,6 +81,7 @@ def test_simulator_and_template_pass_every_check(
     assert check()["lifecycle"].figure == "was unconfigured"
 
 
+@pytest.mark.slow
 def test_a_driver_in_a_namespace_is_found_there(host: Start, check: Check) -> None:
     host(functools.partial(ArmSimNode, namespace="/exo"), mode="realtime")
     assert not [name for name in names(check(namespace="/exo")) if not name.endswith(": rate")]

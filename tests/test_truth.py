@@ -22,10 +22,10 @@ QUICK = {
     ("stiffness of either direction 0.1", 11),
     # Between the lines of a few sines, ratios of spectra show only what noise does in the loop.
     ("sines 12 0.1 N·m", 1),
-    # Friction of a locked wrist takes what accelerates it off the commands, which then don't jump.
-    ("fine angles 3 joints, 1000", 2),
 }
 ONCE_WRONG = {
+    # Friction of a locked wrist takes what accelerates it off the commands, which then don't jump.
+    ("fine angles 3 joints, 1000", 2),
     # Noise hides the cuff in some elements; the intervals of all must hold it.
     ("cuff, voluntary 0.3 N·m 100 kN·m/rad", 5),
     # What a person's torque and muscles that depart from M, B and K look like together.

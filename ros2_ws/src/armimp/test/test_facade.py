@@ -249,7 +249,7 @@ def test_commands_that_move_nothing_confirm_no_gain(recording: armimp.Recording)
     np.testing.assert_allclose(with_nothing.K_se, without.K_se, rtol=0.05)
 
 
-@pytest.mark.parametrize("joints", [1, 2])
+@pytest.mark.parametrize("joints", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_commands_that_are_the_perturbations_are_said_to_explain_no_torque(joints: int) -> None:
     recording = armimp.simulate(joints=joints, duration=10.0, seed=1)
     command = [one.perturbation for one in recording.trials]

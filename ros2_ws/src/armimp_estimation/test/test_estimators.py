@@ -98,7 +98,7 @@ def test_standard_errors_of_the_direct_estimator_cover_the_bias_of_the_loop() ->
         slow(SISO, {"torque_noise": 0.5, "voluntary": 0.3}, 150),
         slow(FULL, {"torque_noise": 0.5, "voluntary": 0.3, "lock_stiffness": 300.0}, 150),
         slow(LPM, {"torque_noise": 0.3, "voluntary": 0.1}, 40),
-        (LPM, {"torque_noise": 0.3, "voluntary": 0.1, "lock_stiffness": 300.0}, 40),
+        slow(LPM, {"torque_noise": 0.3, "voluntary": 0.1, "lock_stiffness": 300.0}, 40),
         # Outside the loop.
         (DIRECT, {"torque_noise": 0.5}, 80),
     ],
