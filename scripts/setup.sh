@@ -95,8 +95,10 @@ make_environment() {
     # The pinned pip and build back end first, then nothing outside the lock file is ever used.
     awk '!/^ / { take = /^(pip|setuptools)==/ } take' requirements.txt >"$venv/first.txt"
     say "installing what requirements.txt lists"
-    quiet_pip install --require-hashes -r "$venv/first.txt"
-    quiet_pip install --require-hashes --no-build-isolation -r requirements.txt -r requirements-dev.txt
+    # To compile all modules would take as long as to install them: see below.
+    quiet_pip install --no-compile --require-hashes -r "$venv/first.txt"
+    quiet_pip install --no-compile --require-hashes --no-build-isolation \
+        -r requirements.txt -r requirements-dev.txt
 }
 
 install_packages() {
@@ -131,5 +133,9 @@ if [ "$(stamp .environment)" != "$environment" ] || [ ! -x "$venv/bin/python" ] 
 fi
 if [ "$(stamp .packages)" != "$packages" ] || [ ! -x "$venv/bin/armimp" ]; then
     install_packages
+    # What a run imports is compiled now, so that the first one starts as soon as any other.
+    "$venv/bin/python" -c 'import armimp_bringup.cli, armimp_bringup.offline, armimp_bringup.replay
+import armimp_control.node, armimp_sim.node, armimp_estimation.node
+import armimp_estimation.figures, armimp_estimation.report.run'
     echo "$packages" >"$venv/.packages"
 fi
