@@ -89,6 +89,8 @@ _RUBBING = 2.0
 _LOADED = 0.4
 """Assumption: relative standard error of a torque that seems to be that of a spring of the robot;
 in one of six rigs it is that of a cable which loads the transducer."""
+_WRONG = 0.3
+"""Assumption: largest error of a gain that was declared."""
 _PULLED = 0.3
 """Assumption: negative stiffness by which gravity may pull a joint of the robot away from the
 posture, relative to the arm's stiffness."""
@@ -601,7 +603,9 @@ def _gains_in_doubt(
     most = np.where(own, np.maximum(apparent, unconfirmed), cross_talk)
     untold = np.minimum(np.hypot(shares, errors), most)
     untold = np.maximum(untold, _LOADED * np.diag(unexplained))
-    return np.asarray(np.maximum(told, untold))
+    return np.asarray(
+        np.minimum(np.maximum(told, untold), np.inf if calibration.assumed else _WRONG)
+    )
 
 
 def _may_be_spring(shares: FloatArray) -> BoolArray:
