@@ -15,14 +15,13 @@ from armimp_common.errors import ConfigurationError
 from armimp_estimation import scores, verdict
 from armimp_estimation.arm_models import ModelFit, fit_models
 from armimp_estimation.estimators.estimate import Estimator, ImpedanceEstimate
-from armimp_estimation.estimators.lpm import LpmFull
 from armimp_estimation.estimators.registry import make_estimators
 from armimp_estimation.fit import MBKFit, fit_impedance
 from armimp_estimation.frf import frf_matrix, order_trials
 from armimp_estimation.hold_correction import update_jump
 from armimp_estimation.json_model import JsonModel, Number, Vector
 from armimp_estimation.metadata import Metadata
-from armimp_estimation.nonlinearity import at_posture, judge_linearity
+from armimp_estimation.nonlinearity import judge_linearity
 from armimp_estimation.plausibility import judge_angles, mixed_channels, other_postures
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
@@ -35,6 +34,7 @@ from armimp_estimation.robot_balance import (
 )
 from armimp_estimation.signal_quality import RESOLVED_SHARE, judge_signals, lost_motion
 from armimp_estimation.trial import TrialData, segment_for
+from armimp_estimation.turning_links import at_posture
 from armimp_estimation.verdict import Verdict
 
 
@@ -187,11 +187,8 @@ def identify(
     bounds = scores.bias_bound(frf)
     results: dict[str, EstimatorResult] = {}
     records = [trial.record for trial in ordered]
-    lpm = next((one for one in workers if isinstance(one, LpmFull)), None)
-    steady = records if lpm is None else at_posture(records, lpm)
-    alike = [replace(trial, record=one) for trial, one in zip(ordered, steady, strict=True)]
     for worker in workers:
-        found = worker.estimate(alike)
+        found = worker.estimate(ordered)
         estimate, fit = fit_impedance(found, known.calibration)
         models = fit_models(known.arm_model, found, fit, known.calibration)
         results[worker.name] = EstimatorResult(
@@ -228,7 +225,7 @@ def identify(
     hold = best.estimate.hold or update_jump(records)
     if best.estimate.unbiased:
         of_motion, doubts, gains = judge_linearity(
-            steady,
+            at_posture(records, best.estimate.turning),
             best.estimate,
             best.fit,
             hold,

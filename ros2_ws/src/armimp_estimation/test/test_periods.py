@@ -11,9 +11,11 @@ from scipy.signal import butter, lfilter, sosfilt
 from armimp_common.arrays import FloatArray as Array
 from armimp_estimation.distortion import Distortion
 from armimp_estimation.mbk import MBK
-from armimp_estimation.nonlinearity import TERMS, Deviation, deviations
+from armimp_estimation.nonlinear_terms import TERMS
+from armimp_estimation.nonlinearity import Deviation, deviations
 from armimp_estimation.periods import Periods, common_lines
 from armimp_estimation.record import TrialRecord
+from armimp_estimation.residual_torque import Residual
 from armimp_estimation.trial import SIGNIFICANT, segment_for, slopes_of
 from support.synthetic_trials import LOOP, TWO_JOINT_ARM, made_record, part_of, synthetic_trial
 
@@ -56,8 +58,14 @@ def elbow(perturbation: Array, position: Array, torque: Array) -> TrialRecord:
 IN_TIME = {name for name, one in TERMS.items() if one.in_time}
 
 
+def found_in(record: TrialRecord, arm: MBK = ARM) -> list[dict[str, Deviation]]:
+    residual = Residual.of(record, arm)
+    assert residual is not None
+    return deviations(residual)
+
+
 def significant(record: TrialRecord, arm: MBK = ARM) -> dict[str, Deviation]:
-    return {name: one for name, one in deviations(record, arm)[0].items() if one.significant}
+    return {name: one for name, one in found_in(record, arm)[0].items() if one.significant}
 
 
 def test_periods_and_lines_are_found_in_the_signal_itself() -> None:
@@ -201,7 +209,7 @@ def test_a_transient_at_the_start_does_not_hide_a_transducer_that_compresses() -
     share = 0.02
     compressed = torque - share / 3.0 * torque**3 / np.var(torque)
     noise = 1e-3 * np.random.default_rng(3).standard_normal(torque.size)
-    found = deviations(elbow(source, angle, compressed + noise), ARM)[0]["gain"]
+    found = found_in(elbow(source, angle, compressed + noise))[0]["gain"]
     assert found.share == pytest.approx(-share, rel=0.3)
     assert found.error < 0.1 * share
 
@@ -301,8 +309,7 @@ def test_a_stiffness_between_joints_or_a_damping_that_changes_is_found(
     torque += 1e-3 * random.standard_normal(torque.shape)
     held = 1e-7 * random.standard_normal(angle.size)
     record = made_record(np.stack([angle, held]), torque, np.stack([source, 0.0 * source]))
-    names = [
-        {name for name, one in of.items() if one.significant} for of in deviations(record, arm)
-    ]
+    found = found_in(record, arm)
+    names = [{name for name, one in of.items() if one.significant} for of in found]
     assert not names[1 - joint]
     assert named in names[joint] if named else not names[joint]

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 
 import numpy as np
@@ -37,6 +37,7 @@ from armimp_estimation.signal_quality import (
 from armimp_estimation.spectra import BAND, bins_in_band
 from armimp_estimation.torque_timing import TorqueTiming
 from armimp_estimation.trial import TrialData, cleaned
+from armimp_estimation.turning_links import at_posture, turning_inertia
 
 _SPARE_BINS = 3
 """Bins on either side beyond the degree of the polynomials, for degrees of freedom of the noise."""
@@ -110,19 +111,25 @@ class LpmFull:
         DataError
             If a joint has no trial, a record is too short, or R cannot be inverted.
         """
-        return self._estimate([trial.record for trial in order_trials(trials)])
+        records = [trial.record for trial in order_trials(trials)]
+        reference = self._reference(records)
+        turning = turning_inertia(records, *reference)
+        if turning is not None:
+            records = at_posture(records, turning)
+            reference = self._reference(records)
+        return replace(self._estimate(records, *reference), turning=turning)
 
-    def _estimate(self, records: Sequence[TrialRecord]) -> ImpedanceEstimate:
+    def _estimate(
+        self, records: Sequence[TrialRecord], reference: MBK, jump: HoldCorrection | None
+    ) -> ImpedanceEstimate:
         """Do what :meth:`estimate` does, with one record for each joint, in their order.
 
         If only m joints have a record, estimate their columns alone, (n, m, n_freq), as if all
         other joints were still.
         """
-        jump = update_jump(records)
         rate, n = records[0].rate, records[0].joints
         joints = [record.perturbed_joint for record in records]
         channels = _channels(records, jump)
-        reference = self._reference_arm(records, channels, jump)
         plain = self._residuals(records, channels, reference, jump)
         columns = [column.with_scatter_of_lines(slice(n, 2 * n)) for column in plain]
         f = columns[0].f
@@ -200,7 +207,8 @@ class LpmFull:
         """
         by_joint = {one.perturbed_joint: cleaned([one])[0][0] for one in (*others, record)}
         joints, k = sorted(by_joint), record.perturbed_joint
-        found = self._estimate([by_joint[joint] for joint in joints])
+        records = [by_joint[joint] for joint in joints]
+        found = self._estimate(records, *self._reference(records))
         preliminary = len(joints) < record.joints
         if preliminary:
             values, errors = fit_columns(found)
@@ -214,11 +222,6 @@ class LpmFull:
             errors=errors[:, :, place],
             preliminary=preliminary,
         )
-
-    def reference(self, records: Sequence[TrialRecord]) -> tuple[MBK, HoldCorrection | None]:
-        """Fit an arm near the one sought, and find how torques jump with the commands."""
-        jump = update_jump(records)
-        return self._reference_arm(records, _channels(records, jump), jump), jump
 
     def _residuals(
         self,
@@ -241,17 +244,15 @@ class LpmFull:
 
         return _moved(responses(records, channels, BAND, mixed, f), records)
 
-    def _reference_arm(
-        self,
-        records: Sequence[TrialRecord],
-        channels: Sequence[FloatArray],
-        jump: HoldCorrection | None,
-    ) -> MBK:
-        """Fit M, B and K by least squares of relative errors, at some frequencies.
+    def _reference(self, records: Sequence[TrialRecord]) -> tuple[MBK, HoldCorrection | None]:
+        """Fit an arm near the one sought, and find how torques jump with the commands.
 
-        The error of the polynomials is proportional to the distance of the arm from the reference
-        arm of the previous step, so little is left after the second step, however few the bins.
+        M, B and K are fitted by least squares of relative errors, at some frequencies. The error of
+        the polynomials is proportional to the distance of the arm from the reference arm of the
+        previous step, so little is left after the second step, however few the bins.
         """
+        jump = update_jump(records)
+        channels = _channels(records, jump)
         n, joints = records[0].joints, [record.perturbed_joint for record in records]
         found, f = np.zeros((3, n, n)), _strongest(records)
         for _ in range(_REFERENCE_STEPS):
@@ -272,7 +273,7 @@ class LpmFull:
                 aims = np.concatenate((aim.real, aim.imag))
                 solved = np.linalg.lstsq((parts / scale).T, aims, rcond=None)[0] / scale[:, 0]
                 found[:, row, joints] += solved.reshape(3, -1)
-        return MBK(M=found[0], B=found[1], K=found[2])
+        return MBK(M=found[0], B=found[1], K=found[2]), jump
 
 
 def _delay_uncertainty(record: TrialRecord, jump: HoldCorrection | None) -> float:

@@ -46,6 +46,7 @@ from armimp_estimation.report.plots import (
     strokes,
     trace_plot,
 )
+from armimp_estimation.residual_torque import Residual
 from armimp_estimation.result import Result
 from armimp_estimation.summary import Summary
 from armimp_estimation.torque_timing import TorqueReading
@@ -280,7 +281,8 @@ def _distortion(result: Result) -> Content | None:
         return None
     jump, trials = update_jump([record for _, record, _ in periodic]), []
     for one, record, found in periodic:
-        changes = deviations(record, arm, jump, late)[one.joint]
+        residual = Residual.of(record, arm, jump, late)
+        changes = {} if residual is None else deviations(residual)[one.joint]
         trials.append((one, found, changes.get("amplitude"), changes.get("time")))
     plots = [distortion_plot(found, one.trial) for one, found, *_ in trials]
     return {"trials": trials, "plots": plots, "joints": min(len(plots), SIDE_BY_SIDE)}
