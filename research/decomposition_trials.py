@@ -249,7 +249,7 @@ def matrices(mbk: MBK) -> FloatArray:
 
 def relative_errors(fit: MBKFit, truth: MBK) -> tuple[FloatArray, FloatArray]:
     """Return errors of M, B and K and those that the fit states, (3, n, n), both over `scales`."""
-    true, stated = matrices(truth), np.stack((fit.M_se, fit.B_se, fit.K_se))
+    true, stated = matrices(truth), fit.errors
     return (matrices(fit.mbk) - true) / scales(true), stated / scales(true)
 
 

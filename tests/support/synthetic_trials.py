@@ -174,14 +174,9 @@ def stacked(arm: MBK) -> FloatArray:
     return np.stack((arm.M, arm.B, arm.K))
 
 
-def errors_of(fit: MBKFit) -> FloatArray:
-    """Standard errors of M, B and K, (3, n, n)."""
-    return np.stack((fit.M_se, fit.B_se, fit.K_se))
-
-
 def off(fit: MBKFit, arm: MBK = TWO_JOINT_ARM) -> FloatArray:
     """By how many of their standard errors M, B and K miss those of the arm, (3, n, n)."""
-    return np.abs(stacked(fit.mbk) - stacked(arm)) / errors_of(fit)
+    return np.abs(stacked(fit.mbk) - stacked(arm)) / fit.errors
 
 
 def with_readings(trial: TrialData, **arrays: Any) -> TrialData:

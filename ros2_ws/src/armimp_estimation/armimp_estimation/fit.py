@@ -122,8 +122,6 @@ class MBKFit:
     ----------
     mbk : MBK
         Fitted matrices, in kg·m², N·m·s/rad and N·m/rad.
-    M_se, B_se, K_se : ndarray, shape (n, n)
-        Standard errors, in the same units.
     r2 : ndarray, shape (n, n)
         Coefficient of determination, see :func:`r_squared`.
     Z : ndarray, shape (n, n, n_freq)
@@ -144,9 +142,6 @@ class MBKFit:
     """
 
     mbk: MBK
-    M_se: FloatArray
-    B_se: FloatArray
-    K_se: FloatArray
     r2: FloatArray
     Z: ComplexArray
     covariance: FloatArray
@@ -164,7 +159,7 @@ class MBKFit:
     @property
     def errors(self) -> FloatArray:
         """Their standard errors, SI units, shape (3, n, n)."""
-        return np.stack((self.M_se, self.B_se, self.K_se))
+        return _roots(self.covariance).reshape(self.values.shape)
 
     def of_row(self, joint: int, change: ComplexArray) -> FloatArray:
         """Change of M, B and K, (3, n), by a change of one row of the impedance, (n, n_freq)."""
@@ -172,10 +167,7 @@ class MBKFit:
 
     def with_doubt(self, shift: FloatArray) -> MBKFit:
         """Return the fit with a change of M, B and K, (3, n, n), as one more standard error."""
-        flat = shift.ravel()
-        M_se, B_se, K_se = np.hypot(self.errors, shift)
-        covariance = self.covariance + np.outer(flat, flat)
-        return replace(self, M_se=M_se, B_se=B_se, K_se=K_se, covariance=covariance)
+        return replace(self, covariance=self.covariance + np.outer(shift, shift))
 
 
 FEWEST_FREQUENCIES = 3
@@ -326,19 +318,14 @@ def fit_impedance(
         known = sum(np.abs(one) ** 2 for one in problem.calibration)
         estimate = replace(estimate, variance=estimate.variance + np.reshape(known, fitted.shape))
     quality = [[r_squared(estimate.Z[i, j], fitted[i, j]) for j in range(n)] for i in range(n)]
-    covariance = problem.covariance()
-    M_se, B_se, K_se = _roots(covariance).reshape(3, n, n)
     fit = MBKFit(
         mbk=mbk,
-        M_se=M_se,
-        B_se=B_se,
-        K_se=K_se,
         r2=np.array(quality),
         Z=fitted,
         lack=lack,
         lack_limit=lack_limit(estimate.bin_correlation),
         delay=delay,
-        covariance=covariance,
+        covariance=problem.covariance(),
         high_pass=problem.high_pass(fitted),
         functionals=problem.functionals.reshape(n, n, 3, -1),
     )

@@ -135,7 +135,7 @@ def mixed_channels(fit: MBKFit, calibration: Calibration) -> list[FloatArray]:
     M = matrices[0]
     own = np.maximum(np.abs(np.diag(M)), np.finfo(np.float64).tiny)
     of_torques = sum(np.abs(one[:, :, 0]) ** 2 for one in calibration.effects(M[:, :, None] + 0j))
-    error = np.sqrt(np.maximum(fit.M_se**2 - of_torques, 0.0))
+    error = np.sqrt(np.maximum(fit.errors[0] ** 2 - of_torques, 0.0))
     error = np.hypot(error, error.T)
     beyond = np.sqrt(np.maximum((M - M.T) ** 2 - (_NOTICED * error) ** 2, 0.0))
     changes = []
@@ -160,7 +160,7 @@ def other_postures(
     within = max(np.max(np.abs(a.mean(axis=1) - b.mean(axis=1))) for a, b in halves)
     if not apart > max(APART, 2.0 * float(within)):
         return [], []
-    change = np.zeros((3, *fit.M_se.shape))
+    change = np.zeros_like(fit.values)
     own = np.sqrt(np.abs(np.diag(fit.mbk.M)))
     change[0] = apart / np.sqrt(3.0) * np.outer(own, own)
     return [problem(ProblemCode.POSTURES_DIFFER, severity=Severity.NOTE, apart=apart)], [change]

@@ -702,7 +702,10 @@ def judge_answers(
         return
     inverse = np.linalg.pinv(arm.mbk.M + balance.M)
     shares = arm.mbk.M @ inverse
-    of_arm, of_robot = (np.eye(len(names)) - shares) ** 2 @ arm.M_se**2, shares**2 @ balance.M_se**2
+    of_arm, of_robot = (
+        (np.eye(len(names)) - shares) ** 2 @ arm.errors[0] ** 2,
+        shares**2 @ balance.M_se**2,
+    )
     most_error = np.sqrt(np.diag((of_arm + of_robot) @ inverse**2))
     most = np.diag(shares)
     least = answers - _ERRORS * np.hypot(errors, most_error[:, None])

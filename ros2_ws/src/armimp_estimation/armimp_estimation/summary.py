@@ -115,8 +115,7 @@ class EstimatorSummary(JsonModel):
         }
         found |= {name: getattr(fit, name) for name in ("covariance", "lack_limit", "r2")}
         found |= {name: getattr(result, name) for name in ("vaf", "coherence_limit")}
-        for name in ("M", "B", "K"):
-            value, error = getattr(fit.mbk, name), getattr(fit, f"{name}_se")
+        for name, value, error in zip("MBK", fit.values, fit.errors, strict=True):
             found |= {name: value, f"{name}_se": error}
             found[f"{name}_ci"] = (value[..., None] + ends * error[..., None]).tolist()
         return cls(

@@ -129,8 +129,8 @@ def test_uncertain_calibrations_widen_intervals_but_hide_no_lack_of_fit() -> Non
 
     K = exact.mbk.K
     of_scale = 0.02**2 + 0.03**2
-    expected = np.sqrt(exact.K_se**2 + of_scale * K**2 + (0.01 * K[::-1]) ** 2)
-    assert loose.K_se == pytest.approx(expected, rel=0.01)
+    expected = np.sqrt(exact.errors[2] ** 2 + of_scale * K**2 + (0.01 * K[::-1]) ** 2)
+    assert loose.errors[2] == pytest.approx(expected, rel=0.01)
     of_scales = (loose.covariance - exact.covariance)[8:10, 10:12]  # of K_1j and K_2j
     assert np.diag(of_scales) == pytest.approx(0.03**2 * K[0] * K[1], rel=0.01)
     assert np.array_equal(loose.lack, exact.lack)

@@ -87,7 +87,7 @@ def test_standard_errors_of_the_direct_estimator_cover_the_bias_of_the_loop() ->
     noisy = dataclasses.replace(found, variance=found.noise, systematics=())
     for estimate, held in ((found, True), (noisy, False)):
         fit = fit_mbk(estimate)
-        off = np.abs(fit.mbk.B - TWO_JOINT_ARM.B) / fit.B_se
+        off = np.abs(fit.mbk.B - TWO_JOINT_ARM.B) / fit.errors[1]
         assert bool(off[0, 0] < 1.96) is held
 
 

@@ -57,7 +57,7 @@ def test_when_nobody_declares_a_gain_and_no_command_confirms_it_expect_it_in_the
     noted = [one for one in result.problems if one.code is ProblemCode.GAIN_UNCONFIRMED]
     assert [one.values["doubt"] for one in noted] == [10.0, 10.0]
     fit = result.estimators["welch_full"].fit
-    assert (fit.K_se > 0.1 * np.abs(fit.mbk.K)).all()
+    assert (fit.errors[2] > 0.1 * np.abs(fit.mbk.K)).all()
 
 
 @pytest.mark.parametrize("periods", [(1024, 768), (1024, 6144), (512, 768)])
@@ -143,8 +143,8 @@ def test_inertia_may_differ_between_trials_that_have_other_postures(
     fit = result.estimators["lpm_full"].fit
     inertia = np.stack((TWO_JOINT_ARM.M[:, 0], bent.M[:, 1]), axis=1)
     if valid:
-        assert (np.abs(fit.mbk.M - [inertia, TWO_JOINT_ARM.M]) < 3.5 * fit.M_se).all()
-        assert (fit.M_se < 0.3 * inertia).all()
+        assert (np.abs(fit.mbk.M - [inertia, TWO_JOINT_ARM.M]) < 3.5 * fit.errors[0]).all()
+        assert (fit.errors[0] < 0.3 * inertia).all()
 
 
 @pytest.mark.parametrize(

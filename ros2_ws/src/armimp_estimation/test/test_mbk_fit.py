@@ -19,7 +19,7 @@ from armimp_estimation.fit import (
     r_squared,
 )
 from armimp_estimation.mbk import MBK
-from support.synthetic_trials import TWO_JOINT_ARM, errors_of, made_estimate, off, stacked
+from support.synthetic_trials import TWO_JOINT_ARM, made_estimate, off, stacked
 
 F: FloatArray = np.linspace(0.122, 14.884, 122)
 TRUTH = stacked(TWO_JOINT_ARM)
@@ -68,7 +68,7 @@ def test_equal_variances_give_ordinary_least_squares_with_its_standard_errors() 
     np.testing.assert_allclose(stacked(fit.mbk)[:, 0, 0], expected, rtol=1e-9)
     covariance = np.linalg.inv(design.T @ design)  # each part has half of the variance of 2
     # A reflex that the noise may hide adds a thousandth to B, a soft cuff a twentieth to M.
-    ratio = errors_of(fit)[:, 0, 0] / np.sqrt(np.diag(covariance))
+    ratio = fit.errors[:, 0, 0] / np.sqrt(np.diag(covariance))
     assert (ratio > 1.0).all()
     assert (ratio < [1.06, 1.002, 1.005]).all()
 
@@ -101,9 +101,9 @@ def test_a_bounded_systematic_error_is_corrected_as_far_as_the_data_tell_it(
     assert off(fit).max() < 4.0
     assert np.linalg.norm(told.systematics[0]) <= left * np.linalg.norm(bound)
     if left < 1.0:
-        assert (errors_of(fit)[:, :, 1] < 0.5 * errors_of(believed)[:, :, 1]).all()
+        assert (fit.errors[:, :, 1] < 0.5 * believed.errors[:, :, 1]).all()
     else:
-        np.testing.assert_allclose(errors_of(fit), errors_of(believed), rtol=1e-3)
+        np.testing.assert_allclose(fit.errors, believed.errors, rtol=1e-3)
 
 
 @pytest.mark.parametrize(("order", "cutoff"), [(2, 50.0), (3, 40.0)])
@@ -115,7 +115,7 @@ def test_an_unknown_low_pass_of_the_torques_is_corrected_where_noise_hides_low_f
     late = noisy(TWO_JOINT_ARM.impedance(F) * low_pass, np.where(F < 2.0, 10.0, 1.0))
     fit = fit_mbk(replace(late, delay_uncertainty=5e-4, delay_unknown=5e-4, weight_floor=0.005))
     assert off(fit).max() < 3.0
-    assert (errors_of(fit) < 0.4 * TRUTH).all()
+    assert (fit.errors < 0.4 * TRUTH).all()
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -129,7 +129,7 @@ def test_a_torque_that_passed_a_high_pass_where_noise_hides_it_is_in_the_standar
         found = noisy(share * TWO_JOINT_ARM.impedance(F), np.where(F < 2.0, 3.0, 0.3), seed)
         fit = fit_mbk(replace(found, without_slow=possible))
         assert off(fit).max() < 3.5
-        errors.append(fit.B_se[0, 0])
+        errors.append(fit.errors[1, 0, 0])
     assert errors[0] > 2.0 * errors[1] > 2.0 * errors[2]
 
 
@@ -166,16 +166,16 @@ def test_stiffness_that_relaxes_where_noise_hides_it_is_in_the_standard_errors_o
     seen = fit_of(spring, 0.2)
     assert (seen.lack > seen.lack_limit).any()
     without = fit_of(0.0, 0.2)
-    assert (np.diag(without.K_se / TWO_JOINT_ARM.K) < 0.03).all()
+    assert (np.diag(without.errors[2] / TWO_JOINT_ARM.K) < 0.03).all()
 
 
 def test_a_high_pass_of_the_torques_that_noise_hides_is_in_the_standard_errors() -> None:
     s = 2j * np.pi * F
     found = [noisy(TWO_JOINT_ARM.impedance(F) * s / (s + w), 0.3 / F**1.5) for w in (0.3, 0.0)]
     passed, plain = (fit_mbk(replace(one, weight_floor=0.005)) for one in found)
-    assert (np.abs(stacked(passed.mbk) - TRUTH)[1] > 4.0 * errors_of(plain)[1]).any()
+    assert (np.abs(stacked(passed.mbk) - TRUTH)[1] > 4.0 * plain.errors[1]).any()
     assert off(passed).max() < 3.0
-    assert (errors_of(plain)[1] < 0.5 * errors_of(passed)[1]).all()
+    assert (plain.errors[1] < 0.5 * passed.errors[1]).all()
     for fit, corner in ((passed, 0.3), (plain, 0.0)):
         value, error = np.multiply(fit.high_pass, 2.0 * np.pi)
         assert abs(value - corner) < 3.0 * error + 0.2 * corner

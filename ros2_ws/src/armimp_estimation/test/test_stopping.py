@@ -17,7 +17,6 @@ from support.synthetic_trials import (
     SEGMENT,
     TWO_JOINT_ARM,
     SyntheticConfig,
-    errors_of,
     part_of,
     stacked,
     synthetic_trial,
@@ -123,7 +122,7 @@ def test_intervals_of_trials_that_end_early_hold_the_truth_and_estimates_are_not
             trials.append(ended(synthetic_trial(TWO_JOINT_ARM, joint, loop, seed), trials))
         data = [TrialData.of(one, segment=SEGMENT) for one in trials]
         fit = fit_mbk(LPM.estimate(data))
-        off.append((stacked(fit.mbk) - stacked(TWO_JOINT_ARM)) / errors_of(fit))
+        off.append((stacked(fit.mbk) - stacked(TWO_JOINT_ARM)) / fit.errors)
         lengths += [one.duration for one in trials]
     assert np.percentile(lengths, 90) > 2.0 * np.percentile(lengths, 10)
     assert 0.9 < np.mean(np.abs(off) < 1.96) < 0.985
