@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -75,7 +74,6 @@ INTRINSIC: Final = tuple(Parameter(name=name, unit=unit) for name, unit in UNITS
 class ArmModel:
     """Description of a model."""
 
-    name: str
     equation: str
     """``Z(s)`` in terms of the names of its parameters."""
     parameters: tuple[Parameter, ...]
@@ -187,62 +185,54 @@ _DELAY = Parameter(name="delay", unit="s", rank=0)
 _LATENESS = Parameter(name="torque_delay", unit="s", rank=0)
 """Common delay of torque readings; unless known exactly, fitted in models without `_DELAY`."""
 
-MODELS: Final[Mapping[str, ArmModel]] = MappingProxyType(
-    {
-        one.name: one
-        for one in (
-            ArmModel(
-                name="mbk_delay",
-                equation="(M s² + B s + K) exp(-s delay)",
-                parameters=(*INTRINSIC, _DELAY),
-                impedance=_delayed,
-                starts=({"delay": 0.0}, {"delay": 0.01}),
-            ),
-            ArmModel(
-                name="reflex",
-                equation=(
-                    "M s² + B s + K + exp(-s delay) muscle² / (s² + 2 damping_ratio muscle s + "
-                    "muscle²) (velocity_gain s + stretch_gain)"
-                ),
-                parameters=(
-                    *INTRINSIC,
-                    Parameter(name="velocity_gain", unit="N·m·s/rad"),
-                    Parameter(name="stretch_gain", unit="N·m/rad"),
-                    Parameter(name="delay", unit="s", rank=0, positive=True),
-                    Parameter(name="muscle", unit="rad/s", rank=0, positive=True),
-                    Parameter(name="damping_ratio", unit="", rank=0, positive=True),
-                ),
-                impedance=_reflex,
-                starts=tuple(
-                    {"delay": delay, "muscle": muscle, "damping_ratio": 1.0}
-                    for delay in (0.025, 0.045, 0.07)
-                    for muscle in (10.0, 25.0, 60.0)
-                ),
-                variants=(
-                    {"velocity_gain": DIAGONAL, "stretch_gain": KEPT, "damping_ratio": KEPT},
-                    {"velocity_gain": DIAGONAL, "stretch_gain": DIAGONAL, "damping_ratio": KEPT},
-                    {"velocity_gain": DIAGONAL, "stretch_gain": DIAGONAL},
-                    {},
-                ),
-                possible=_resists,
-            ),
-            ArmModel(
-                name="cuff",
-                equation="((M s² + B s + K)⁻¹ + (cuff_stiffness + cuff_damping s)⁻¹)⁻¹",
-                parameters=(
-                    *INTRINSIC,
-                    Parameter(name="cuff_stiffness", unit="N·m/rad", rank=1, positive=True),
-                    Parameter(name="cuff_damping", unit="N·m·s/rad", rank=1, positive=True),
-                ),
-                impedance=_cuffed,
-                starts=tuple(
-                    {"cuff_stiffness": stiffness, "cuff_damping": 0.001 * stiffness}
-                    for stiffness in (1e3, 1e4, 1e5)
-                ),
-            ),
-        )
-    }
-)
+MODELS: Final[Mapping[str, ArmModel]] = {
+    "mbk_delay": ArmModel(
+        equation="(M s² + B s + K) exp(-s delay)",
+        parameters=(*INTRINSIC, _DELAY),
+        impedance=_delayed,
+        starts=({"delay": 0.0}, {"delay": 0.01}),
+    ),
+    "reflex": ArmModel(
+        equation=(
+            "M s² + B s + K + exp(-s delay) muscle² / (s² + 2 damping_ratio muscle s + "
+            "muscle²) (velocity_gain s + stretch_gain)"
+        ),
+        parameters=(
+            *INTRINSIC,
+            Parameter(name="velocity_gain", unit="N·m·s/rad"),
+            Parameter(name="stretch_gain", unit="N·m/rad"),
+            Parameter(name="delay", unit="s", rank=0, positive=True),
+            Parameter(name="muscle", unit="rad/s", rank=0, positive=True),
+            Parameter(name="damping_ratio", unit="", rank=0, positive=True),
+        ),
+        impedance=_reflex,
+        starts=tuple(
+            {"delay": delay, "muscle": muscle, "damping_ratio": 1.0}
+            for delay in (0.025, 0.045, 0.07)
+            for muscle in (10.0, 25.0, 60.0)
+        ),
+        variants=(
+            {"velocity_gain": DIAGONAL, "stretch_gain": KEPT, "damping_ratio": KEPT},
+            {"velocity_gain": DIAGONAL, "stretch_gain": DIAGONAL, "damping_ratio": KEPT},
+            {"velocity_gain": DIAGONAL, "stretch_gain": DIAGONAL},
+            {},
+        ),
+        possible=_resists,
+    ),
+    "cuff": ArmModel(
+        equation="((M s² + B s + K)⁻¹ + (cuff_stiffness + cuff_damping s)⁻¹)⁻¹",
+        parameters=(
+            *INTRINSIC,
+            Parameter(name="cuff_stiffness", unit="N·m/rad", rank=1, positive=True),
+            Parameter(name="cuff_damping", unit="N·m·s/rad", rank=1, positive=True),
+        ),
+        impedance=_cuffed,
+        starts=tuple(
+            {"cuff_stiffness": stiffness, "cuff_damping": 0.001 * stiffness}
+            for stiffness in (1e3, 1e4, 1e5)
+        ),
+    ),
+}
 """Models by name, without plain ``mbk``."""
 
 

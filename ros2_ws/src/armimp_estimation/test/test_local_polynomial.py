@@ -37,7 +37,8 @@ def polynomials(order: int) -> tuple[FloatArray, FloatArray, ComplexArray]:
 
 
 def estimate(source: FloatArray, *outputs: FloatArray) -> LocalResponse:
-    return local_response(source, np.stack(outputs), RATE, BAND)
+    bins = bins_in_band(source.size, RATE, *BAND).astype(np.float64)
+    return local_response(source, np.stack(outputs), RATE, BAND, bins * RATE / source.size)
 
 
 @pytest.mark.parametrize("order", [0, 1, 2])
@@ -78,7 +79,7 @@ def test_an_input_that_is_still_or_has_a_few_lines_only_is_refused_with_the_band
 @pytest.mark.parametrize("samples", [10, 40, 50])
 def test_when_the_record_is_too_short_expect_the_number_of_samples(samples: int) -> None:
     with pytest.raises(DataError, match=rf"{samples} samples are too few .* over 25 bins"):
-        local_response(white(1, samples), white(2, samples)[None], RATE, (0.1, 60.0))
+        estimate(white(1, samples), white(2, samples))
 
 
 @pytest.mark.parametrize("repeated", [0.0, 0.3])
@@ -100,7 +101,7 @@ def test_noise_at_lines_includes_what_repeats_and_responses_have_no_transient(
     assert periods is not None
     transient = np.std(once) * np.exp(-np.arange(bins * count) / 300.0)
     outputs = np.stack([np.tile(once, count) + noise + transient, noise])
-    plain = local_response(whole, outputs, RATE, (0.3, 15.0), periods=periods)
+    plain = local_response(whole, outputs, RATE, (0.3, 15.0), np.zeros(0), periods=periods)
     found = plain.with_scatter_of_lines(slice(0, 1))
     known = 1.0 + 0.2j * found.f / (0.5 * RATE)
     error = np.abs(found.response[0] - known) ** 2

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.periods import Periods, has_power
-from armimp_estimation.spectra import bins_in_band, sums_within
+from armimp_estimation.spectra import sums_within
 
 Mix = Callable[[FloatArray], ComplexArray]
 """Function of frequencies (n,), Hz: the coefficients (m, C, n) of m combinations of C outputs."""
@@ -148,12 +148,12 @@ def local_response(
     outputs: FloatArray,
     rate: float,
     band: tuple[float, float],
+    f: FloatArray,
     half_width: int = HALF_WIDTH,
-    f: FloatArray | None = None,
     periods: Periods | None = None,
     mix: Mix | None = None,
 ) -> LocalResponse:
-    """Estimate the responses of outputs to one input at bins of a band that have input power.
+    """Estimate the responses of outputs to one input at frequencies where it has power.
 
     Parameters
     ----------
@@ -165,12 +165,12 @@ def local_response(
         Samples per second, Hz.
     band : tuple of float
         Lowest and highest frequency, Hz.
+    f : ndarray, shape (n_freq,)
+        Frequencies in the band, Hz, which need not be bins of the record.
     half_width : int
         Bins on either side of a bin that enter its estimate, at least ``ORDER + 1``.
-    f : ndarray, shape (n_freq,), optional
-        Frequencies, Hz, in place of the bins of the band; they need not be bins of the record.
     periods : Periods, optional
-        Periods of a periodic input; the estimates are then at all its lines in the band.
+        Periods of a periodic input; the estimates are then at all its lines in the band instead.
     mix : callable, optional
         Gives the coefficients of the combinations that take the place of the outputs.
 
@@ -182,11 +182,8 @@ def local_response(
     if periods is not None:
         return _periodic_response(source, outputs, rate, band, half_width, periods, mix)
     samples, window = source.size, 2 * half_width + 1
-    bins = bins_in_band(samples, rate, *band)
-    centres: FloatArray | NDArray[np.intp] = bins
-    if f is not None:
-        centres = f * (samples / rate)
-        bins = np.rint(centres).astype(np.intp)
+    centres = f * (samples / rate)
+    bins = np.rint(centres).astype(np.intp)
     highest = (samples - 1) // 2
     if bins.size == 0 or highest < window:
         raise DataError(
@@ -194,8 +191,6 @@ def local_response(
             f"between {band[0]:.4g} and {band[1]:.4g} Hz",
             "record_too_short",
         )
-    if f is None:
-        f = bins.astype(np.float64) * float(rate / samples)
     first = np.clip(bins - half_width, 1, highest - window + 1)
     places = first[:, None] + np.arange(window)
 

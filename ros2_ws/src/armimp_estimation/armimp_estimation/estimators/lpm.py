@@ -338,7 +338,7 @@ def responses(
         periods = None if lines is None else record.periods
         width = _half_width(record.duration, periodic=periods is not None)
         source = record.perturbation[record.perturbed_joint]
-        columns.append(local_response(source, signals, rate, band, width, f, periods, mix))
+        columns.append(local_response(source, signals, rate, band, f, width, periods, mix))
     shared: FloatArray = reduce(lambda f, g: f[among(f, g)], [one.f for one in columns])
     if shared.size < FEWEST_FREQUENCIES:
         raise DataError(
