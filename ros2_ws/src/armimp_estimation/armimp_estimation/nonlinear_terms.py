@@ -98,7 +98,7 @@ class Term:
     rest: float = 1.0
     """Ratio of the change of M, B and K from rest to the one that the regressor looks like. Fitted
     to ``θ |θ|``, the excess of a Gaussian angle has 1/1.75 of the stiffness of that spring."""
-    large: float = np.inf
+    large: float = 0.1
     """Share beyond which stiffness, or M, B and K, hold for this motion or time alone; change of
     the gain beyond which a transducer is unusable. Smaller shares are part of the standard errors,
     and so is what friction of the robot leaves in torques whose jumps with the commands are not
@@ -106,7 +106,7 @@ class Term:
     most: float = np.inf
     """Share beyond which it is not attributed to the arm: voluntary torque may look like it."""
     likely: float = 0.0
-    sizes: tuple[float, ...] = (0.0,)
+    sizes: tuple[float, ...] = (0.01, 0.03, 0.1)
     """Assumptions: prior probability of the term, and its possible shares, all equally likely."""
     lines_alone: bool = False
     """Whether this prior counts only where the lines of a multisine determine the term, as no
@@ -192,7 +192,6 @@ TERMS: Mapping[str, Term] = {
         code=ProblemCode.DEPENDS_ON_AMPLITUDE,
         slope=0.32,
         rest=1.75,
-        large=0.1,
         likely=0.5,
         sizes=(0.1, 0.3, 1.0),
         couples=True,
@@ -202,14 +201,12 @@ TERMS: Mapping[str, Term] = {
         bend=lambda signals: np.abs(signals.angle),
         code=ProblemCode.DEPENDS_ON_DIRECTION,
         slope=2.0,
-        large=0.1,
         even=True,
     ),
     "stiffness by speed": Term(
         bend=lambda signals: signals.quick * np.abs(signals.speed),
         code=ProblemCode.DEPENDS_ON_SPEED,
         slope=_NORMAL,
-        large=0.1,
         likely=0.03,
         sizes=(0.03, 0.1),
         couples=True,
@@ -219,6 +216,7 @@ TERMS: Mapping[str, Term] = {
         bend=lambda signals: signals.speed * np.abs(signals.speed) / (1.0 + np.abs(signals.speed)),
         code=ProblemCode.DAMPING_CHANGES,
         kind=Kind.DAMPING,
+        large=np.inf,
         slope=_SATURATING,
         likely=0.1,
         sizes=(0.1, 0.3),
@@ -231,7 +229,6 @@ TERMS: Mapping[str, Term] = {
         code=ProblemCode.DAMPING_CHANGES,
         kind=Kind.DAMPING,
         slope=_NORMAL,
-        large=0.1,
         likely=0.02,
         sizes=(0.1, 0.3),
         couples=True,
@@ -243,7 +240,6 @@ TERMS: Mapping[str, Term] = {
         kind=Kind.FORCE,
         large=0.05,
         likely=0.1,
-        sizes=(0.01, 0.03, 0.1),
         couples=True,
     ),
     # Half of a transducer's play per coefficient found from its own readings is 1.3 to 2 at
@@ -252,10 +248,10 @@ TERMS: Mapping[str, Term] = {
         bend=lambda signals: _slack(signals.torque, _SLACK),
         code=ProblemCode.TORQUE_HYSTERESIS,
         kind=Kind.LOST,
+        large=np.inf,
         lacks=_slack,
         slope=2.0,
         likely=0.4,
-        sizes=(0.01, 0.03, 0.1),
     ),
     # From readings with that zone, at low noise.
     "dead zone": Term(
@@ -264,27 +260,25 @@ TERMS: Mapping[str, Term] = {
         kind=Kind.LOST,
         lacks=_dead_zone,
         slope=1.4,
-        large=0.1,
         likely=0.1,
-        sizes=(0.01, 0.03, 0.1),
     ),
     # The robot's friction causes a relative change of M, B or K of 3 % at most.
     "friction": Term(
         bend=lambda signals: _rubbing(signals.speed),
         code=ProblemCode.FRICTION_LEFT,
         kind=Kind.FORCE,
+        large=np.inf,
         robots=0.03,
         likely=0.1,
-        sizes=(0.01, 0.03, 0.1),
     ),
     # Losses of a gear or Bowden cable, while it drives the arm.
     "efficiency": Term(
         bend=lambda signals: np.abs(signals.torque) * _rubbing(signals.speed),
         code=ProblemCode.FRICTION_LEFT,
         kind=Kind.DRAG,
+        large=np.inf,
         slope=2.0,
         likely=0.1,
-        sizes=(0.01, 0.03, 0.1),
         doubted=0.5,
     ),
     "time": Term(
@@ -334,16 +328,13 @@ TERMS: Mapping[str, Term] = {
         code=ProblemCode.TORQUE_NOT_LINEAR,
         kind=Kind.GAIN,
         slope=3.0,
-        large=0.1,
         likely=0.15,
-        sizes=(0.01, 0.03, 0.1),
         doubted=1.0,
     ),
     "gain by speed": Term(
         bend=lambda signals: signals.torque * np.abs(signals.speed),
         code=ProblemCode.TORQUE_NOT_LINEAR,
         kind=Kind.GAIN,
-        large=0.1,
         likely=0.03,
         sizes=(0.03, 0.1),
         doubted=_NORMAL,
@@ -354,7 +345,6 @@ TERMS: Mapping[str, Term] = {
         kind=Kind.GAIN,
         in_time=True,
         at_once=True,
-        large=0.1,
         likely=0.05,
         sizes=(0.1,),
         doubted=0.5,
@@ -364,7 +354,6 @@ TERMS: Mapping[str, Term] = {
         code=ProblemCode.GAIN_DRIFTS,
         kind=Kind.GAIN,
         in_time=True,
-        large=0.1,
         likely=0.03,
         sizes=(0.1,),
         doubted=2.0 / 3.0,
@@ -375,7 +364,6 @@ TERMS: Mapping[str, Term] = {
         code=ProblemCode.ANGLE_NOT_LINEAR,
         kind=Kind.SCALE,
         slope=2.0,
-        large=0.1,
         likely=0.03,
         sizes=(0.03, 0.1),
         doubted=_NORMAL,

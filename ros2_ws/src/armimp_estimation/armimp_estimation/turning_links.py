@@ -28,24 +28,11 @@ _BEYOND_CHANCE = 5.0
 def turning_inertia(
     records: Sequence[TrialRecord], arm: MBK, jump: HoldCorrection | None
 ) -> FloatArray | None:
-    """Estimate G, kg·m²/rad, by regression of the torques that an arm leaves in all trials.
+    """Estimate G, kg·m²/rad, shape (2 n (n - 1),); None where it is not beyond chance.
 
-    G_iii is 0: the own inertia of a joint doesn't depend on its angle.
-
-    Parameters
-    ----------
-    records : sequence of TrialRecord
-    arm : MBK
-        An arm close to the one that is sought.
-    jump : HoldCorrection or None
-        How torques jump with the commands, if that is known.
-    reading : TorqueReading
-        How torques were read.
-
-    Returns
-    -------
-    ndarray, shape (2 n (n - 1),), or None
-        None where it is not beyond chance, or for one joint or trials of less than 10 s.
+    The torques that an arm leaves in all trials are regressed on those of each element; for the arm
+    and the rest see :meth:`Residual.of`. G_iii is 0: the own inertia of a joint doesn't depend on
+    its angle. None for one joint or trials of less than 10 s, too.
     """
     if records[0].joints == 1:
         return None
