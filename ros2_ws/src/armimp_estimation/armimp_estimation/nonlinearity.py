@@ -1,8 +1,8 @@
 """Nonlinearity of arms and sensors, found in the residual torque of the fitted linear arm.
 
 The residual torque of each joint in the band, ``e_i = τ_i - Σ_j Z_ij θ_j`` with the fitted
-impedance Z, is regressed on one term at a time of those in :mod:`nonlinear_terms`, which are
-functions of the perturbed joint's motion and of the torque:
+impedance Z, is regressed on one term at a time of those in `armimp_estimation.nonlinear_terms`,
+which are functions of the perturbed joint's motion and of the torque:
 
 1. *Terms* (`_Terms`). All linear responses to the angle and to the perturbation are projected out
    of each term and of e. The instrument (Söderström & Stoica, *Instrumental Variable Methods for
@@ -103,8 +103,7 @@ class Coefficient:
         """
         if not (self.error > 0.0 and self.value):
             return 0.0
-        tail = float(stdtr(self.freedom, -abs(self.value) / self.error))
-        chance = self.looks * joints * tail
+        chance = self.looks * joints * float(stdtr(self.freedom, -abs(self.value) / self.error))
         return float(-ndtri(min(max(chance, np.finfo(float).tiny), 0.5)))
 
 
@@ -132,11 +131,6 @@ class Deviation:
         """Standard error of the share."""
         one = self.coefficient
         return abs(self.share * one.error / one.value) if one.value else 0.0
-
-    @property
-    def errors(self) -> float:
-        """The share in standard errors, see :meth:`Coefficient.errors`."""
-        return self.coefficient.errors()
 
     @property
     def significant(self) -> bool:
@@ -181,12 +175,13 @@ class Deviation:
         if term.kind is Kind.GAIN and self.error == np.inf:
             return term.likely * float(np.mean(np.square(term.sizes))), 0.0
         untold = not term.likely or (term.lines_alone and not self.coefficient.at_lines)
-        if untold or not self.errors > 0.0 or self.of_robot:
+        errors = self.coefficient.errors()
+        if untold or not errors > 0.0 or self.of_robot:
             return 0.0, 0.0
         lost = term.kind is Kind.LOST
         return hidden_square(
             self.share if lost else abs(self.share),
-            abs(self.share) / self.errors,
+            abs(self.share) / errors,
             term.likely,
             sizes=term.sizes,
             positive=lost,
@@ -204,7 +199,7 @@ def deviations(residual: Residual) -> list[dict[str, Deviation]]:
         a signal, or M, B or K, is zero.
     """
     k, band, arm = residual.record.perturbed_joint, residual.band, residual.arm
-    terms, impedance = _Terms(residual.record, band), arm.impedance(band.f)
+    terms, impedance = _Terms(residual), arm.impedance(band.f)
     # An element between joints may be small, so its size is its geometric mean with √(M_ii M_kk).
     elements = np.abs(np.stack((arm.M, arm.B, arm.K), axis=-1))
     own = np.sqrt(np.diagonal(elements).T)
@@ -222,7 +217,7 @@ def deviations(residual: Residual) -> list[dict[str, Deviation]]:
             if term.at_once:
                 sudden = _deviation(name, regression.sudden(term), column[joint], terms)
                 if abs(sudden.share) > _LEFT:
-                    one = max(one, sudden, key=lambda each: each.errors)
+                    one = max(one, sudden, key=lambda each: each.coefficient.errors())
             found[joint][name] = one
     return found
 
@@ -235,8 +230,8 @@ class _Terms:
     weak instrument of terms that depend on the direction of the motion.
     """
 
-    def __init__(self, record: TrialRecord, band: Band) -> None:
-        self.record, self.band = record, band
+    def __init__(self, residual: Residual) -> None:
+        self.record, self.band = record, band = residual.record, residual.band
         k, kept = record.perturbed_joint, band.kept
         wide, moving = Band(record, WIDE), Band(record, MOVING)
         # Angle of the perturbed joint, rad, and its first two derivatives, (3, samples).
@@ -603,7 +598,9 @@ def _weighed(
         elsewhere = [one for joint, one in enumerate(own) if one and (joint != k or i != k)]
         for name, one in found[k][i].items():
             rival = own[k].get(one.term.explained_by)
-            if rival is not None and not (rival.significant and rival.errors > one.errors):
+            if rival is not None and not (
+                rival.significant and rival.coefficient.errors() > one.coefficient.errors()
+            ):
                 rival = None
             evidence = sum(other[name].evidence for other in elsewhere)
             shared = one.term.shared
