@@ -19,8 +19,8 @@ for record in experiment.records:
 
 result = experiment.identify(["lpm_full"])
 fit = result.estimators["lpm_full"].fit
-for letter, unit in (("M", "kg·m²"), ("B", "N·m·s/rad"), ("K", "N·m/rad")):
-    found, error = getattr(fit.mbk, letter), getattr(fit, f"{letter}_se")
+for letter, found, error in zip("MBK", fit.values, fit.errors, strict=True):
+    unit = {"M": "kg·m²", "B": "N·m·s/rad", "K": "N·m/rad"}[letter]
     true = getattr(experiment.truth, letter)
     for i, k in ((0, 0), (0, 1), (1, 0), (1, 1)):
         print(

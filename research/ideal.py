@@ -31,13 +31,10 @@ def investigate(options: InvestigationOptions) -> int:
     runs = identified([condition_config(base, one) for one in conditions], options.workers)
     for condition, (experiment, found) in zip(conditions, runs, strict=True):
         result = found.estimators[ESTIMATOR]
-        truth = experiment.truth
-        errors = [
-            (getattr(result.fit.mbk, n) - getattr(truth, n)) / getattr(result.fit, f"{n}_se")
-            for n in LETTERS
-        ]
+        truth = np.stack([getattr(experiment.truth, n) for n in LETTERS])
+        errors = (result.fit.values - truth) / result.fit.errors
         key = (condition.friction, condition.resolution, condition.perturbation)
-        covered[key].append(np.array(errors))
+        covered[key].append(errors)
         lacks.append((float(np.max(result.fit.lack)), str(condition)))
         line = f"{condition}: lack {np.max(result.fit.lack):.2f}"
         if found.balance is not None:
@@ -49,7 +46,7 @@ def investigate(options: InvestigationOptions) -> int:
             delay = result.fit.delay
             line += f" delay {1e6 * delay.told:.1f} ± {1e6 * delay.told_error:.1f} µs"
             line += f" -> {1e6 * delay.delay:.1f} ± {1e6 * delay.error:.1f}"
-        se = [np.max(getattr(result.fit, f"{n}_se") / np.abs(getattr(truth, n))) for n in LETTERS]
+        se = np.max(result.fit.errors / np.abs(truth), axis=(1, 2))
         line += " se% " + " ".join(f"{100 * one:.2f}" for one in se)
         line += " worst " + " ".join(f"{np.max(np.abs(one)):.2f}" for one in errors)
         print(line)

@@ -124,8 +124,6 @@ class MBKFit:
         Fitted matrices, in kg·m², N·m·s/rad and N·m/rad.
     r2 : ndarray, shape (n, n)
         Coefficient of determination, see :func:`r_squared`.
-    Z : ndarray, shape (n, n, n_freq)
-        Fitted impedance at the frequencies of the estimate, N·m/rad.
     lack : ndarray, shape (n, n)
         Lack of fit, see :func:`lack_of_fit`.
     lack_limit : float
@@ -143,7 +141,6 @@ class MBKFit:
 
     mbk: MBK
     r2: FloatArray
-    Z: ComplexArray
     covariance: FloatArray
     lack: FloatArray
     lack_limit: float
@@ -321,7 +318,6 @@ def fit_impedance(
     fit = MBKFit(
         mbk=mbk,
         r2=np.array(quality),
-        Z=fitted,
         lack=lack,
         lack_limit=lack_limit(estimate.bin_correlation),
         delay=delay,
@@ -416,6 +412,14 @@ class _Elements:
         return [joint * columns + column for column, joint in enumerate(perturbed)]
 
     @property
+    def pairs(self) -> list[tuple[int, int]]:
+        """Indices of each element, and of the own element of the joint of its column."""
+        columns = self.estimate.Z.shape[1]
+        return [
+            (row, own) for own in self.own for row in range(own % columns, len(self.Z), columns)
+        ]
+
+    @property
     def total(self) -> FloatArray:
         """Variance including that of the corrections."""
         return np.asarray(self.noise + sum(np.abs(one) ** 2 for one in self.systematics))
@@ -450,33 +454,37 @@ class _Elements:
         return covariance
 
     def covariance(self) -> FloatArray:
-        """Covariance of all M, then B, then K, (3 elements, 3 elements).
+        """Covariance of all M, then B, then K, (3 elements, 3 elements): the sum of all errors.
 
-        That of two elements contains their coherency κ: ``½ Re Σ_fg conj(b_f) c_g σ_f ς_g ρ_fg
-        (κ_f + κ_g)/2``. Without covariances in the estimate, elements count as independent. The
-        error of a correction is that of one transducer, so it is common to a row; a calibration
-        error is common to all elements that it concerns.
+        The error of a correction is that of one transducer, so it is common to a row; a calibration
+        error is common to all elements that it concerns. Further terms may be in any element.
         """
-        (n, columns, _), estimate = self.estimate.Z.shape, self.estimate
-        count = n * columns
+        (n, columns, _), count = self.estimate.Z.shape, len(self.Z)
+        rows = np.arange(count) // columns
+        common = [self.shifts(one) for one in self.calibration]
+        for shift in map(self.shifts, self.systematics):
+            common += [shift * (rows == row) for row in range(n)]
+        known = np.reshape(common, (-1, 3 * count))
+        further = np.diag(self._squared_change_by_more_terms().ravel())
+        return np.asarray(self._covariance_by_noise() + known.T @ known + further)
+
+    def _covariance_by_noise(self) -> FloatArray:
+        """Part of noise: ``½ Re Σ_fg conj(b_f) c_g σ_f ς_g ρ_fg (κ_f + κ_g)/2`` of two elements.
+
+        κ is their coherency. Without covariances in the estimate, elements count as independent.
+        """
+        count = len(self.Z)
         terms = self.functionals * np.sqrt(0.5 * self.noise)[:, None]
-        spread = with_neighbours(terms, estimate.bin_correlation)
-        more = self.change_by_more_terms
-        shifts = [self.shifts(common) for common in self.systematics]
+        spread = with_neighbours(terms, self.estimate.bin_correlation)
         covariance = np.zeros((3, count, 3, count))
         for one in range(count):
             for other in range(one, count):
                 kappa = self._coherency(one, other)
                 a, b = np.conj(terms[one]) * kappa, np.conj(spread[one]) * kappa
                 block = 0.5 * (a @ spread[other].T + b @ terms[other].T).real
-                if one // columns == other // columns:
-                    block += sum(np.outer(shift[:, one], shift[:, other]) for shift in shifts)
-                if one == other:
-                    block += np.diag(more[:, one])
                 covariance[:, one, :, other] = block
                 covariance[:, other, :, one] = block.T
-        known = np.reshape([self.shifts(one) for one in self.calibration], (-1, 3 * count))
-        return np.asarray(covariance.reshape(3 * count, 3 * count) + known.T @ known)
+        return covariance.reshape(3 * count, 3 * count)
 
     def _coherency(self, one: int, other: int) -> ComplexArray:
         """Complex correlation of the errors of two elements at each frequency."""
@@ -490,8 +498,7 @@ class _Elements:
         size = np.sqrt(self.noise[one]) * np.sqrt(self.noise[other])
         return np.asarray(np.divide(shared, size, out=np.zeros_like(shared), where=size > 0.0))
 
-    @cached_property
-    def change_by_more_terms(self) -> FloatArray:
+    def _squared_change_by_more_terms(self) -> FloatArray:
         """Squared change of M, B, K, (3, elements), by ``c s³``, ``c s⁴``, cuffs and hidden terms.
 
         Viscosity and stiffness show at low frequencies. Anything else at the upper end of the band
@@ -560,15 +567,14 @@ class _Elements:
 
         A term across joints also acts on its own joint, which shows whether the term is present.
         """
-        change, columns = np.zeros_like(values), self.estimate.Z.shape[1]
+        change = np.zeros_like(values)
         for likely, terms in self.hidden_terms(values):
             shifts, told = self.shifts(terms), self.coefficients_of(terms)
             judged = partial(hidden_square, likely=likely, positive=True, rare=_RARE)
-            for own in self.own:
-                _, evidence = judged(*told[own])
-                for row in range(own % columns, len(self.Z), columns):
-                    square, _ = judged(*told[row], elsewhere=0.0 if row == own else evidence)
-                    change[:, row] = np.maximum(change[:, row], square * shifts[:, row] ** 2)
+            for row, own in self.pairs:
+                elsewhere = 0.0 if row == own else judged(*told[own])[1]
+                square, _ = judged(*told[row], elsewhere=elsewhere)
+                change[:, row] = np.maximum(change[:, row], square * shifts[:, row] ** 2)
         return change
 
     def _change_by_second_mode(self, values: FloatArray) -> FloatArray:
@@ -578,7 +584,7 @@ class _Elements:
         rigid up to it: beyond w the mass stays behind. All elements together tell which w and ζ it
         may have; what the data leave open counts by the prior.
         """
-        change, columns = np.zeros_like(values), self.estimate.Z.shape[1]
+        change = np.zeros_like(values)
         if not self.estimate.unbiased or len(self.Z) > _MOST_CUFFS**2:
             return change
         s, M = 1j * self.omega, values[0][:, None]
@@ -591,12 +597,11 @@ class _Elements:
         squares, evidence = np.moveaxis(np.array(told), 2, 0)
         squares *= 1.0 + np.exp(np.minimum(-evidence, 700.0))  # if there is such a mode
         moved = squares * np.stack([self.shifts(shape) for shape in shapes], axis=1) ** 2
-        for own in self.own:
+        for row, own in self.pairs:
             others = np.maximum(np.sum(evidence[:, self.own], axis=1) - evidence[:, own], 0.0)
-            for row in range(own % columns, len(self.Z), columns):
-                seen = others + evidence[:, row] + (evidence[:, own] if row != own else 0.0)
-                odds = math.log(_MODE / (1.0 - _MODE) / len(shapes)) + seen
-                change[:, row] = moved[:, :, row] @ softmax(np.append(odds, 0.0))[:-1]
+            seen = others + evidence[:, row] + (evidence[:, own] if row != own else 0.0)
+            odds = math.log(_MODE / (1.0 - _MODE) / len(shapes)) + seen
+            change[:, row] = moved[:, :, row] @ softmax(np.append(odds, 0.0))[:-1]
         return change
 
     def _change_by_coupling(self, Z: ComplexArray) -> FloatArray:

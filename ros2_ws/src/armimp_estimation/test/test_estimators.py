@@ -254,13 +254,12 @@ def test_column_of_one_trial_is_that_of_the_whole_estimate_where_joints_are_lock
     for k, trial in enumerate(data):
         column = LPM.column(trial.record)
         assert column.joint == k
-        for row, name in enumerate("MBK"):
-            # The whole estimate weighs by the noise at the fitted impedance.
-            fitted = getattr(whole.mbk, name)[:, k]
-            np.testing.assert_allclose(column.values[row], fitted, rtol=5e-3)
+        # The whole estimate weighs by the noise at the fitted impedance.
+        np.testing.assert_allclose(column.values, whole.values[:, :, k], rtol=5e-3)
+        for row in range(3):
             # The whole estimate averages the correlation of bins over all trials, and allows for
             # cuffs and for reflexes that noise may hide, above all those of the joint itself.
-            errors = getattr(whole, f"{name}_se")[:, k]
+            errors = whole.errors[row, :, k]
             apart = np.arange(len(errors)) != k
             np.testing.assert_allclose(column.errors[row][apart], errors[apart], rtol=0.1)
             assert (column.errors[row] < 1.02 * errors).all()

@@ -189,9 +189,9 @@ class LpmFull:
     def column(self, record: TrialRecord, others: Sequence[TrialRecord] = ()) -> FittedColumn:
         """Fit column k of M, B and K to the trial of joint k so far, and to finished trials.
 
-        With a trial of every other joint, the column is that of :meth:`estimate`. Otherwise it is
-        preliminary: motion of joints without a trial biases the values, and the standard errors
-        do not include this bias.
+        With a trial of every other joint, the column is that of :meth:`estimate`, unless the
+        inertia changes with the angles. Otherwise it is preliminary: motion of joints without a
+        trial biases the values, and the standard errors do not include this bias.
 
         Parameters
         ----------
