@@ -242,8 +242,9 @@ TERMS: Mapping[str, Term] = {
         likely=0.1,
         couples=True,
     ),
-    # Half of a transducer's play per coefficient found from its own readings is 1.3 to 2 at
-    # perturbed joints for 1 to 15 % of the rms torque, up to 8 where torques are small.
+    # Readings with slack show less of it themselves: its half width is 1.3 to 2 times the
+    # coefficient at perturbed joints, for 1 to 15 % of the rms torque, and up to 8 times where
+    # torques are small.
     "slack": Term(
         bend=lambda signals: _slack(signals.torque, _SLACK),
         code=ProblemCode.TORQUE_HYSTERESIS,
@@ -253,7 +254,7 @@ TERMS: Mapping[str, Term] = {
         slope=2.0,
         likely=0.4,
     ),
-    # From readings with that zone, at low noise.
+    # So do readings with a dead zone; at low noise the factor is 1.4.
     "dead zone": Term(
         bend=lambda signals: _dead_zone(signals.torque, _DEAD),
         code=ProblemCode.TORQUE_NOT_LINEAR,
@@ -262,7 +263,7 @@ TERMS: Mapping[str, Term] = {
         slope=1.4,
         likely=0.1,
     ),
-    # The robot's friction causes a relative change of M, B or K of 3 % at most.
+    # Friction of the robot changes M, B or K by 3 % at most; what changes them more is the arm's.
     "friction": Term(
         bend=lambda signals: _rubbing(signals.speed),
         code=ProblemCode.FRICTION_LEFT,

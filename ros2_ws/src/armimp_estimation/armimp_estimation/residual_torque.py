@@ -1,7 +1,7 @@
 """Torques that a fitted arm leaves in a trial, within a band, and signals to compare them with.
 
-Voluntary torque is mostly below the band of analysis, and most of what is nonlinear above its lower
-edge. The edges of bands are gradual, so that ringing at the ends of a record soon decays.
+Voluntary torque is mostly below that band. The edges of bands are gradual, so that ringing at the
+ends of a record soon decays.
 """
 
 from __future__ import annotations
