@@ -27,19 +27,19 @@ _BEYOND_CHANCE = 5.0
 
 def turning_inertia(
     records: Sequence[TrialRecord], arm: MBK, jump: HoldCorrection | None
-) -> FloatArray | None:
-    """Estimate G, kg·m²/rad, shape (2 n (n - 1),); None where it is not beyond chance.
+) -> tuple[float, ...]:
+    """Estimate the 2 n (n - 1) elements of G, kg·m²/rad; none where it is not beyond chance.
 
     The torques that an arm leaves in all trials are regressed on those of each element; for the arm
     and the rest see :meth:`Residual.of`. G_iii is 0: the own inertia of a joint doesn't depend on
-    its angle. None for one joint or trials of less than 10 s, too.
+    its angle. There are none for one joint, or trials of less than 10 s.
     """
     if records[0].joints == 1:
-        return None
+        return ()
     parts = []
     for residual in [Residual.of(record, arm, jump) for record in records]:
         if residual is None:
-            return None
+            return ()
         record, band = residual.record, residual.band
         terms = _torques(record)[..., band.bins] * band.passed / record.samples
         for rest, term in zip(residual.torques, np.moveaxis(terms, 1, 0), strict=True):
@@ -49,23 +49,20 @@ def turning_inertia(
     found: FloatArray = inverse @ sum(part[:-1] @ part[-1] for part in parts)
     scores = [part[:-1] @ (part[-1] - found @ part[:-1]) for part in parts]
     errors = np.linalg.norm(scores @ inverse, axis=0)
-    return found if (np.abs(found) > _BEYOND_CHANCE * errors).any() else None
+    return tuple(found.tolist()) if (np.abs(found) > _BEYOND_CHANCE * errors).any() else ()
 
 
-def at_posture(records: Sequence[TrialRecord], turning: FloatArray | None) -> list[TrialRecord]:
+def at_posture(records: Sequence[TrialRecord], turning: Sequence[float]) -> list[TrialRecord]:
     """Return trials with the torques of an arm whose inertia stays that at the posture.
 
     `turning` is G as :func:`turning_inertia` returns it.
     """
-    if turning is None:
+    if not turning:
         return list(records)
+    spectra = [np.array(turning) @ np.moveaxis(_torques(one), 0, 1) for one in records]
     return [
-        replace(
-            one,
-            torque=one.torque
-            - np.fft.irfft(turning @ np.moveaxis(_torques(one), 0, 1), one.samples),
-        )
-        for one in records
+        replace(one, torque=one.torque - np.fft.irfft(spectrum, one.samples))
+        for one, spectrum in zip(records, spectra, strict=True)
     ]
 
 

@@ -155,7 +155,7 @@ class ImpedanceEstimate:
     been high-pass filtered; two arrays of shape (n,). Empty if this was not checked."""
     hold: HoldCorrection | None = None
     """How torques jump with each update of the commands, if that was identified and corrected."""
-    turning: FloatArray | None = None
+    turning: tuple[float, ...] = ()
     """How the inertia changes with the angles, if that was identified and corrected: see
     :func:`armimp_estimation.turning_links.turning_inertia`."""
 

@@ -114,7 +114,7 @@ class LpmFull:
         records = [trial.record for trial in order_trials(trials)]
         reference = self._reference(records)
         turning = turning_inertia(records, *reference)
-        if turning is not None:
+        if turning:
             records = at_posture(records, turning)
             reference = self._reference(records)
         return replace(self._estimate(records, *reference), turning=turning)
