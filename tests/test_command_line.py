@@ -141,7 +141,7 @@ def test_a_recording_without_trial_statuses_is_replayed_too(seen: Seen, tmp_path
 
     assert estimated["valid"] is True
     assert replayed["estimators"] == estimated["estimators"]
-    assert estimated["truth"] is None
+    assert estimated["truth"] is estimated["seed"] is replayed["seed"] is None
     assert estimated["estimators"]["welch_siso"]["vaf"] is None
 
 

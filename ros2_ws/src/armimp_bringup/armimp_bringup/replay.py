@@ -141,7 +141,7 @@ def _status(phase: Phase, window: TrialWindow, trials: int) -> bytes:
             tick=0,
             start_ns=window.start_ns,
             ticks=window.ticks,
-            seed=window.seed or 0,
+            seed=window.seed,
             valid=True,
         )
     )

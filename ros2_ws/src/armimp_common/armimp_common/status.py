@@ -188,8 +188,8 @@ class TrialStatus(Record):
     """Stamp of the first perturbed sample of this trial (ns); empty until it is known."""
     ticks: _Count
     """Perturbed samples of this trial: as planned, or fewer once it is known to end early."""
-    seed: _Count
-    """Seed of the perturbation."""
+    seed: _MaybeCount
+    """Seed of the perturbation; empty if it is unknown."""
     valid: bool
     """False as soon as something has made the present trial invalid."""
     cause: Cause = Cause.NONE
