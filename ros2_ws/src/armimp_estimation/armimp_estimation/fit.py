@@ -789,14 +789,17 @@ def _with_delay(problem: _Elements) -> tuple[_Elements, CommonDelay | None]:
     trial = problem
     for _ in range(_ITERATIONS):
         # For each element, Z = fit - d jω fit is solved for d by weighted least squares.
-        late = -1j * problem.omega * _of_mbk(trial.values(), problem.omega)
-        step, told_error, apart = trial.common_coefficient(late)
+        turned = -1j * problem.omega * _of_mbk(trial.values(), problem.omega)
+        step, told_error, apart = trial.common_coefficient(turned)
         # No drive, filter or clock is later than 20 ms; what seems to be is not a delay.
         total = float(np.clip(total + step, -0.02, 0.02))
         turn = np.exp(1j * problem.omega * total)
         trial = replace(problem, Z=problem.Z * turn)
     fitted, plain = trial.values(), problem.values()
-    fits = trial.roughly_fits(fitted)
+    # Torques that jump with their commands are read within the period: what then seems later than
+    # that against the angles is the arm's own, as of soft tissue.
+    late = total > unknown + _REFUTED * told_error and problem.estimate.hold is not None
+    fits = trial.roughly_fits(fitted) and not late
     sure = max(uncertainty, _SUREST)
     refuted = fits and abs(total) > _REFUTED * math.hypot(sure, told_error)
     assumed = max(uncertainty, unknown) if refuted else uncertainty

@@ -139,7 +139,7 @@ def identify_records(
 
     Welch segments have the length that suits the shortest trial; for the rest see :func:`identify`.
     """
-    trials = [[replace(part, reading=known.reading) for part in parts] for parts in trials]
+    trials = [[replace(one.until_rest, reading=known.reading) for one in parts] for parts in trials]
     segment = segment_for(trials)
     data = [TrialData.of(*one, segment=segment) for one in trials]
     return identify(data, estimators, known)

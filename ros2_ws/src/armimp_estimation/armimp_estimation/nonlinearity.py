@@ -392,7 +392,11 @@ class _Regression:
             weight = group.size / max(float(np.sum(nearly)), np.finfo(float).tiny)
             products.append(weight * (np.conj(cause) * rest).real)
             squares.append(weight * (np.conj(cause) * shown).real)
-        return replace(_ratio(np.concatenate(products), np.concatenate(squares)), at_lines=True)
+        found = _ratio(np.concatenate(products), np.concatenate(squares))
+        # What is projected out takes its share of the scatter, too.
+        spare = 1.0 - known.shape[1] * len(products) / lines.size
+        error, freedom = found.error / float(np.sqrt(spare)), max(spare * found.freedom, 1.0)
+        return replace(found, error=error, freedom=freedom, at_lines=True)
 
     def sudden(self, term: Term) -> Coefficient:
         """Find the abrupt change of a stiffness or gain that is largest in standard errors.

@@ -101,6 +101,23 @@ class Periods:
             return None
         return cls(samples=samples, count=count, lines=lines)
 
+    @staticmethod
+    def end_of(signal: FloatArray) -> int:
+        """Where a periodic signal, (N,), ends that rests or fades out afterwards; else N."""
+        size, edge = signal.size, int(_FADES_IN * signal.size)
+        samples = _period(signal) or _period(signal[edge:]) or _period(signal[edge : size - edge])
+        if not samples:
+            return size
+        power, change = (
+            np.concatenate((np.zeros(samples), np.cumsum(one**2)))
+            for one in (signal, signal[samples:] - signal[:-samples])
+        )
+        # Of the periods that end at any sample, those that are full and like the ones before them.
+        full = power[2 * samples :] - power[samples:-samples]
+        alike = change[samples:] - change[:-samples] < _SAME * power[-1]
+        ends = np.flatnonzero(alike & (full > 0.5 * np.max(full)))
+        return size if ends.size == 0 else int(ends[-1]) + samples + 1
+
 
 def _period(signal: FloatArray) -> int:
     """Period, in samples, of which a signal, (N,), holds at least two; 0 if there is none."""

@@ -116,6 +116,12 @@ class TrialRecord:
         return replace(self, **parts, start_ns=self.start_ns + round(1e9 * first / self.rate))
 
     @property
+    def until_rest(self) -> "TrialRecord":
+        """The record without samples after the last period of the perturbation, if it has any."""
+        end = Periods.end_of(self.perturbation[self.perturbed_joint])
+        return self if end == self.samples else self.part(0, end)
+
+    @property
     def readings(self) -> dict[str, FloatArray]:
         """Angles and torques by the topic of their sensors."""
         return {JOINT_STATES: self.position, TORQUE_SENSORS: self.torque}

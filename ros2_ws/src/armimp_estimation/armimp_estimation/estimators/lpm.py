@@ -178,7 +178,9 @@ class LpmFull:
             delay_uncertainty=delay_uncertainty,
             delay_unknown=half_period,
             unbiased=True,
-            uneven=_uneven(covariance_of(plain, coefficients), disturbance, torque, joints),
+            uneven=_uneven(
+                covariance_of(plain, coefficients), disturbance, torque, columns, joints
+            ),
             without_slow=tuple(without_slow(records)) if whole else (),
             hold=jump,
             covariance=covariance_of(columns, every),
@@ -413,19 +415,26 @@ def _moved(columns: Sequence[LocalResponse], records: Sequence[TrialRecord]) -> 
 
 
 def _uneven(
-    plain: ComplexArray, scattered: ComplexArray, T: ComplexArray, joints: Sequence[int]
+    plain: ComplexArray,
+    scattered: ComplexArray,
+    T: ComplexArray,
+    columns: Sequence[LocalResponse],
+    joints: Sequence[int],
 ) -> tuple[float, ...]:
-    """Scatter of lines beyond noise, as a share of the power of each perturbed joint's torque T.
+    """Scatter of lines beyond noise, as a share of the power of each perturbed joint's torque.
 
-    From the covariance (m, n, n, n_freq) of the torques that the estimated arm leaves, without it
-    and with it. The motion itself may be uneven, where friction of the robot distorts it.
+    From the responses T and the covariance (m, n, n, n_freq) of the torques that the estimated arm
+    leaves, without it and with it; by the power of the lines, as noise at a weak line is no torque.
+    The motion itself may be uneven, where friction of the robot distorts it.
     """
-    limit = _BY_CHANCE + _SCATTER / math.sqrt(T.shape[-1])
     shares = []
     for column, joint in enumerate(joints):
-        noise, both = (np.sum(one[column, joint, joint].real) for one in (plain, scattered))
-        share = (both - noise) / np.sum(np.abs(T[joint, column]) ** 2)
-        shares.append(float(share) if both > limit * noise else 0.0)
+        power = 1.0 / columns[column].gain
+        noise, both = (power * one[column, joint, joint].real for one in (plain, scattered))
+        lines = np.sum(noise) ** 2 / np.sum(noise**2)
+        share = np.sum(both - noise) / np.sum(power * np.abs(T[joint, column]) ** 2)
+        limit = _BY_CHANCE + _SCATTER / math.sqrt(lines)
+        shares.append(float(share) if np.sum(both) > limit * np.sum(noise) else 0.0)
     return tuple(shares)
 
 
