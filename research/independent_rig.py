@@ -50,6 +50,8 @@ class Mismatch:
     """Waveform of the perturbation: see :func:`_perturbation`."""
     rate: float = 1000.0
     duration: float = 50.0
+    pause: float = 0.0
+    """Time at the end of each trial without a perturbation, s."""
     level: float = 1.0
     """Size of the perturbation: 1 gives standard deviations of 2.5, 1.5 and 0.3 N·m."""
     inertia: float = 1.0
@@ -85,7 +87,9 @@ class Mismatch:
     """Share of the arm's inertia that a spring couples to it, as of a hand that is not strapped;
     not beside a cuff."""
     hand_frequency: float = 3.0
-    """Natural frequency of that with the arm at rest, Hz; its damping ratio is 0.4."""
+    """Natural frequency of that with the arm at rest, Hz."""
+    hand_damping: float = 0.4
+    """Damping ratio of that."""
     loose: float = 0.0
     """Angle by which the robot moves freely before the cuff takes the arm along, either way."""
     reflex: float = 0.0
@@ -342,6 +346,7 @@ def simulate_trial(mismatch: Mismatch, joint: int, seed: int) -> Recording:
     noise = _perturbation(mismatch, ticks + settle, rng)[settle:]
     size = mismatch.level * PUSH[joint]
     perturbation[joint, settle : settle + ticks] = noise / noise.std() * size
+    perturbation[joint, settle + ticks - round(mismatch.pause * mismatch.rate) :] = 0.0
 
     M, B, K = arm_of(mismatch)
     states, A, G, torque_of = _state_space(mismatch, M, B, K, period / SUBSTEPS)
@@ -527,7 +532,8 @@ def _state_space(
     one, nil = np.eye(n), np.zeros((n, n))
     if mismatch.hand:
         w, rigid = 2.0 * np.pi * mismatch.hand_frequency, (1.0 - mismatch.hand) * M
-        stiff, damped = mismatch.hand * w**2 * M, mismatch.hand * 0.8 * w * M
+        damping = 2.0 * mismatch.hand_damping
+        stiff, damped = mismatch.hand * w**2 * M, mismatch.hand * damping * w * M
         both = np.linalg.inv(inertia + rigid)
         pulls = [K + stiff, B + damped, -stiff, -damped]
         braked = [K + stiff, B + damped + viscous, -stiff, -damped]
@@ -536,7 +542,7 @@ def _state_space(
                 [nil, one, nil, nil],
                 [-both @ part for part in braked],
                 [nil, nil, nil, one],
-                [w**2 * one, 0.8 * w * one, -(w**2) * one, -0.8 * w * one],
+                [w**2 * one, damping * w * one, -(w**2) * one, -damping * w * one],
             ]
         )
         forces = np.block([[nil, nil], [both, -both], [nil, nil], [nil, nil]])

@@ -787,6 +787,12 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     for share, frequency, slow in product((0.03, 0.1), (2.5, 4.0), (0.0, 0.1, 0.3)):
         swinging = {"hand": share, "hand_frequency": frequency, "voluntary": slow}
         add(MUST, "hand that swings", (f"{share:g}, {frequency:g} Hz, {slow:g} N·m", swinging))
+    for frequency in (12.0, 18.0):
+        tissue: dict[str, Any] = {"hand": 0.2, "hand_frequency": frequency, "hand_damping": 0.8}
+        add(MUST, "soft tissue", (f"{frequency:g} Hz", tissue | {"voluntary": 0.3}))
+    for slow in (0.05, 0.3):
+        rests: dict[str, Any] = {"waveform": "multisine", "pause": 5.0, "voluntary": slow}
+        add(NOISE, "multisine, then rest", (f"{slow:g} N·m", rests))
     tapped = {"waveform": "taps", "readings": _without_commands}
     add(MUST, "taps without commands", ("", tapped), ("0.3 N·m", tapped | {"voluntary": 0.3}))
     for share in (0.02, 0.05, 0.1):
