@@ -355,8 +355,8 @@ TERMS: Mapping[str, Term] = {
         code=ProblemCode.GAIN_DRIFTS,
         kind=Kind.GAIN,
         in_time=True,
-        likely=0.03,
-        sizes=(0.1,),
+        likely=0.05,
+        sizes=(0.03, 0.1),
         doubted=2.0 / 3.0,
     ),
     # The torque of the fitted arm at angles that the encoder does not show.
