@@ -79,12 +79,17 @@ def test_periods_and_lines_are_found_in_the_signal_itself() -> None:
     assert full.segment == 2 * PERIOD
 
 
-def test_periods_are_those_after_a_perturbation_has_faded_in() -> None:
+def test_periods_are_those_between_fading_in_and_fading_out_or_a_rest() -> None:
     signal, fading = multisine(5.3), round(0.8 * PERIOD)
     signal[:fading] *= np.linspace(0.0, 1.0, fading)
     found = Periods.of(signal)
     assert found is not None
     assert (found.samples, found.count) == (PERIOD, 4)
+    for after in (
+        np.zeros(PERIOD // 3),
+        signal[: PERIOD // 3] * np.linspace(0.9, 0.0, PERIOD // 3),
+    ):
+        assert Periods.end_of(np.append(signal, after)) == Periods.end_of(signal) == signal.size
 
 
 @pytest.mark.parametrize("digits", [6, 4])
@@ -105,6 +110,7 @@ def test_a_signal_that_was_rounded_on_its_way_still_repeats_itself(digits: int) 
 )
 def test_what_does_not_repeat_itself_or_has_too_few_lines_has_no_periods(signal: Array) -> None:
     assert Periods.of(signal) is None
+    assert Periods.end_of(signal) == signal.size
 
 
 def test_segments_are_periods_that_all_trials_have_or_else_suit_the_shortest() -> None:
