@@ -169,7 +169,11 @@ class Metadata(BaseModel):
             found = cls.model_validate({**told, "reading": reading, "calibration": sensors})
         except ValidationError as error:
             given = f"{error.errors()[0]['input']!r:.60}"
-            raise DataError(f"metadata: {first_complaint(error)}, got {given}") from None
+            where, _, reason = first_complaint(error).partition(": ")
+            if error.title != cls.__name__:  # attributes of readings and sensors have other names
+                named = {name: key for key, name in (READING_KEYS | CALIBRATION_KEYS).items()}
+                where = named.get(where, where)
+            raise DataError(f"metadata: {where}: {reason}, got {given}") from None
         except ConfigurationError as error:
             raise DataError(f"metadata: {error}") from None
         if found.truth is not None and joints not in (None, found.truth.joints):
