@@ -162,7 +162,8 @@ class Backend:
             else:
                 for future in futures:
                     future.cancel()
-            self.pool.shutdown(wait=False)
+            # A pool that still clears up while this process exits would leave semaphores behind.
+            self.pool.shutdown(wait=self.end is not None)
 
 
 def processes(workers: int | None = None) -> Backend:
