@@ -50,12 +50,23 @@ def rows(n: int) -> int:
 
 @compiled
 def _get(w: FloatArray, row: int, width: Tag) -> float:
-    return load(w, row * len(width), width)
+    return load(w, row * len(width), (width,))
 
 
 @compiled
 def _put(w: FloatArray, row: int, width: Tag, value: float) -> None:
     store(w, row * len(width), value)
+
+
+@compiled
+def _vector(w: FloatArray, which: int, joints: Tag, width: Tag) -> float:
+    """Return one quantity of all joints: where they don't act on each other, they go together."""
+    return load(w, which * len(joints) * len(width), (joints, width))
+
+
+@compiled
+def _put_vector(w: FloatArray, which: int, joints: Tag, width: Tag, values: float) -> None:
+    store(w, which * len(joints) * len(width), values)
 
 
 @compiled
@@ -83,31 +94,30 @@ def _kinematics(w: FloatArray, joints: Tag, width: Tag) -> None:
 
 
 @compiled
-def _bristle_force(w: FloatArray, i: int, n: int, width: Tag) -> float:
-    """Return LuGre's g(v) of joint i."""
+def _bristle_force(w: FloatArray, v: float, joints: Tag, width: Tag) -> float:
+    """Return LuGre's g(v) of all joints."""
     return bristle_force(
-        _get(w, VELOCITY * n + i, width),
-        _get(w, COULOMB * n + i, width),
-        _get(w, STRIBECK * n + i, width),
-        _get(w, INVERSE_STRIBECK_VELOCITY * n + i, width),
+        v,
+        _vector(w, COULOMB, joints, width),
+        _vector(w, STRIBECK, joints, width),
+        _vector(w, INVERSE_STRIBECK_VELOCITY, joints, width),
     )
 
 
 @compiled
 def _friction(w: FloatArray, joints: Tag, width: Tag) -> None:
-    """Compute the slope of the bristle deflection, and put −F into the right-hand side."""
-    n = len(joints)
-    for i in range(n):
-        dz, force = lugre(
-            _get(w, VELOCITY * n + i, width),
-            _get(w, BRISTLE * n + i, width),
-            _bristle_force(w, i, n, width),
-            _get(w, SIGMA_0 * n + i, width),
-            _get(w, SIGMA_1 * n + i, width),
-            _get(w, SIGMA_2 * n + i, width),
-        )
-        _put(w, _SLOPE_Z * n + i, width, dz)
-        _put(w, _RHS * n + i, width, -force)
+    """Compute the slopes of the bristles' deflections, and subtract F from the right-hand side."""
+    v = _vector(w, VELOCITY, joints, width)
+    dz, force = lugre(
+        v,
+        _vector(w, BRISTLE, joints, width),
+        _bristle_force(w, v, joints, width),
+        _vector(w, SIGMA_0, joints, width),
+        _vector(w, SIGMA_1, joints, width),
+        _vector(w, SIGMA_2, joints, width),
+    )
+    _put_vector(w, _SLOPE_Z, joints, width, dz)
+    _put_vector(w, _RHS, joints, width, _vector(w, _RHS, joints, width) - force)
 
 
 @compiled
@@ -122,7 +132,7 @@ def _arm(w: FloatArray, joints: Tag, width: Tag) -> None:
                 _get(w, _matrix_row(DAMPING, i, j, n), width) * _get(w, VELOCITY * n + j, width)
                 + _get(w, _matrix_row(STIFFNESS, i, j, n), width) * angle
             )
-        _put(w, _RHS * n + i, width, _get(w, _RHS * n + i, width) - total)
+        _put(w, _RHS * n + i, width, -total)
 
 
 @compiled
@@ -133,17 +143,24 @@ def _links(w: FloatArray, joints: Tag, width: Tag) -> None:
     φ_a = Σ_{i≤a} θ_i, joint quantities are sums over the links from the joint outwards.
     """
     n = len(joints)
-    for i in range(n):
-        c_i, s_i = _get(w, _COSINE * n + i, width), _get(w, _SINE * n + i, width)
-        centripetal = fill(0.0, width)
-        for b in range(n):
-            coefficient = _get(w, _matrix_row(CHAIN, i, b, n), width)
+    for a in range(n):
+        _put(w, _matrix_row(_MASS, a, a, n), width, _get(w, _matrix_row(CHAIN, a, a, n), width))
+        _put(w, _CENTRIPETAL * n + a, width, fill(0.0, width))
+    for a in range(n):
+        c_a, s_a = _get(w, _COSINE * n + a, width), _get(w, _SINE * n + a, width)
+        for b in range(a + 1, n):
             c_b, s_b = _get(w, _COSINE * n + b, width), _get(w, _SINE * n + b, width)
-            cosine = coefficient * (c_i * c_b + s_i * s_b)
-            _put(w, _matrix_row(_MASS, i, b, n), width, cosine)
-            sine = coefficient * (s_i * c_b - c_i * s_b)
-            centripetal += sine * _get(w, _OMEGA_SQUARED * n + b, width)
-        _put(w, _CENTRIPETAL * n + i, width, centripetal)
+            coefficient = _get(w, _matrix_row(CHAIN, a, b, n), width)
+            cosine = coefficient * (c_a * c_b + s_a * s_b)
+            _put(w, _matrix_row(_MASS, a, b, n), width, cosine)
+            _put(w, _matrix_row(_MASS, b, a, n), width, cosine)
+            sine = coefficient * (s_a * c_b - c_a * s_b)
+            _accumulate(
+                w, _CENTRIPETAL * n + a, sine * _get(w, _OMEGA_SQUARED * n + b, width), width
+            )
+            _accumulate(
+                w, _CENTRIPETAL * n + b, -sine * _get(w, _OMEGA_SQUARED * n + a, width), width
+            )
 
 
 @compiled
@@ -164,17 +181,18 @@ def _masses(w: FloatArray, joints: Tag, width: Tag) -> None:
     first, arm = _matrix_row(_MASS, 0, 0, n), _matrix_row(INERTIA, 0, 0, n)
     for i in range(n):
         for b in range(n - 2, -1, -1):
-            _accumulate(w, first + i * n + b, first + i * n + b + 1, width)
+            row = first + i * n + b
+            _accumulate(w, row, _get(w, row + 1, width), width)
     for element in range(n * (n - 1) - 1, -1, -1):
-        _accumulate(w, first + element, first + element + n, width)
+        _accumulate(w, first + element, _get(w, first + element + n, width), width)
     for element in range(n * n):
-        _accumulate(w, first + element, arm + element, width)
+        _accumulate(w, first + element, _get(w, arm + element, width), width)
 
 
 @compiled
-def _accumulate(w: FloatArray, row: int, other: int, width: Tag) -> None:
-    """Add one quantity to another."""
-    _put(w, row, width, _get(w, row, width) + _get(w, other, width))
+def _accumulate(w: FloatArray, row: int, value: float, width: Tag) -> None:
+    """Add a value to a quantity."""
+    _put(w, row, width, _get(w, row, width) + value)
 
 
 @compiled
@@ -186,13 +204,14 @@ def _solve(w: FloatArray, joints: Tag, width: Tag) -> None:
     """
     n = len(joints)
     for p in range(n):
+        pivot = _matrix_row(_MASS, p, p, n)
+        inverse = 1.0 / _get(w, pivot, width)  # what needs the right-hand side only multiplies
+        _put(w, pivot, width, inverse)
         for i in range(p + 1, n):
-            factor = _get(w, _matrix_row(_MASS, i, p, n), width) / _get(
-                w, _matrix_row(_MASS, p, p, n), width
-            )
+            factor = _get(w, _matrix_row(_MASS, i, p, n), width) * inverse
             for j in range(p + 1, n):
-                row, pivot = _matrix_row(_MASS, i, j, n), _matrix_row(_MASS, p, j, n)
-                value = _get(w, row, width) - factor * _get(w, pivot, width)
+                row, above = _matrix_row(_MASS, i, j, n), _matrix_row(_MASS, p, j, n)
+                value = _get(w, row, width) - factor * _get(w, above, width)
                 _put(w, row, width, value)
             value = _get(w, _RHS * n + i, width) - factor * _get(w, _RHS * n + p, width)
             _put(w, _RHS * n + i, width, value)
@@ -200,19 +219,18 @@ def _solve(w: FloatArray, joints: Tag, width: Tag) -> None:
         total = _get(w, _RHS * n + i, width)
         for j in range(i + 1, n):
             total -= _get(w, _matrix_row(_MASS, i, j, n), width) * _get(w, _SLOPE_V * n + j, width)
-        pivot_value = _get(w, _matrix_row(_MASS, i, i, n), width)
-        _put(w, _SLOPE_V * n + i, width, total / pivot_value)
+        _put(w, _SLOPE_V * n + i, width, total * _get(w, _matrix_row(_MASS, i, i, n), width))
 
 
 @compiled
 def _slopes(w: FloatArray, joints: Tag, width: Tag) -> None:
     """Compute the time derivatives of v and z at the present state (that of θ is v itself)."""
     _kinematics(w, joints, width)
-    _friction(w, joints, width)
     _arm(w, joints, width)
     _links(w, joints, width)
     _drive(w, joints, width)
     _masses(w, joints, width)
+    _friction(w, joints, width)
     _solve(w, joints, width)
 
 
@@ -304,16 +322,14 @@ def stiffness_ratio(w: FloatArray, joints: Tag, width: Tag, h: float) -> float:
     float
         Not finite if the velocity of any joint in any lane is not.
     """
-    n, m = len(joints), len(width)
-    ratios = np.empty(m)
+    ratios = np.empty(len(joints) * len(width))
     worst = 0.0
     for block in w:
-        for i in range(n):
-            speed = abs(_get(block, VELOCITY * n + i, width))
-            sigma_0 = _get(block, SIGMA_0 * n + i, width)
-            store(ratios, 0, h * sigma_0 * speed / _bristle_force(block, i, n, width))
-            for lane in range(m):
-                if np.isnan(ratios[lane]):
-                    return np.nan
-                worst = max(worst, ratios[lane])
+        v = _vector(block, VELOCITY, joints, width)
+        level = _bristle_force(block, v, joints, width)
+        store(ratios, 0, h * _vector(block, SIGMA_0, joints, width) * abs(v) / level)
+        for ratio in ratios:
+            if np.isnan(ratio):
+                return np.nan
+            worst = max(worst, ratio)
     return worst

@@ -79,4 +79,4 @@ def lugre(
 ) -> tuple[float, float]:
     """Return ż and F of a joint with velocity v, rad/s, deflection z, rad, and g(v) = `level`."""
     dz = v - sigma_0 * abs(v) * z / level
-    return dz, sigma_0 * z + sigma_1 * dz + sigma_2 * v
+    return dz, (sigma_0 * z + sigma_2 * v) + sigma_1 * dz
