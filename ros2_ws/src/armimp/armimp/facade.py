@@ -29,7 +29,7 @@ class Recording:
 
     trials: tuple[TrialRecord, ...]
     """Perturbation (N·m), position (rad) and torque on the arm (N·m), of shape (n, N)."""
-    known: Metadata = field(default_factory=Metadata)
+    known: Metadata = field(default_factory=Metadata, repr=False)
     """What else is known: how torques were read, how well sensors are calibrated, and the arm that
     was simulated."""
     problems: tuple[Problem, ...] = ()
@@ -160,10 +160,10 @@ class Result:
     B_se: FloatArray
     K_se: FloatArray
     """Their standard errors; shape (n, n)."""
-    f: FloatArray
+    f: FloatArray = field(repr=False)
     """Frequencies, Hz; shape (n_freq,)."""
-    Z: ComplexArray
-    Z_variance: FloatArray
+    Z: ComplexArray = field(repr=False)
+    Z_variance: FloatArray = field(repr=False)
     """Impedance, N·m/rad, and the variance of each complex value; shape (n, n, n_freq)."""
     valid: bool
     """Whether M, B, K and their intervals can be trusted."""
@@ -173,7 +173,7 @@ class Result:
     """Why the result, or what of it, is not valid."""
     notes: tuple[str, ...]
     """What was found and corrected, or is in the standard errors."""
-    models: dict[str, ModelFit] = field(default_factory=dict)
+    models: dict[str, ModelFit] = field(default_factory=dict, repr=False)
     """Models of the arm that were fitted in addition to M, B and K, with values and errors."""
     model: str | None = None
     """Name of the best model that fits and was requested or is resolved; None if there is none."""

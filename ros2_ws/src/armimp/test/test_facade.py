@@ -47,6 +47,7 @@ def test_intervals_hold_the_arm_that_was_simulated(
         assert np.abs(getattr(result, letter) - true).max() < 0.05 * np.abs(true).max()
     assert held >= 11  # of twelve
     assert result.Z.shape == result.Z_variance.shape == (2, 2, result.f.size)
+    assert len(repr((recording, result))) < 2000  # arrays of samples and frequencies stay out
 
 
 SPOILT: dict[str, tuple[str, Callable[[np.ndarray, int], np.ndarray]]] = {

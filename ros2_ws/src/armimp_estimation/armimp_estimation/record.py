@@ -44,17 +44,17 @@ class TrialRecord:
     """Samples per second, Hz."""
     joint_names: tuple[str, ...]
     """One name for each of the n joints, in the order of the rows."""
-    perturbation: FloatArray
+    perturbation: FloatArray = field(repr=False)
     """Perturbation torque ``tau_delta`` of each joint, N·m; shape (n, N)."""
-    position: FloatArray
+    position: FloatArray = field(repr=False)
     """Joint angles as the encoders read them, rad; shape (n, N)."""
-    torque: FloatArray
+    torque: FloatArray = field(repr=False)
     """Torques applied to the arm as the transducers read them, N·m; shape (n, N)."""
     start_ns: int
     """Stamp of the first sample, ns."""
     reading: TorqueReading = field(default_factory=TorqueReading)
     """What is known of how the torques were read."""
-    command: FloatArray | None = None
+    command: FloatArray | None = field(default=None, repr=False)
     """Torque command sent in answer to each sample, in force until the next, N·m, if known; shape
     (n, N)."""
     bag: str | None = None
