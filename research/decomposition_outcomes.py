@@ -82,7 +82,7 @@ class Outcome:
         # Without the fields from which the fit would recompute the noise.
         alike = replace(
             ours,
-            variance=given.variance,
+            noise=given.noise,
             systematics=given.systematics,
             covariance=None,
             disturbance=None,

@@ -134,7 +134,7 @@ def estimate_mimo(
             name="mimo",
             f=f,
             Z=impedance,
-            variance=residual[:, None, :] * gain[None, :, :],
+            noise=residual[:, None, :] * gain[None, :, :],
             bin_correlation=pooled.bin_correlation,
             averages=freedom + 1.0,
             T=T,

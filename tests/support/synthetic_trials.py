@@ -117,7 +117,7 @@ def part_of(record: TrialRecord, start: int, stop: int) -> TrialRecord:
 def made_estimate(f: FloatArray, Z: ComplexArray, **changes: Any) -> ImpedanceEstimate:
     """An estimate with errors of variance 1 that are independent over frequency."""
     values: dict[str, Any] = {
-        "variance": np.ones(Z.shape),
+        "noise": np.ones(Z.shape),
         "bin_correlation": np.ones((1, f.size)),
         "averages": 11.0,
     }

@@ -19,17 +19,11 @@ from numpy.typing import NDArray
 from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
-from armimp_estimation.fit import (
-    Calibration,
-    MBKFit,
-    covariance_of_sums,
-    fit_weights,
-    lack_of_fit,
-    lack_ratio,
-    root_of,
-)
+from armimp_estimation.fit import Calibration, MBKFit
 from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector
 from armimp_estimation.mbk import UNITS
+from armimp_estimation.weighted_fit import lack_of_fit, lack_ratio
+from armimp_estimation.weights import covariance_of_sums, fit_weights, root_of
 
 Values = Mapping[str, FloatArray]
 

@@ -66,15 +66,15 @@ class EstimatorResult:
         """
         if not doubts.any():
             return self
-        fit, variance, shifts = self.fit, self.estimate.variance.copy(), []
+        fit, noise, shifts = self.fit, self.estimate.noise.copy(), []
         # An element that is near 0 by chance would otherwise get next to no error.
         found = np.copysign(np.hypot(fit.values, fit.errors), fit.values)
         for i, row in np.argwhere(doubts):
             shift = np.zeros_like(found)
             shift[:, i] = doubts[i, row] * found[:, row]
             shifts.append(shift)
-            variance[i] += np.abs(doubts[i, row] * self.estimate.Z[row]) ** 2
-        return replace(self.with_doubts(shifts), estimate=replace(self.estimate, variance=variance))
+            noise[i] += np.abs(doubts[i, row] * self.estimate.Z[row]) ** 2
+        return replace(self.with_doubts(shifts), estimate=replace(self.estimate, noise=noise))
 
 
 class TrialScores(JsonModel):

@@ -32,7 +32,7 @@ from scipy.special import ndtri, stdtr, stdtrit
 
 from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
-from armimp_estimation.fit import MBKFit, hidden_square
+from armimp_estimation.fit import MBKFit
 from armimp_estimation.hold_correction import HoldCorrection
 from armimp_estimation.nonlinear_terms import TERMS, Kind, Signals, Term
 from armimp_estimation.problems import Concern, Problem, Severity, problem
@@ -46,6 +46,7 @@ from armimp_estimation.residual_torque import (
     onto,
     parts_of,
 )
+from armimp_estimation.unfitted_terms import hidden_square
 
 WIDE = (BAND[0], (30.0, 40.0))
 """Edges of the band of the torque that enters transducer terms, Hz: all perturbed frequencies."""

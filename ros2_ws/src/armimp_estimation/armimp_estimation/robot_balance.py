@@ -29,11 +29,11 @@ import numpy as np
 from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_common.errors import DataError
 from armimp_common.topics import JOINT_STATES
-from armimp_estimation.estimators.estimate import variance_of
+from armimp_estimation.estimators.estimate import noise_of
 from armimp_estimation.estimators.local_polynomial import LocalResponse
 from armimp_estimation.estimators.lpm import HiddenMotion, covariance_of, responses
 from armimp_estimation.estimators.welch import invert, multiply
-from armimp_estimation.fit import Calibration, MBKFit, covariance_of_sums, fit_weights
+from armimp_estimation.fit import Calibration, MBKFit
 from armimp_estimation.hold_correction import HoldCorrection, answers_to_rounding, without_skew
 from armimp_estimation.plausibility import least_eigenvalue, uneven
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
@@ -41,6 +41,7 @@ from armimp_estimation.record import APART, TrialRecord
 from armimp_estimation.signal_quality import speed_of
 from armimp_estimation.torque_timing import TorqueTiming
 from armimp_estimation.trial import TrialData
+from armimp_estimation.weights import covariance_of_sums, fit_weights
 
 BAND = (0.25, 12.0)
 """Band in which inertia and stiffness of the robot show, Hz; below it friction dominates."""
@@ -346,10 +347,10 @@ class RobotResponses:
             steady = replace(arm.mbk, M=np.zeros((n, n))).impedance(f)
             systematics.append(0.5 * turn * steady)
         disturbance = covariance_of(self.columns, coefficients)
-        variance = variance_of(disturbance, self.inverse, systematics)
+        noise = noise_of(disturbance, self.inverse)
         values, covariance, friction, damped = self._fit(
             impedance + ahead,
-            variance,
+            noise + sum(np.abs(one) ** 2 for one in systematics),
             multiply(multiply(mixed[:, 2 * n :], self.stacked[2 * n :]), self.inverse),
         )
         undamped, pace = self._not_of_a_damper

@@ -11,12 +11,12 @@ import numpy as np
 from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
-from armimp_estimation.fit import spread_of_mean, with_neighbours
 from armimp_estimation.frf import FrfMatrix
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import CrossSpectra
 from armimp_estimation.trial import TrialData
+from armimp_estimation.weights import spread_of_mean, with_neighbours
 
 NORMAL_95 = 1.959963984540054
 """Standard errors on either side of an estimate that make a 95 % confidence interval."""

@@ -293,10 +293,11 @@ class ImpedanceCurve(ImpedanceEstimate):
 
 
 _ARRAYS: Final = (
-    *("Z", "T", "R", "variance", "averages", "bin_correlation"),
+    *("Z", "T", "R", "noise", "averages", "bin_correlation"),
     *("covariance", "disturbance", "inverse", "systematics"),
 )
-"""Attributes of a curve that ``frf.npz`` holds, as arrays that also have the estimator's name."""
+"""Attributes of a curve that ``frf.npz`` holds, as arrays that also have the estimator's name; it
+holds the variance, which follows from them, for other readers."""
 
 
 def write_frf(path: Path, curves: Mapping[str, ImpedanceCurve]) -> None:
@@ -319,7 +320,7 @@ def write_frf(path: Path, curves: Mapping[str, ImpedanceCurve]) -> None:
     }
     for name, curve in curves.items():
         arrays[f"f_{name}"] = None if np.array_equal(curve.f, first.f) else curve.f
-        arrays |= {f"{one}_{name}": getattr(curve, one) for one in _ARRAYS}
+        arrays |= {f"{one}_{name}": getattr(curve, one) for one in (*_ARRAYS, "variance")}
         arrays[f"systematics_{name}"] = np.array(curve.systematics).reshape(-1, *curve.Z.shape)
         arrays[f"derived_{name}"] = curve.coherence.derived
 

@@ -37,7 +37,7 @@ def measured(name: str, seed: int, noise: float = 0.01) -> ImpedanceEstimate:
     variance = (noise * np.abs(Z)) ** 2
     rng = np.random.default_rng(seed)
     errors = rng.standard_normal((2, *Z.shape)) * np.sqrt(variance / 2.0)
-    exact = made_estimate(F, Z, variance=variance, averages=1000.0, weight_floor=0.0, unbiased=True)
+    exact = made_estimate(F, Z, noise=variance, averages=1000.0, weight_floor=0.0, unbiased=True)
     return replace(exact, Z=Z + errors[0] + 1j * errors[1])
 
 

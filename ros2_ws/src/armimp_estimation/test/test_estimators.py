@@ -84,7 +84,7 @@ def test_when_the_subject_pushes_expect_bias_of_the_direct_estimator_alone() -> 
 
 def test_standard_errors_of_the_direct_estimator_cover_the_bias_of_the_loop() -> None:
     found = DIRECT.estimate(synthetic_trials(dataclasses.replace(LOOP, voluntary=3.0)))
-    noisy = dataclasses.replace(found, variance=found.noise, systematics=())
+    noisy = dataclasses.replace(found, systematics=())
     for estimate, held in ((found, True), (noisy, False)):
         fit = fit_mbk(estimate)
         off = np.abs(fit.mbk.B - TWO_JOINT_ARM.B) / fit.errors[1]
@@ -109,7 +109,7 @@ def test_variance_is_that_of_repeated_experiments(
 ) -> None:
     loop = dataclasses.replace(LOOP, **changes)  # type: ignore[arg-type]
     found = [estimator.estimate(synthetic_trials(loop, seed)) for seed in range(runs)]
-    noisy = [dataclasses.replace(one, variance=one.noise) for one in found]
+    noisy = [dataclasses.replace(one, systematics=()) for one in found]
     estimates = found if estimator is LPM else noisy
     true = TWO_JOINT_ARM.impedance(estimates[0].f)
     squares = np.mean([np.abs(e.Z - true) ** 2 for e in estimates], axis=0)

@@ -10,15 +10,10 @@ from scipy.signal import butter, freqs
 from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
-from armimp_estimation.fit import (
-    Calibration,
-    MBKFit,
-    fit_impedance,
-    fit_mbk,
-    hidden_square,
-    r_squared,
-)
+from armimp_estimation.fit import Calibration, MBKFit, fit_impedance, fit_mbk
 from armimp_estimation.mbk import MBK
+from armimp_estimation.unfitted_terms import hidden_square
+from armimp_estimation.weighted_fit import r_squared
 from support.synthetic_trials import TWO_JOINT_ARM, made_estimate, off, stacked
 
 F: FloatArray = np.linspace(0.122, 14.884, 122)
@@ -26,7 +21,7 @@ TRUTH = stacked(TWO_JOINT_ARM)
 
 
 def estimate_of(Z: ComplexArray, variance: FloatArray | None = None) -> ImpedanceEstimate:
-    return made_estimate(F, Z, variance=np.ones(Z.shape) if variance is None else variance)
+    return made_estimate(F, Z, noise=np.ones(Z.shape) if variance is None else variance)
 
 
 def noisy(Z: ComplexArray, deviation: FloatArray, seed: int = 3) -> ImpedanceEstimate:
@@ -92,8 +87,9 @@ def test_a_bounded_systematic_error_is_corrected_as_far_as_the_data_tell_it(
     bound[:, 1] = 2e-6 * turning**3 * Z[:, 0]
     rng = np.random.default_rng(5)
     scatter = rng.standard_normal(Z.shape) + 1j * rng.standard_normal(Z.shape)
-    variance = np.abs(bound) ** 2 + noise**2
-    biased = estimate_of(Z + 0.8 * bound + np.sqrt(0.5) * noise * scatter, variance)
+    biased = estimate_of(
+        Z + 0.8 * bound + np.sqrt(0.5) * noise * scatter, np.full(Z.shape, noise**2)
+    )
     biased = replace(biased, systematics=(bound,))
     told, fit = fit_impedance(replace(biased, bounded=1))
     believed = fit_mbk(biased)

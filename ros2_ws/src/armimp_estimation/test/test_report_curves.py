@@ -26,7 +26,7 @@ F = np.linspace(0.1, 15.0, 40)
 def stored(z: complex | np.ndarray, deviation: float = 0.1) -> ImpedanceCurve:
     values = np.broadcast_to(np.asarray(z, dtype=np.complex128), (1, 1, F.size))
     flat, variance = np.zeros((1, 1, F.size)), np.full((1, 1, F.size), deviation**2)
-    made = made_estimate(F, values, variance=variance)
+    made = made_estimate(F, values, noise=variance)
     coherence = Coherences(f=F, motion=flat[0], torque=flat, derived=flat)
     names = {field.name for field in fields(ImpedanceCurve)} - {"coherence"}
     return ImpedanceCurve(**{name: getattr(made, name) for name in names}, coherence=coherence)

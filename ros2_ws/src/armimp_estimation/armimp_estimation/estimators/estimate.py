@@ -79,12 +79,9 @@ def disturbances(arms: Iterable[ComplexArray], covariance: ComplexArray) -> Comp
     )
 
 
-def variance_of(
-    disturbance: ComplexArray, inverse: ComplexArray, systematics: Iterable[ComplexArray] = ()
-) -> FloatArray:
-    """Variance, (n, n, n_freq), that follows from fields of an :class:`ImpedanceEstimate`."""
-    noise = np.einsum("kiif,kjf->ijf", disturbance.real, np.abs(inverse) ** 2)
-    return np.asarray(noise + sum(np.abs(common) ** 2 for common in systematics))
+def noise_of(disturbance: ComplexArray, inverse: ComplexArray) -> FloatArray:
+    """Noise, (n, n, n_freq), that follows from fields of an :class:`ImpedanceEstimate`."""
+    return np.asarray(np.einsum("kiif,kjf->ijf", disturbance.real, np.abs(inverse) ** 2))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,9 +94,9 @@ class ImpedanceEstimate:
     """Frequencies, Hz; shape (n_freq,)."""
     Z: ComplexArray
     """Impedance, N·m/rad; shape (n, n, n_freq)."""
-    variance: FloatArray
-    """Variance of each complex value, (N·m/rad)²; real and imaginary part have half each; shape
-    (n, n, n_freq)."""
+    noise: FloatArray
+    """Variance of each complex value without that of `systematics`, (N·m/rad)²; real and imaginary
+    part have half each; shape (n, n, n_freq)."""
     bin_correlation: FloatArray
     """Correlation between the errors at each frequency and at the one 0, 1, 2... places above it;
     1 at lag 0; shape (lags, n_freq)."""
@@ -113,8 +110,8 @@ class ImpedanceEstimate:
     have the shape (n, m, n_freq). Empty if all were."""
     systematics: tuple[ComplexArray, ...] = ()
     """Standard errors of corrections that were applied or of known biases, N·m/rad. Each is one
-    error common to all frequencies, so it is complex and shows its shape over frequency. The
-    variance includes them; shape of each (n, n, n_freq)."""
+    error common to all frequencies, so it is complex and shows its shape over frequency; shape of
+    each (n, n, n_freq)."""
     bounded: int = 0
     """Number of leading `systematics` that are prior bounds, whose actual size the M-B-K fit
     estimates from the data."""
@@ -165,12 +162,9 @@ class ImpedanceEstimate:
         return int(self.Z.shape[0])
 
     @property
-    def noise(self) -> FloatArray:
-        """Variance of noise alone, without `systematics`; shape (n, n, n_freq)."""
-        variance = self.variance.copy()
-        for common in self.systematics:
-            variance -= np.abs(common) ** 2
-        return np.asarray(np.maximum(variance, 0.0))
+    def variance(self) -> FloatArray:
+        """Variance of each complex value with that of `systematics`; shape (n, n, n_freq)."""
+        return np.asarray(self.noise + sum(np.abs(common) ** 2 for common in self.systematics))
 
     def with_noise_at(self, impedance: ComplexArray) -> "ImpedanceEstimate":
         """Return the estimate with the noise of ``T - Z R`` evaluated at another impedance.
@@ -187,8 +181,8 @@ class ImpedanceEstimate:
         if self.covariance is None or self.inverse is None:
             return self
         disturbance = disturbances([impedance] * self.joints, self.covariance)
-        variance = variance_of(disturbance, self.inverse, self.systematics)
-        return replace(self, variance=variance, disturbance=disturbance)
+        noise = noise_of(disturbance, self.inverse)
+        return replace(self, noise=noise, disturbance=disturbance)
 
 
 class Estimator(Protocol):

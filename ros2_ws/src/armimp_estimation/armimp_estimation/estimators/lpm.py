@@ -9,7 +9,7 @@ import numpy as np
 
 from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import DataError
-from armimp_estimation.estimators.estimate import ImpedanceEstimate, combined, variance_of
+from armimp_estimation.estimators.estimate import ImpedanceEstimate, combined, noise_of
 from armimp_estimation.estimators.local_polynomial import (
     ORDER,
     LocalResponse,
@@ -17,7 +17,7 @@ from armimp_estimation.estimators.local_polynomial import (
     local_response,
 )
 from armimp_estimation.estimators.welch import invert, multiply
-from armimp_estimation.fit import FEWEST_FREQUENCIES, fit_columns, fit_mbk
+from armimp_estimation.fit import fit_columns, fit_mbk
 from armimp_estimation.frf import order_trials, stands_out
 from armimp_estimation.hold_correction import (
     HoldCorrection,
@@ -38,6 +38,7 @@ from armimp_estimation.spectra import BAND, bins_in_band
 from armimp_estimation.torque_timing import TorqueTiming
 from armimp_estimation.trial import TrialData, cleaned
 from armimp_estimation.turning_links import at_posture, turning_inertia
+from armimp_estimation.weighted_fit import FEWEST_FREQUENCIES
 
 _SPARE_BINS = 3
 """Bins on either side beyond the degree of the polynomials, for degrees of freedom of the noise."""
@@ -158,19 +159,18 @@ class LpmFull:
                 bounds += _joints_held(impedance, f, half_period)
                 lost += _untold_friction(records, impedance, f, bending)
             lost += _trials_apart(records, reference, R, inverse, f)
-        systematics = (*bounds, *lost, *skewed)
         disturbance = covariance_of(columns, coefficients)
         return ImpedanceEstimate(
             name=self.name,
             f=f,
             Z=impedance,
-            variance=variance_of(disturbance, inverse, systematics),
+            noise=noise_of(disturbance, inverse),
             bin_correlation=_mean([column.bin_correlation() for column in columns]),
             averages=min(column.freedom for column in columns) + 1.0,
             T=torque,
             R=R,
             perturbed=() if whole else tuple(joints),
-            systematics=systematics,
+            systematics=(*bounds, *lost, *skewed),
             bounded=len(bounds),
             power=1.0 / np.stack([column.gain for column in columns]),
             weight_floor=_FLOOR,

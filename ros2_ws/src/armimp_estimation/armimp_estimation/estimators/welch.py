@@ -13,7 +13,7 @@ import numpy as np
 
 from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import DataError
-from armimp_estimation.estimators.estimate import ImpedanceEstimate, disturbances, variance_of
+from armimp_estimation.estimators.estimate import ImpedanceEstimate, disturbances, noise_of
 from armimp_estimation.frf import FrfMatrix, frf_matrix, order_trials
 from armimp_estimation.trial import TrialData
 
@@ -163,7 +163,7 @@ def matrix_estimate(
         name=name,
         f=frf.f,
         Z=impedance,
-        variance=variance_of(disturbance, inverse, biases),
+        noise=noise_of(disturbance, inverse),
         bin_correlation=shortest.bin_correlation,
         averages=shortest.effective_averages,
         T=frf.T,

@@ -1,0 +1,277 @@
+"""What an impedance may contain beside M, B and K, and how much that may change M, B and K.
+
+A term that data show counts by its square beyond chance. One that noise may hide counts by its
+posterior mean square: each has a prior probability, and is then of some usual size (assumptions).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import partial
+from itertools import product
+
+import numpy as np
+from scipy.special import log_ndtr, softmax
+
+from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
+from armimp_estimation.weighted_fit import WeightedFit
+
+_NOTICED = 2.0
+_ROUNDING = 1e-9
+_MOST_CUFFS = 8
+"""Most joints for which cuffs and reflexes are looked for: the time goes with the third power."""
+_LIKELY, _SOFT = 0.3, 0.2
+"""Assumption: prior probabilities that an element has a reflex of either kind or a spring that
+relaxes, and that a joint has a soft cuff."""
+_RARE = 0.01
+"""Probability at which a reflex or a relaxing spring is too rare to change a 95 % interval."""
+_REFLEX = 0.5
+"""Assumption: velocity gain that a reflex of an element may have, relative to its B."""
+_ARCS = ((0.04, 30.0), (0.03, 50.0), (0.06, 50.0))
+"""Assumption: delays of reflexes, s, and corners of their muscles, rad/s: as in Kearney, Stein &
+Parameswaran (1997), and for velocity reflexes a quicker and a later one, too."""
+_STRETCH, _LEAD = 0.3, 20.0
+"""Assumption: stretch gain of a reflex, relative to K, and relative to its velocity gain, 1/s."""
+_RELAXED, _RELAXATIONS = 0.4, (0.05, 0.3)
+"""Assumption: stiffness of a relaxing spring beside K, relative to K, and its time constants, s."""
+_MODE = 0.1
+_MODES, _DAMPED, _PARTS = (1.8, 2.5, 3.5, 5.0, 7.0, 10.0), (0.2, 0.5, 1.0), (0.02, 0.06, 0.2)
+"""Assumption: prior probability that an arm has a second mode, as of a hand that nobody strapped or
+of soft tissue; its natural frequency, Hz, damping ratio and share of the inertia."""
+_CUFF = 1e-5
+"""Assumption: compliance that a cuff between robot and arm may have, rad/(N·m)."""
+_COUPLED, _CORNERS = 0.5, (0.3, 1.0)
+"""Assumption: prior probability that a torque or angle without slow motion passed a high-pass, and
+corners of that, Hz."""
+_CREEPING, _CREEPS = 0.2, (0.05, 0.3)
+_CREEP = (0.02, 0.06, 0.2, -0.02, -0.06)
+"""Assumption: prior probability that a transducer of undeclared linearity creeps, time constants of
+that, s, and shares of the torque."""
+_LOW, _FEWEST = 1.0 / 3.0, 8
+"""Lowest part of the band that is fitted alone for comparison, as a share, and its fewest bins."""
+
+
+def squared_changes(fit: WeightedFit, *, may_creep: bool = False) -> FloatArray:
+    """Squared standard errors of M, B and K, (3, n, m), by all that they don't describe.
+
+    Transducers whose linearity is unknown `may_creep`: show more of a torque the longer it lasts.
+    """
+    n, columns = fit.shape
+    squares = _by_curvature(fit) + _by_frequency(fit)
+    hidden = np.maximum(_by_reflexes(fit), _by_second_mode(fit))
+    if n == columns and n <= _MOST_CUFFS:
+        squares = squares + _by_sensors_and_cuffs(fit)
+        hidden = hidden + _by_channels(fit, may_creep=may_creep)
+    squares = squares + hidden
+    # A change within rounding errors is none.
+    least = _ROUNDING * np.abs(fit.values)
+    return np.where(squares > least**2, squares, 0.0)
+
+
+def high_pass(fit: WeightedFit, Z: ComplexArray) -> tuple[float, float]:
+    """Corner of a high-pass common to the torques of an arm Z, and its standard error, Hz."""
+    value, error, _ = fit.common_coefficient(1j * Z / fit.omega)
+    return value / (2.0 * np.pi), error / (2.0 * np.pi)
+
+
+def _by_curvature(fit: WeightedFit) -> FloatArray:
+    """Squared changes by ``c s³`` and ``c s⁴`` of each element."""
+    relative, squares = fit.omega / fit.omega[-1], np.zeros_like(fit.values)
+    for term in (-1j * relative**3, relative**4 + 0j):
+        terms: ComplexArray = np.broadcast_to(term, fit.estimate.Z.shape)
+        squares += _noticed(*np.moveaxis(fit.coefficients(terms), -1, 0)) * fit.shifts(terms) ** 2
+    return squares
+
+
+def _by_frequency(fit: WeightedFit) -> FloatArray:
+    """Squared differences of B and K from those of the lowest third of the band alone.
+
+    They show at low frequencies, so anything else at the upper end of the band shows in that
+    difference (Hausman, *Econometrica* 46, 1978).
+    """
+    squares = np.zeros_like(fit.values)
+    if np.count_nonzero(fit.omega <= _LOW * fit.omega[-1]) >= _FEWEST:
+        squares[1:] = _noticed(*fit.below(_LOW))[1:]
+    return squares
+
+
+def _by_sensors_and_cuffs(fit: WeightedFit) -> FloatArray:
+    """Squared changes by terms with one coefficient in all elements, also where noise hides them.
+
+    A cuff of the compliance c between robot and arm at joint l takes ``c Z_il Z_lj`` off, and a
+    first-order high-pass with the corner c, which torques passed and angles did not, about
+    ``c Z_ij/s``. Resonances of transducers and encoders far above the band change Z by a share in
+    proportion to s².
+    """
+    Z, squares = fit.impedance(fit.values), np.zeros_like(fit.values)
+    cuffs = [-Z[:, joint, None] * Z[None, joint] for joint in range(len(Z))]
+    sensors = [-1j * Z / fit.omega, (fit.omega / fit.omega[-1]) ** 2 * Z]
+    for place, terms in enumerate([*cuffs, *sensors]):
+        value, error, _ = fit.common_coefficient(terms)
+        square = _noticed(value, error)
+        if place < len(cuffs):
+            # A compliance is not negative; a corner is if angles passed the high-pass.
+            soft, _ = hidden_square(value, error, _SOFT, sizes=(_CUFF,), positive=True)
+            square = np.maximum(_noticed(max(value, 0.0), error), soft)
+        squares += square * fit.shifts(terms) ** 2
+    return squares
+
+
+def hidden_terms(fit: WeightedFit, values: FloatArray) -> list[tuple[float, ComplexArray]]:
+    """Prior probabilities of reflexes and relaxing springs, and what they add to M, B and K."""
+    if values[0].size > _MOST_CUFFS**2:
+        return []
+    s, (_, B, K) = 1j * fit.omega, values[..., None]
+    arcs = [np.exp(-s * delay) / (1.0 + s / muscle) ** 2 for delay, muscle in _ARCS]
+    found = [(_LIKELY / len(arcs), _REFLEX * B * s * arc) for arc in arcs]
+    found.append((_LIKELY, _STRETCH * K * (1.0 + s / _LEAD) * arcs[0]))
+    # The leakage of biased estimators also hides a relaxing spring.
+    times = _RELAXATIONS if fit.estimate.unbiased else ()
+    return found + [(_LIKELY, _RELAXED * K * s * T / (1.0 + s * T)) for T in times]
+
+
+def _by_reflexes(fit: WeightedFit) -> FloatArray:
+    """Squared change by the one of `hidden_terms` that may change M, B and K most.
+
+    A term across joints also acts on its own joint, which shows whether the term is present.
+    """
+    change = np.zeros_like(fit.values)
+    for likely, terms in hidden_terms(fit, fit.values):
+        shifts, told = fit.shifts(terms), fit.coefficients(terms)
+        judged = partial(hidden_square, likely=likely, positive=True, rare=_RARE)
+        for column, own in enumerate(fit.own):
+            evidence = judged(*told[own])[1]
+            for row in range(len(told)):
+                elsewhere = 0.0 if (row, column) == own else evidence
+                square, _ = judged(*told[row, column], elsewhere=elsewhere)
+                at = slice(None), row, column
+                change[at] = np.maximum(change[at], square * shifts[at] ** 2)
+    return change
+
+
+def _by_second_mode(fit: WeightedFit) -> FloatArray:
+    """Squared change by a mass that a spring couples to the arm.
+
+    With the share c of the inertia, it adds ``-c M s⁴/(s² + 2ζws + w²)`` to the arm that is
+    rigid up to it: beyond w the mass stays behind. All elements together tell which w and ζ it
+    may have; what the data leave open counts by the prior.
+    """
+    change = np.zeros_like(fit.values)
+    if not fit.estimate.unbiased or change[0].size > _MOST_CUFFS**2:
+        return change
+    s, M = 1j * fit.omega, fit.values[0][..., None]
+    shapes = [
+        -M * s**4 / (s**2 + 2.0 * damped * w * s + w**2)
+        for w, damped in product(2.0 * np.pi * np.array(_MODES), _DAMPED)
+    ]
+    judged = partial(hidden_square, likely=0.5, sizes=_PARTS, positive=True)
+    told = [[[judged(*one) for one in row] for row in fit.coefficients(shape)] for shape in shapes]
+    squares, evidence = np.moveaxis(np.array(told), -1, 0)
+    squares *= 1.0 + np.exp(np.minimum(-evidence, 700.0))  # if there is such a mode
+    moved = squares * np.stack([fit.shifts(shape) for shape in shapes], axis=1) ** 2
+    of_own = np.stack([evidence[:, row, column] for row, column in fit.own], axis=1)
+    for column, own in enumerate(fit.own):
+        others = np.maximum(np.sum(of_own, axis=1) - of_own[:, column], 0.0)
+        for row in range(len(M)):
+            beside = of_own[:, column] if (row, column) != own else 0.0
+            seen = others + evidence[:, row, column] + beside
+            odds = math.log(_MODE / (1.0 - _MODE) / len(shapes)) + seen
+            present = softmax(np.append(odds, 0.0))[:-1]
+            change[:, row, column] = moved[:, :, row, column] @ present
+    return change
+
+
+def _by_channels(fit: WeightedFit, *, may_creep: bool) -> FloatArray:
+    """Squared change by a high-pass or creep of single channels, of whichever changes most.
+
+    A first-order high-pass with the corner w takes ``w/(s + w) Z_ij`` off the row of a torque,
+    and adds ``w/s Z_ij`` to the column of an angle. A channel that shows slow signals passed
+    none. A transducer that creeps adds ``c/(1 + sT) Z_ij`` to its row. Channels of one rig are
+    alike, so each is evidence of whether the others have such an error.
+    """
+    Z, s = fit.impedance(fit.values), np.asarray(1j * fit.omega, dtype=np.complex128)
+    own = np.eye(len(Z), dtype=np.bool_)[:, :, None, None]
+    kinds: list[tuple[float, Sequence[float], int, BoolArray, ComplexArray]] = [
+        (_COUPLED, (1.0,), axis, possible, -w / (s + w) if axis == 0 else w / s)
+        for w in 2.0 * np.pi * np.array(_CORNERS)
+        for axis, possible in enumerate(fit.estimate.without_slow)
+    ]
+    if may_creep:
+        every = np.ones(len(Z), dtype=np.bool_)
+        kinds += [(_CREEPING, _CREEP, 0, every, 1.0 / (1.0 + s * time)) for time in _CREEPS]
+    change = np.zeros_like(fit.values)
+    for likely, sizes, axis, possible, effect in kinds:
+        channels = np.where(np.moveaxis(own, 1, 1 + axis), effect * Z, 0.0)[possible]
+        judged = partial(hidden_square, likely=likely, sizes=sizes, positive=True)
+        told = [fit.common_coefficient(terms)[:2] for terms in channels]
+        evidence = [judged(*one)[1] for one in told]
+        for terms, one, of_one in zip(channels, told, evidence, strict=True):
+            square, _ = judged(*one, elsewhere=max(sum(evidence) - of_one, 0.0))
+            change = np.maximum(change, square * fit.shifts(terms) ** 2)
+    return change
+
+
+def _noticed(value: FloatArray | float, error: FloatArray | float) -> FloatArray:
+    """Squared coefficient of a term, less the square that chance alone may give it.
+
+    With a mere threshold, all of it would count whenever chance exceeds the threshold.
+    """
+    return np.maximum(np.square(value) - (_NOTICED * np.asarray(error)) ** 2, 0.0)
+
+
+def hidden_square(
+    told: float,
+    error: float,
+    likely: float,
+    *,
+    sizes: Sequence[float] = (1.0,),
+    positive: bool = False,
+    elsewhere: float = 0.0,
+    rare: float = 0.0,
+) -> tuple[float, float]:
+    """Posterior mean square of an effect that may be absent (spike-and-slab prior).
+
+    Before the data, the effect is present with the probability p, and is then 0 ± s. If the data
+    estimate it as g with the standard error e, in units of s, the odds are multiplied by the
+    likelihood ratio ``√v exp(m²/2v)``, with ``v = e²/(1 + e²)`` and ``m = g v/e²``, and the mean
+    square of an effect that is present is ``m² + v``. If it cannot be negative, the ratio is
+    ``2 Φ(m/√v)`` times that.
+
+    Parameters
+    ----------
+    told, error : float
+        Estimate g s and its standard error e s.
+    likely : float
+        Prior probability p.
+    sizes : sequence of float
+        Sizes s, all equally likely.
+    positive : bool
+        Whether the effect cannot be negative.
+    elsewhere : float
+        Logarithm of that ratio for other data, which show only whether the effect is present.
+    rare : float
+        Posterior probability that is subtracted, so that a rarer effect does not count.
+
+    Returns
+    -------
+    square : float
+        Posterior mean square of the effect, which is 0 if it is absent.
+    evidence : float
+        Logarithm of the likelihood ratio of these data, over all sizes.
+    """
+    if not 0.0 < error < math.inf:
+        return 0.0, 0.0
+    size = np.asarray(sizes, dtype=np.float64)
+    left = (error / size) ** 2 / (1.0 + (error / size) ** 2)
+    mean = told / size * left / (error / size) ** 2
+    ratios = 0.5 * np.log(left) + 0.5 * mean**2 / left - math.log(len(size))
+    if positive:
+        ratios += math.log(2.0) + log_ndtr(mean / np.sqrt(left))
+        mean = np.maximum(mean, 0.0)
+    odds = math.log(likely / (1.0 - likely)) + elsewhere + ratios
+    there = softmax(np.append(odds, 0.0))[:-1]
+    present = float(np.sum(there))
+    counts = max(present - rare, 0.0) / max(present, np.finfo(np.float64).tiny)
+    square = float(np.sum(there * (mean**2 + left) * size**2))
+    return counts * square, float(np.logaddexp.reduce(ratios))
