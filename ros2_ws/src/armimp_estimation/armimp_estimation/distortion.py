@@ -75,10 +75,10 @@ class Distortion:
     def of(cls, record: TrialRecord, arm: MBK) -> Distortion | None:
         """Sort the torque of a trial by its origin, given the fitted arm.
 
-        Return None without two periods or noise, or if all odd or all even harmonics are lines.
+        Return None without periods or noise, or if all odd or all even harmonics are lines.
         """
         periods = record.periods
-        if periods is None or periods.count < 2:
+        if periods is None:
             return None
         record, k = record.whole_periods, record.perturbed_joint
         count = periods.count

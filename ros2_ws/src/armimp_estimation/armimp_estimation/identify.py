@@ -21,7 +21,7 @@ from armimp_estimation.frf import frf_matrix, order_trials
 from armimp_estimation.hold_correction import update_jump
 from armimp_estimation.json_model import JsonModel, Number, Vector
 from armimp_estimation.metadata import Metadata
-from armimp_estimation.nonlinearity import judge_linearity
+from armimp_estimation.nonlinearity import Deviation, judge_linearity
 from armimp_estimation.plausibility import judge_angles, mixed_channels, other_postures
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
@@ -92,6 +92,9 @@ class TrialScores(JsonModel):
     its target is not known."""
     realisation_ci: Vector = Field(default_factory=lambda: [math.nan, math.nan])
     """Lower and upper end of its 95 % interval."""
+    stiffness_changes: dict[str, Vector] = Field(default_factory=dict)
+    """Share by which the stiffness of joint k changes, and its standard error: from rest to the rms
+    angle (``amplitude``) and from begin to end (``time``), if the trial is long enough."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -139,7 +142,7 @@ def identify_records(
 
     Welch segments have the length that suits the shortest trial; for the rest see :func:`identify`.
     """
-    trials = [[replace(one.until_rest, reading=known.reading) for one in parts] for parts in trials]
+    trials = [[replace(one, reading=known.reading) for one in parts] for parts in trials]
     segment = segment_for(trials)
     data = [TrialData.of(*one, segment=segment) for one in trials]
     return identify(data, estimators, known)
@@ -223,8 +226,9 @@ def identify(
         code = ProblemCode.CALIBRATION_ASSUMED
         problems.append(problem(code, severity=Severity.NOTE, **assumed))
     hold = best.estimate.hold or update_jump(records)
+    deviating: Sequence[Mapping[str, Deviation]] = [{} for _ in records]
     if best.estimate.unbiased:
-        of_motion, doubts, gains = judge_linearity(
+        of_motion, doubts, gains, deviating = judge_linearity(
             at_posture(records, best.estimate.turning),
             best.estimate,
             best.fit,
@@ -262,6 +266,11 @@ def identify(
                 bias_bound=bounds[:, k].tolist(),
                 realisation=realised[k, 0],
                 realisation_ci=realised[k, 1:].tolist(),
+                stiffness_changes={
+                    name: [one.share, one.error]
+                    for name, one in deviating[k].items()
+                    if name in ("amplitude", "time")
+                },
             )
             for k in range(len(names))
         ),

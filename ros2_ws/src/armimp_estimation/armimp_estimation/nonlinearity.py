@@ -519,7 +519,7 @@ def judge_linearity(
     *,
     resolved: BoolArray,
     linearity: float | None,
-) -> tuple[list[Problem], list[FloatArray], FloatArray]:
+) -> tuple[list[Problem], list[FloatArray], FloatArray, list[dict[str, Deviation]]]:
     """Judge how far arm and transducers are linear, and what that adds to the standard errors.
 
     Parameters
@@ -545,6 +545,8 @@ def judge_linearity(
         Uncertain changes of M, B and K, one standard error each, independent of each other.
     gain : ndarray, shape (n,)
         Relative standard errors of the gains of the transducers.
+    own : list of dict of str to Deviation
+        What was found at each perturbed joint, as of :func:`deviations`.
     """
     n = len(records)
     late = 0.0 if fit.delay is None else fit.delay.delay
@@ -586,7 +588,8 @@ def judge_linearity(
             lost[1] *= fit.delay.held
         doubts.append(lost)
     jumps_known = jump is not None or records[0].reading.without_jumps
-    return list(_problems(records, weighed, resolved, jumps_known=jumps_known)), doubts, gain
+    problems = list(_problems(records, weighed, resolved, jumps_known=jumps_known))
+    return problems, doubts, gain, own
 
 
 _Weighed: TypeAlias = tuple[int, int, Deviation, float, bool]

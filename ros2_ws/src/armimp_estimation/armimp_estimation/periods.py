@@ -43,9 +43,11 @@ class Periods:
     samples: int
     """Samples of a period."""
     count: int
-    """Whole periods at the end of the record; 2 or more."""
+    """Whole periods, one after the other; 2 or more."""
     lines: NDArray[np.intp]
     """Harmonics that have power; shape (n_lines,)."""
+    end: int
+    """Sample after the last period: the number of samples unless a rest follows."""
 
     def alike(self, other: Periods | None) -> bool:
         """Whether another perturbation has the same period and lines."""
@@ -59,6 +61,11 @@ class Periods:
     def used(self) -> int:
         """Samples of all whole periods."""
         return self.samples * self.count
+
+    @property
+    def stretch(self) -> slice:
+        """All whole periods among the samples of the signal."""
+        return slice(self.end - self.used, self.end)
 
     @property
     def segment(self) -> int:
@@ -81,42 +88,40 @@ class Periods:
 
     @classmethod
     def of(cls, signal: FloatArray) -> Periods | None:
-        """Find the periods of a signal, (N,), which may fade in.
+        """Find the periods of a signal, (N,), which may fade in, and rest or fade out afterwards.
 
         Returns
         -------
         Periods or None
             None if there are fewer than two periods, or fewer than three lines.
         """
-        size = signal.size
-        samples = _period(signal) or _period(signal[int(_FADES_IN * size) :])
-        if not samples:
-            return None
-        changes = (signal[samples:] - signal[:-samples])[size % samples :]
-        differs = np.sum(changes.reshape(-1, samples) ** 2, axis=1)[::-1] >= _SAME * signal @ signal
-        count = 1 + int(np.argmax(np.append(differs, True)))
-        amplitudes = np.abs(np.fft.rfft(signal[size - samples :]))
-        lines = 1 + np.flatnonzero(amplitudes[1:] > _LINE * np.max(amplitudes[1:]))
-        if lines.size < FEWEST_LINES:
-            return None
-        return cls(samples=samples, count=count, lines=lines)
-
-    @staticmethod
-    def end_of(signal: FloatArray) -> int:
-        """Where a periodic signal, (N,), ends that rests or fades out afterwards; else N."""
         size, edge = signal.size, int(_FADES_IN * signal.size)
         samples = _period(signal) or _period(signal[edge:]) or _period(signal[edge : size - edge])
         if not samples:
-            return size
-        power, change = (
-            np.concatenate((np.zeros(samples), np.cumsum(one**2)))
-            for one in (signal, signal[samples:] - signal[:-samples])
-        )
-        # Of the periods that end at any sample, those that are full and like the ones before them.
-        full = power[2 * samples :] - power[samples:-samples]
-        alike = change[samples:] - change[:-samples] < _SAME * power[-1]
-        ends = np.flatnonzero(alike & (full > 0.5 * np.max(full)))
-        return size if ends.size == 0 else int(ends[-1]) + samples + 1
+            return None
+        end = _end(signal, samples)
+        signal = signal[:end]
+        changes = (signal[samples:] - signal[:-samples])[end % samples :]
+        differs = np.sum(changes.reshape(-1, samples) ** 2, axis=1)[::-1] >= _SAME * signal @ signal
+        count = 1 + int(np.argmax(np.append(differs, True)))
+        amplitudes = np.abs(np.fft.rfft(signal[end - samples :]))
+        lines = 1 + np.flatnonzero(amplitudes[1:] > _LINE * np.max(amplitudes[1:]))
+        if count < 2 or lines.size < FEWEST_LINES:
+            return None
+        return cls(samples=samples, count=count, lines=lines, end=end)
+
+
+def _end(signal: FloatArray, samples: int) -> int:
+    """Where the last period of a signal, (N,), ends, of which a period has some `samples`."""
+    power, change = (
+        np.concatenate((np.zeros(samples), np.cumsum(one**2)))
+        for one in (signal, signal[samples:] - signal[:-samples])
+    )
+    # Of the periods that end at any sample, those that are full and like the ones before them.
+    full = power[2 * samples :] - power[samples:-samples]
+    alike = change[samples:] - change[:-samples] < _SAME * power[-1]
+    ends = np.flatnonzero(alike & (full > 0.5 * np.max(full)))
+    return signal.size if ends.size == 0 else int(ends[-1]) + samples + 1
 
 
 def _period(signal: FloatArray) -> int:

@@ -103,10 +103,10 @@ class TrialRecord:
 
     @property
     def whole_periods(self) -> "TrialRecord":
-        """The record without samples before the first whole period; unchanged if not periodic."""
+        """The whole periods of the record; all of it if it is not periodic."""
         if self.periods is None or self.periods.used == self.samples:
             return self
-        return self.part(self.samples - self.periods.used)
+        return self.part(self.periods.stretch.start, self.periods.end)
 
     def part(self, first: int, end: int | None = None) -> "TrialRecord":
         """Return the samples from `first` up to, but not including, `end`."""
@@ -118,8 +118,9 @@ class TrialRecord:
     @property
     def until_rest(self) -> "TrialRecord":
         """The record without samples after the last period of the perturbation, if it has any."""
-        end = Periods.end_of(self.perturbation[self.perturbed_joint])
-        return self if end == self.samples else self.part(0, end)
+        if self.periods is None or self.periods.end == self.samples:
+            return self
+        return self.part(0, self.periods.end)
 
     @property
     def readings(self) -> dict[str, FloatArray]:

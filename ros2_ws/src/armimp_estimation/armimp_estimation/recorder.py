@@ -271,8 +271,8 @@ class TrialRecorder:
         self._column = None
         if record is not None and record.samples:
             with suppress(DataError):  # too few samples
-                record = replace(record, reading=self._reading)
-                self._column = LpmFull().column(record, self._past)
+                records = [replace(one, reading=self._reading) for one in (record, *self._past)]
+                self._column = LpmFull().column(records[0], records[1:])
         return self._column
 
     def stop(self) -> None:
@@ -428,7 +428,7 @@ class TrialRecorder:
                 self.close()
         except ArmimpError as error:
             return Problem.of(error, ProblemCode.RECORDING_FAILED)
-        trial = trials[0].read_as(self._reading)
+        (trial,) = trials
         if trial.record is not None:
             self._past.append(trial.record)
         rtf = trial.statistics.span / RATE / elapsed

@@ -86,8 +86,11 @@ def slopes_of(record: TrialRecord) -> tuple[FloatArray, FloatArray]:
 def cleaned(
     stretches: Sequence[TrialRecord],
 ) -> tuple[tuple[TrialRecord, ...], tuple[Problem, ...]]:
-    """Interpolate lost readings of a trial's stretches, and remove the drift of the longest."""
-    whole, problems = zip(*map(mended, stretches), strict=True)
+    """Cut the rest after the perturbation off a trial, mend lost readings, and remove drift.
+
+    The drift is that of the longest stretch.
+    """
+    whole, problems = zip(*(mended(one.until_rest) for one in stretches), strict=True)
     slopes, errors = slopes_of(max(whole, key=lambda stretch: stretch.samples))
     drift = np.where(np.abs(slopes) > SIGNIFICANT * errors, slopes, 0.0)
     if drift.any():

@@ -89,7 +89,9 @@ def test_periods_are_those_between_fading_in_and_fading_out_or_a_rest() -> None:
         np.zeros(PERIOD // 3),
         signal[: PERIOD // 3] * np.linspace(0.9, 0.0, PERIOD // 3),
     ):
-        assert Periods.end_of(np.append(signal, after)) == Periods.end_of(signal) == signal.size
+        resting = Periods.of(np.append(signal, after))
+        assert resting is not None
+        assert (resting.end, resting.count) == (found.end, found.count) == (signal.size, 4)
 
 
 @pytest.mark.parametrize("digits", [6, 4])
@@ -110,7 +112,6 @@ def test_a_signal_that_was_rounded_on_its_way_still_repeats_itself(digits: int) 
 )
 def test_what_does_not_repeat_itself_or_has_too_few_lines_has_no_periods(signal: Array) -> None:
     assert Periods.of(signal) is None
-    assert Periods.end_of(signal) == signal.size
 
 
 def test_segments_are_periods_that_all_trials_have_or_else_suit_the_shortest() -> None:
@@ -127,7 +128,7 @@ def test_segments_are_periods_that_all_trials_have_or_else_suit_the_shortest() -
 
 def test_lines_in_common_are_those_of_all_perturbations_that_are_periodic() -> None:
     def periods(lines: list[int], samples: int) -> Periods:
-        return Periods(samples=samples, count=4, lines=np.array(lines))
+        return Periods(samples=samples, count=4, lines=np.array(lines), end=4 * samples)
 
     every, second = periods(list(range(1, 41)), 4000), periods(list(range(1, 21)), 2000)
     common = common_lines([every, None, second], 1000.0, (0.3, 9.0))

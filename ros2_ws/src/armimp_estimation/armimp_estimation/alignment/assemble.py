@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -41,7 +41,6 @@ from armimp_estimation.alignment.trial_windows import (
 )
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.torque_timing import TorqueReading
 
 MOST_EXCLUDED = 0.05
 """Largest share of the samples of a trial that may be left out of a valid result."""
@@ -108,10 +107,6 @@ class Trial:
     def record(self) -> TrialRecord | None:
         """The samples as one record, if every control period has a usable one."""
         return self.segments[0] if self.segments and not self.statistics.excluded else None
-
-    def read_as(self, reading: TorqueReading) -> Trial:
-        """Return the trial with what is known of its torque readings."""
-        return replace(self, segments=tuple(replace(one, reading=reading) for one in self.segments))
 
     def refusals(self, *, allow_gaps: bool = False) -> list[Problem]:
         """Return the problems because of which nothing may be estimated from the trial.

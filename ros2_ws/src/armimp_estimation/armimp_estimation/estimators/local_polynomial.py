@@ -254,9 +254,9 @@ def _periodic_response(
     basis, triangle = np.linalg.qr(powers)
     adjoint = np.swapaxes(basis, 1, 2)
     leakage = (np.linalg.inv(triangle)[:, :1, :] @ adjoint)[:, 0, :]
-    inputs = _transform(source[-used:])[centres]
+    inputs = _transform(source[periods.stretch])[centres]
     weights = (at_line - leakage) / inputs[:, None]
-    observed = _observed(outputs[:, -used:], rate, places, mix)
+    observed = _observed(outputs[:, periods.stretch], rate, places, mix)
     residual = between[:, :, None] * observed - basis @ (adjoint @ observed)
     freedom = np.sum(between, axis=1) - (ORDER + 1)
     f = np.asarray(centres * float(rate / used), dtype=np.float64)

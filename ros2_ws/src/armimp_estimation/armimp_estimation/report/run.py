@@ -14,9 +14,7 @@ from armimp_common import topics
 from armimp_common.realtime import LATE_NS
 from armimp_estimation.atomic_write import write_text
 from armimp_estimation.distortion import Distortion
-from armimp_estimation.hold_correction import update_jump
 from armimp_estimation.mbk import MBK
-from armimp_estimation.nonlinearity import deviations
 from armimp_estimation.problems import Kind, ProblemCode, Severity, kinds
 from armimp_estimation.report.formats import (
     STREAMS,
@@ -46,10 +44,8 @@ from armimp_estimation.report.plots import (
     strokes,
     trace_plot,
 )
-from armimp_estimation.residual_torque import Residual
 from armimp_estimation.result import Result
 from armimp_estimation.summary import Summary
-from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.verdict import BIAS_BOUND, LOCK_RATIO, SINGLE
 
 REPORT_FILE = "report.html"
@@ -270,21 +266,15 @@ def _distortion(result: Result) -> Content | None:
         return None
     fitted = max(summary.estimators.values(), key=lambda one: one.decides)
     arm = MBK(M=np.array(fitted.M), B=np.array(fitted.B), K=np.array(fitted.K))
-    late = 0.0 if fitted.delay is None else fitted.delay.delay
-    reading = summary.torque_reading or TorqueReading()
-    periodic = [
-        (one, one.record, found)
-        for one in (trial.read_as(reading) for trial in result.trials)
+    changes = {one.k - 1: one.stiffness_changes for one in summary.trials}
+    trials = [
+        (one, found, changes[one.joint])
+        for one in result.trials
         if one.record is not None and (found := Distortion.of(one.record, arm)) is not None
     ]
-    if not periodic:
+    if not trials:
         return None
-    jump, trials = update_jump([record for _, record, _ in periodic]), []
-    for one, record, found in periodic:
-        residual = Residual.of(record, arm, jump, late)
-        changes = {} if residual is None else deviations(residual)[one.joint]
-        trials.append((one, found, changes.get("amplitude"), changes.get("time")))
-    plots = [distortion_plot(found, one.trial) for one, found, *_ in trials]
+    plots = [distortion_plot(found, one.trial) for one, found, _ in trials]
     return {"trials": trials, "plots": plots, "joints": min(len(plots), SIDE_BY_SIDE)}
 
 
