@@ -229,11 +229,9 @@ def fit_impedance(
     mbk = MBK(**dict(zip("MBK", problem.values, strict=True)))
     fitted = mbk.impedance(found.f)
     further = np.diag(squared_changes(problem, may_creep=known.linearity is None).ravel())
-    n = found.joints
-    quality = [[r_squared(found.Z[i, j], fitted[i, j]) for j in range(n)] for i in range(n)]
     fit = MBKFit(
         mbk=mbk,
-        r2=np.array(quality),
+        r2=r_squared(found.Z, fitted),
         lack=lack_of_fit(found, fitted),
         lack_limit=lack_limit(found.bin_correlation),
         delay=delay,

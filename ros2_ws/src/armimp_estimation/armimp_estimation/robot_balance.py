@@ -170,20 +170,6 @@ class RobotBalance:
         """Standard errors of K, N·m/rad, shape (n, n)."""
         return np.asarray(self.errors[2])
 
-    def known(self, calibration: Calibration, arm: MBKFit, apart: float) -> RobotBalance:
-        """Return the balance with what calibration and postures add to the errors of the inertia.
-
-        A gain or cross-talk adds a share of a row of the arm's inertia, the scale of an encoder one
-        of a column of the robot's. Where postures of trials are `apart`, rad, inertias are of
-        different robots.
-        """
-        size = np.sqrt(np.abs(np.diag(self.M)))
-        squares = calibration.shares(len(size)) ** 2 @ arm.mbk.M**2
-        squares += (calibration.angle * self.M) ** 2
-        if apart > APART:
-            squares += (apart * np.outer(size, size)) ** 2 / 6.0
-        return replace(self, unsure=np.sqrt(squares))
-
     @property
     def impossible(self) -> bool:
         """Whether no robot has this inertia: it is asymmetric, or has a negative eigenvalue."""
@@ -263,8 +249,10 @@ class RobotResponses:
             inverse = invert(stacked[:n], columns[0].f)
         except DataError:
             return None
-        if not all((_certainty(one)[2 * n :] > _ANSWERS).any() for one in columns):
-            return None
+        for one in columns:
+            answers = np.abs(one.response) ** 2 / np.maximum(one.variance, _TINY)
+            if not (np.median(answers[2 * n :], axis=1) > _ANSWERS).any():
+                return None
         return cls(
             records=tuple(records),
             columns=tuple(columns),
@@ -354,7 +342,17 @@ class RobotResponses:
             multiply(multiply(mixed[:, 2 * n :], self.stacked[2 * n :]), self.inverse),
         )
         undamped, pace = self._not_of_a_damper
-        found = RobotBalance(
+        unsure = np.zeros((n, n))
+        if arm is not None and calibration is not None:
+            # A gain or cross-talk adds a share of a row of the arm's inertia, the scale of an
+            # encoder one of a column of the robot's. At other postures the robot is another one.
+            squares = calibration.shares(n) ** 2 @ arm.mbk.M**2
+            squares += (calibration.angle * values[0]) ** 2
+            if apart > APART:
+                own = np.abs(np.diag(values[0]))
+                squares += apart**2 * np.outer(own, own) / 6.0
+            unsure = np.sqrt(squares)
+        return RobotBalance(
             values=values,
             covariance=covariance,
             damped=damped,
@@ -363,11 +361,8 @@ class RobotResponses:
             undamped=undamped,
             rubbing=np.abs(np.diag(values[1])) * np.diag(undamped) * pace,
             order=order,
-            unsure=np.zeros((n, n)),
+            unsure=unsure,
         )
-        if arm is None or calibration is None:
-            return found
-        return found.known(calibration, arm, apart)
 
     def _fit(
         self, impedance: ComplexArray, variance: FloatArray, driven: ComplexArray
@@ -426,12 +421,6 @@ class RobotResponses:
             if joint == k:
                 pace[k] = rms / np.std(angle)
         return undamped, pace
-
-
-def _certainty(column: LocalResponse) -> FloatArray:
-    """Median ratio of the power of each response of a trial to its variance, by channel, (C,)."""
-    power = np.abs(column.response) ** 2
-    return np.asarray(np.median(power / np.maximum(column.variance, _TINY), axis=1))
 
 
 def _least_squares(

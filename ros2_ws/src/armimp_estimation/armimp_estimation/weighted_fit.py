@@ -271,21 +271,21 @@ def roots(covariance: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
 
 
-def r_squared(values: ComplexArray, fitted: ComplexArray) -> float:
-    """Coefficient of determination of a complex fit.
+def r_squared(values: ComplexArray, fitted: ComplexArray) -> FloatArray:
+    """Coefficient of determination of a complex fit to each element, (...).
 
     Real and imaginary parts are stacked into one real vector y of twice the length:
     ``R² = 1 - Σ (y - ŷ)² / Σ (y - mean(y))²``, unweighted, with one mean for the stacked vector.
 
     Parameters
     ----------
-    values, fitted : ndarray, shape (n_freq,)
+    values, fitted : ndarray, shape (..., n_freq)
         Estimated and fitted values.
     """
     y = _stacked(values)
-    residual = y - _stacked(fitted)
-    total = float(np.sum((y - y.mean()) ** 2))
-    return 1.0 - float(np.sum(residual**2)) / total if total > 0.0 else math.nan
+    left = np.sum((y - _stacked(fitted)) ** 2, axis=-1)
+    total = np.sum((y - y.mean(axis=-1, keepdims=True)) ** 2, axis=-1)
+    return np.asarray(1.0 - left / np.where(total > 0.0, total, np.nan))
 
 
 def lack_limit(correlation: FloatArray) -> float:
