@@ -32,7 +32,8 @@ from armimp_estimation.robot_balance import (
     judge_answers,
     judge_balance,
 )
-from armimp_estimation.signal_quality import RESOLVED_SHARE, judge_signals, lost_motion
+from armimp_estimation.signal_quality import judge_signals
+from armimp_estimation.systematics import RESOLVED_SHARE, lost_motion
 from armimp_estimation.trial import TrialData, segment_for
 from armimp_estimation.turning_links import at_posture
 from armimp_estimation.verdict import Verdict

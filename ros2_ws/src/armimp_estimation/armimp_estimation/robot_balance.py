@@ -31,14 +31,14 @@ from armimp_common.errors import DataError
 from armimp_common.topics import JOINT_STATES
 from armimp_estimation.estimators.estimate import noise_of
 from armimp_estimation.estimators.local_polynomial import LocalResponse
-from armimp_estimation.estimators.lpm import HiddenMotion, covariance_of, responses
+from armimp_estimation.estimators.lpm import covariance_of, responses
 from armimp_estimation.estimators.welch import invert, multiply
 from armimp_estimation.fit import Calibration, MBKFit
 from armimp_estimation.hold_correction import HoldCorrection, answers_to_rounding, without_skew
 from armimp_estimation.plausibility import least_eigenvalue, uneven
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import APART, TrialRecord
-from armimp_estimation.signal_quality import speed_of
+from armimp_estimation.systematics import HiddenMotion, speed_of
 from armimp_estimation.torque_timing import TorqueTiming
 from armimp_estimation.trial import TrialData
 from armimp_estimation.weights import covariance_of_sums, fit_weights

@@ -10,7 +10,6 @@ signals have the shape (N,).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any, Final
@@ -70,17 +69,8 @@ _REGRESSED = 16384  # samples that suffice for a regression on commands
 _REPEATED = 0.15  # share of repetitions that chance doesn't reach
 _BESIDE = 9.0  # ratio of repetitions to the most frequent step that chance doesn't reach
 _BROAD = 0.5  # share of samples near 0, or of changes of one size, that leaves a test undecided
-_LOST = 0.16  # rms motion that the encoder of a resting joint may miss, in steps
-_LEADING, _MOST_LED, _UNGATHERED, _LEAD_ERROR = 0.12, 0.1, 0.2, 0.5
-"""Assumptions for :func:`rounding_lead`: its factor; the largest lead times the speed in the band,
-in steps; the standard error of ln ρ; and the relative standard error of the lead."""
-_DISTINCT = 0.1
-"""Least eigenvalue of A + Aᵀ at which an inertia A, scaled to a diagonal of 1, is inverted."""
 _SLOW, _USUAL_SLOW, _LITTLE = (0.0, 0.1), (0.5, 1.0), 0.25  # bands, Hz; ratio of their power
 _TINY = float(np.finfo(np.float64).tiny)
-_WINDOW = 0.5  # time over which the readings of a locked joint are judged, s
-_VALUES = 3  # distinct values in such a window from which on a joint moves
-_CHANGES = 5  # steps of an encoder from which on a joint moves
 _COPIED = 0.005
 """Residual of a torque, relative to it, below which it is a multiple of its command, and not the
 torque on the arm: a robot has inertia, if hardly any beside that of a heavy arm."""
@@ -101,8 +91,6 @@ _QUICK, _NEAR, _LINGERS, _STILL, _SURE = (3.0, 40.0), 0.2, 0.04, 0.5, 4.0
 time in it; power of changes relative to what is usual, at most; standard deviations of chance."""
 _SETTLED = 3.0
 """Length of a trial from which on it is judged whether a joint moves without the arm, s."""
-RESOLVED_SHARE = 0.25
-"""Share of the motion of a locked joint that may be unseen where its motion counts as resolved."""
 RESOLVED: Final = {JOINT_STATES: 20.0, TORQUE_SENSORS: 8.0}
 """Peak to peak motion and torque, in counts of the resolution, below which nothing is resolved."""
 
@@ -338,100 +326,6 @@ def _arrivals(rank: NDArray[np.int_]) -> NDArray[np.int_]:
     return came
 
 
-def lost_motion(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]:
-    """Motion that follows the perturbation and that the encoders of locked joints may not show.
-
-    Rounding to steps q takes a share ``2 exp(-2π²σ²/q²)`` off the response of a motion with the
-    standard deviation σ. σ² is the variance of the readings in each half second less that of
-    rounding, ``q²/12``. A joint that shows fewer than three values in that time, or hardly changes
-    between them, may be held by friction, and may move in any way within a step. The most that is
-    lost then is 0.16 q, of a motion of 0.2 q.
-
-    Returns
-    -------
-    share : ndarray, shape (n, n)
-        Error of the motion that the encoder of each joint shows in each trial, relative to it; 1
-        while the joint seems to rest, as a reading that toggles may show more than there is.
-    beside : ndarray, shape (n, n)
-        Unseen motion of each joint in each trial while it seems to rest, rms, averaged over the
-        trial, rad. Both are 0 where all motion is seen.
-    """
-    shares, beside = np.zeros((2, len(records), len(records)))
-    for joint, k in np.ndindex(shares.shape):
-        step = float(records[joint].resolution[JOINT_STATES][joint])
-        size = round(_WINDOW * records[k].rate)
-        if k == joint or step == 0.0 or records[k].samples < size:
-            continue
-        signal = records[k].position[joint]
-        counts = (signal - signal[0]) / step
-        counts = counts[: counts.size // size * size].reshape(-1, size)
-        changes = np.sum(np.abs(np.diff(counts, axis=1)), axis=1)
-        rests = (np.ptp(counts, axis=1) < _VALUES - 1.5) | (changes < _CHANGES - 0.5)
-        spread = np.maximum(np.var(counts, axis=1) - 1.0 / 12.0, 0.0)
-        lacks = np.minimum(2.0 * np.exp(-2.0 * np.pi**2 * spread), 1.0)
-        shares[joint, k] = np.mean(np.where(rests, 1.0, lacks))
-        beside[joint, k] = _LOST * step * np.mean(rests)
-    return shares, beside
-
-
-def rounding_lead(
-    records: Sequence[TrialRecord], inertia: FloatArray, band_end: float
-) -> tuple[FloatArray, FloatArray]:
-    """Time by which the motion that encoders show is ahead of that of the joints.
-
-    A control law throws a locked joint back when its reading steps, so that the joint stays near
-    the thresholds, or between them. Rounding then isn't independent of the motion, but follows its
-    speed. The rate of steps shows this: at a mean speed ``|v|`` it is ``ρ |v|/q``, where q is the
-    step and ρ the density of the angle at thresholds relative to that elsewhere. Readings of joints
-    that laws of 30 to 250 rad/s held at 250 to 4000 Hz led by about ``0.12 (1 - 2d) ln(ρ) q/|v|``,
-    where d is the share of readings that step. That this holds, and that the lead is at most the
-    time of a tenth of a step at the speed in the band, is an assumption.
-
-    Parameters
-    ----------
-    inertia : ndarray, shape (n, n)
-        Inertia of the arm, kg·m²: above the band the speed is taken from the torques.
-    band_end : float
-        Frequency up to which the speed is taken from the angles, Hz.
-
-    Returns
-    -------
-    lead, error : ndarray, shape (n, n)
-        Lead of each joint in each trial, and its standard error, s; 0 where nothing is rounded.
-    """
-    lead, error = np.zeros((2, len(records), len(records)))
-    for k, record in enumerate(records):
-        speeds = np.mean(np.abs(_speeds(record, inertia, band_end)), axis=1)
-        for joint, (angle, speed) in enumerate(zip(record.position, speeds, strict=True)):
-            step = float(records[joint].resolution[JOINT_STATES][joint])
-            steps = np.abs(np.diff(angle)) / step if step > 0.0 else np.zeros(1)
-            stepping = float(np.mean(np.minimum(steps, 1.0)))
-            if np.sum(steps) < _CHANGES - 0.5 or not speed > 0.0:
-                continue
-            density = float(np.mean(steps)) * record.rate * step / speed
-            least = _LEADING * max(1.0 - 2.0 * stepping, 0.0) * step / speed
-            found = least * math.log(density)
-            in_band = float(np.std(speed_of(angle, record.rate, band_end)))
-            most = _MOST_LED * step / max(in_band, _TINY)
-            lead[joint, k] = math.copysign(min(abs(found), most), found)
-            error[joint, k] = min(math.hypot(_LEAD_ERROR * found, _UNGATHERED * least), most)
-    return lead, error
-
-
-def _speeds(record: TrialRecord, inertia: FloatArray, band_end: float) -> FloatArray:
-    """Speeds, (n, N), rad/s: from the angles in the band, above it from the torques if possible."""
-    turning = 2.0 * np.pi * np.fft.rfftfreq(record.samples, 1.0 / record.rate)
-    beyond = turning > 2.0 * np.pi * band_end
-    spectrum = 1j * turning * np.fft.rfft(record.position - record.position[:, :1])
-    spectrum[:, beyond] = 0.0
-    size = np.sqrt(np.abs(np.diag(inertia)))
-    own = inertia / np.maximum(np.outer(size, size), _TINY)
-    if np.min(np.linalg.eigvalsh(own + own.T)) > _DISTINCT:
-        felt = np.fft.rfft(record.torque)[:, beyond] / (1j * turning[beyond])
-        spectrum[:, beyond] = np.linalg.solve(inertia, felt)
-    return np.asarray(np.fft.irfft(spectrum, record.samples))
-
-
 def without_slow(records: Sequence[TrialRecord]) -> BoolArray:
     """Whether torques, and angles, have little power at low frequencies, as behind a high-pass.
 
@@ -534,14 +428,6 @@ def time_jumps(record: TrialRecord) -> float:
             lost += abs(float(np.sum(jumps)))
         looked += np.count_nonzero(clear)
     return lost / max(looked, 1.0)
-
-
-def speed_of(angle: FloatArray, rate: float, band_end: float) -> FloatArray:
-    """Speed of a joint up to the frequency `band_end` in Hz, (N,), rad/s."""
-    turning = 2.0 * np.pi * np.fft.rfftfreq(angle.size, 1.0 / rate)
-    spectrum = 1j * turning * np.fft.rfft(angle - np.mean(angle))
-    spectrum[turning > 2.0 * np.pi * band_end] = 0.0
-    return np.asarray(np.fft.irfft(spectrum, angle.size))
 
 
 def sticking(signal: FloatArray, rate: float, partner: FloatArray) -> tuple[float, int, float]:

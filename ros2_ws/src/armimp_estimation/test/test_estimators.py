@@ -14,7 +14,7 @@ from armimp_estimation.estimators.welch import WelchFull, WelchSiso
 from armimp_estimation.fit import fit_mbk
 from armimp_estimation.frf import stands_out
 from armimp_estimation.mbk import MBK
-from armimp_estimation.signal_quality import rounding_lead
+from armimp_estimation.systematics import rounding_lead
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from research.direct import Direct

@@ -16,7 +16,6 @@ from armimp_estimation.signal_quality import (
     dropouts,
     floating,
     judge_signals,
-    lost_motion,
     mended,
     repeating,
     sticking,
@@ -24,6 +23,7 @@ from armimp_estimation.signal_quality import (
     without_slow,
     zeros_beyond_chance,
 )
+from armimp_estimation.systematics import lost_motion
 from armimp_estimation.trial import TrialData
 from support.synthetic_trials import made_record, part_of
 

@@ -27,14 +27,10 @@ from armimp_estimation.hold_correction import (
 )
 from armimp_estimation.mbk import MBK
 from armimp_estimation.periods import among, common_lines
-from armimp_estimation.record import APART, TrialRecord
-from armimp_estimation.signal_quality import (
-    lost_motion,
-    rounding_lead,
-    speed_of,
-    without_slow,
-)
+from armimp_estimation.record import TrialRecord
+from armimp_estimation.signal_quality import without_slow
 from armimp_estimation.spectra import BAND, bins_in_band
+from armimp_estimation.systematics import systematic_errors
 from armimp_estimation.torque_timing import TorqueTiming
 from armimp_estimation.trial import TrialData, cleaned
 from armimp_estimation.turning_links import at_posture, turning_inertia
@@ -46,7 +42,6 @@ _REFERENCE_BINS = 64
 """Largest number of frequencies from which the reference arm is fitted."""
 _REFERENCE_STEPS = 3
 """Fits of the reference arm, each relative to the one before."""
-_TINY = float(np.finfo(np.float64).tiny)
 _SPAN = 0.25
 """Hz on either side of a bin that local polynomials may span, as arms have a resonance near 1 Hz.
 In shorter records, whose bins are wider, fewer bins take part."""
@@ -58,12 +53,6 @@ _FLOOR = 0.0003
 _BY_CHANCE, _SCATTER = 1.1, 2.5
 """Ratio of the variance from the scatter of F lines to that from noise, if there is only chance:
 its mean, and √F times the excess over this mean that is hardly ever reached."""
-_SKEW = 0.002
-"""Relative standard error, which no residual shows, of the jump correction of inertial torque. In
-simulation its matrix D is within 0.7 % of the truth, and half of the time within 0.2 %."""
-_RUBBING = 0.3
-"""The same for the torque that overcomes friction, while chattering commands reverse the motion
-within a control period, so that friction responds within the period."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -140,25 +129,19 @@ class LpmFull:
         offset, added = (multiply(part, inverse) for part in (stacked[n : 2 * n], stacked[2 * n :]))
         impedance = reference.impedance(f)[:, joints] + offset
         torque = multiply(impedance, R)
-        reversing, bending = _reversals(records, impedance, f)
-        skewed = _doubts(added, f, jump, reversing, bending)
-
         every = _unit(2 * n, 3 * n, f)
         coefficients = every[n:].copy()
         every[n:, :n], coefficients[:, joints] = reference.impedance(f), -offset
-        half_period = 0.5 / rate
-        delay_uncertainty = _delay_uncertainty(records[0], jump)
-        bounds: list[ComplexArray] = []
-        lost: list[ComplexArray] = []
-        whole = len(records) == n
-        if whole:
-            hidden = HiddenMotion(records, R, torque, inverse, f)
-            ahead, bounds, lost = hidden.effects(impedance)
-            impedance = impedance + ahead
-            if jump is None and delay_uncertainty == half_period:
-                bounds += _joints_held(impedance, f, half_period)
-                lost += _untold_friction(records, impedance, f, bending)
-            lost += _trials_apart(records, reference, R, inverse, f)
+        impedance, bounds, others = systematic_errors(
+            records,
+            impedance,
+            R,
+            inverse,
+            f,
+            correction=added,
+            reference=reference,
+            jump=jump,
+        )
         disturbance = covariance_of(columns, coefficients)
         return ImpedanceEstimate(
             name=self.name,
@@ -169,19 +152,19 @@ class LpmFull:
             averages=min(column.freedom for column in columns) + 1.0,
             T=torque,
             R=R,
-            perturbed=() if whole else tuple(joints),
-            systematics=(*bounds, *lost, *skewed),
+            perturbed=() if len(records) == n else tuple(joints),
+            systematics=(*bounds, *others),
             bounded=len(bounds),
             power=1.0 / np.stack([column.gain for column in columns]),
             weight_floor=_FLOOR,
             friction_skew=added.real.astype(np.complex128),
-            delay_uncertainty=delay_uncertainty,
-            delay_unknown=half_period,
+            delay_uncertainty=_delay_uncertainty(records[0], jump),
+            delay_unknown=0.5 / rate,
             unbiased=True,
             uneven=_uneven(
                 covariance_of(plain, coefficients), disturbance, torque, columns, joints
             ),
-            without_slow=tuple(without_slow(records)) if whole else (),
+            without_slow=tuple(without_slow(records)) if len(records) == n else (),
             hold=jump,
             covariance=covariance_of(columns, every),
             disturbance=disturbance,
@@ -350,29 +333,6 @@ def responses(
     return [one if one.f.size == shared.size else one.at(among(one.f, shared)) for one in columns]
 
 
-def _doubts(
-    correction: ComplexArray,
-    f: FloatArray,
-    jump: HoldCorrection | None,
-    reversing: FloatArray,
-    bending: FloatArray,
-) -> tuple[ComplexArray, ...]:
-    """Standard errors of the skew correction of an impedance.
-
-    The correction is ``jωL/2`` times the torque that jumps: imaginary for inertial torque,
-    proportional to s², and real for friction torque, proportional to s. The real part is uncertain
-    where motion reverses. The correction does not cover the curvature of friction within a period,
-    which looks like viscosity: its effect is the third returned error.
-    """
-    error = np.zeros(len(correction)) if jump is None else jump.error
-    known = np.hypot(_SKEW, error)[:, None, None]
-    inertial = np.asarray(1j * known * correction.imag)
-    share = np.hypot(known, _RUBBING * reversing[:, None])
-    rubbing = np.asarray(share * correction.real, dtype=np.complex128)
-    bent = (_inertia(correction, f) * bending)[..., None] * 2j * np.pi * f
-    return inertial, rubbing, np.asarray(bent, dtype=np.complex128)
-
-
 def _half_width(duration: float, *, periodic: bool) -> int:
     """Half width of local polynomials, in bins, for a record of `duration` seconds."""
     # For a periodic perturbation, polynomials model leakage alone and use all bins of the span.
@@ -436,206 +396,6 @@ def _uneven(
         limit = _BY_CHANCE + _SCATTER / math.sqrt(lines)
         shares.append(float(share) if np.sum(both) > limit * np.sum(noise) else 0.0)
     return tuple(shares)
-
-
-class HiddenMotion:
-    """Effect on the impedance of motion of locked joints that their encoders don't show.
-
-    Readings lead the motion, which adds ``jω`` times the lead to the responses R, relative to R.
-    Rounding takes a share off R, or adds it. Motion that isn't seen at all follows the torque on
-    the joint, which yields like a spring or a damper: with ``S = T`` or ``T/s``, an rms motion a is
-    a response ``δR = a S / rms(S x)``.
-
-    Parameters
-    ----------
-    records : sequence of TrialRecord
-        One trial for each joint, in order.
-    R, T, inverse : ndarray, shape (n, n, n_freq)
-        Responses of angles and torques, and ``R⁻¹``.
-    f : ndarray, shape (n_freq,)
-        Frequencies, Hz.
-    """
-
-    def __init__(
-        self,
-        records: Sequence[TrialRecord],
-        R: ComplexArray,
-        T: ComplexArray,
-        inverse: ComplexArray,
-        f: FloatArray,
-    ) -> None:
-        self.share, beside = lost_motion(records)
-        inertia = _possible(_inertia(multiply(T, inverse), f))
-        lead, error = rounding_lead(records, inertia, float(f[-1]))
-        self._inverse = inverse
-        self._lost: list[tuple[int, int, ComplexArray]] = []
-        self._leads: list[tuple[int, int, ComplexArray, float, float]] = []
-        for joint, k in np.argwhere(self.share + beside + error > 0.0).tolist():
-            responses = [self.share[joint, k] * R[joint, k]]
-            for shape in (T[joint, k], T[joint, k] / (2j * np.pi * f)):
-                caused = np.sqrt(np.mean(np.abs(shape) ** 2)) * np.std(records[k].perturbation[k])
-                responses.append(beside[joint, k] / max(float(caused), _TINY) * shape)
-            self._lost += [(joint, k, one) for one in responses if one.any()]
-            if error[joint, k] > 0.0:
-                moved = 2j * np.pi * f * R[joint, k]
-                self._leads.append((joint, k, moved, lead[joint, k], error[joint, k]))
-
-    def effects(
-        self, impedance: ComplexArray
-    ) -> tuple[ComplexArray, list[ComplexArray], list[ComplexArray]]:
-        """Effects on an impedance: an error δR of a response causes ``δZ = -Z δR R⁻¹``.
-
-        Returns
-        -------
-        ahead : (n, n, n_freq) NDArray
-            Correction to add to the impedance, as readings lead.
-        leads, lost : list of (n, n, n_freq) NDArray
-            Standard errors of that correction, and of the other effects. Only the leads have a
-            shape over frequency so well known that the data can tell their size.
-        """
-
-        def effect(joint: int, k: int, response: ComplexArray) -> ComplexArray:
-            return np.asarray(response * (impedance[:, joint, None] * self._inverse[None, k]))
-
-        ahead, leads = np.zeros_like(impedance), []
-        for joint, k, moved, lead, error in self._leads:
-            one = effect(joint, k, moved)
-            ahead += lead * one
-            leads.append(error * one)
-        return ahead, leads, [effect(*one) for one in self._lost]
-
-
-_TENSED = 0.05
-"""Assumption: share by which the stiffness and viscosity of a person differ between trials."""
-_FRICTION, _OVERCOME = 2.0, 3.0
-"""Assumption: largest Coulomb friction F_c of a robot's joint, N·m, and relative to the rms of a
-perturbation that moves it nonetheless."""
-
-
-def _untold_friction(
-    records: Sequence[TrialRecord], impedance: ComplexArray, f: FloatArray, bending: FloatArray
-) -> list[ComplexArray]:
-    """Errors of the impedance from friction of the perturbed joint where jumps are not identified.
-
-    With each update Δu, the torque on the arm jumps by ``D Δu``, ``D = M_h (M_r + M_h)⁻¹``. For the
-    part of u that moves the arm, reading before the jump is a delay, which is fitted. The rest
-    overcomes friction, like ``jω c θ`` with ``c = 4 F_c/(π V)`` at a velocity of amplitude V
-    (describing function). Readings miss half of its jumps: ``δZ = -ω² L D c/2``, which looks like
-    inertia. They also miss its curvature (`_reversals`), which looks like viscosity.
-    F_c up to `_FRICTION` or `_OVERCOME` and ``D_ik = M_ik/(2 M_kk)`` are assumptions.
-    """
-    turning = 2j * np.pi * f
-    effects = []
-    inertia = _possible(_inertia(impedance, f))
-    for k, record in enumerate(records):
-        amplitude = np.sqrt(2.0) * max(
-            float(np.std(speed_of(record.position[k], record.rate, float(f[-1])))), _TINY
-        )
-        of_one = turning * (turning - bending[k])
-        friction = min(_FRICTION, _OVERCOME * float(np.std(record.perturbation[k])))
-        largest = 0.25 / record.rate * 4.0 * friction / (np.pi * amplitude)
-        effect = np.zeros_like(impedance)
-        effect[:, k] = largest / np.sqrt(3.0) * (inertia[:, k] / inertia[k, k])[:, None] * of_one
-        effects.append(effect)
-    return effects
-
-
-def _joints_held(impedance: ComplexArray, f: FloatArray, half_period: float) -> list[ComplexArray]:
-    """Errors of the impedance from friction of locked joints where jumps are not identified.
-
-    Reading before the jump delays the torque ``-ω² M_ik θ_k`` by half a period if commands cause
-    it. If friction holds joint i, it supplies the torque instead of the command, which then does
-    not jump: some or all of the delay is missing, differently for each element. The shapes over
-    frequency of these standard errors are known so well that the data can tell their size.
-    """
-    cubed = half_period / np.sqrt(3.0) * (2j * np.pi * f) ** 3
-    effects = []
-    for i, k in np.argwhere(~np.eye(len(impedance), dtype=np.bool_)):
-        effect = np.zeros_like(impedance)
-        effect[i, k] = _inertia(impedance[i, k], f) * cubed
-        effects.append(effect)
-    return effects
-
-
-def _trials_apart(
-    records: Sequence[TrialRecord],
-    arm: MBK,
-    R: ComplexArray,
-    inverse: ComplexArray,
-    f: FloatArray,
-) -> list[ComplexArray]:
-    """Errors of the impedance where the arm differs between trials.
-
-    The small motion R_jk of a joint j that is locked in trial k acts on the arm of trial k, not on
-    that of trial j. A person's stiffness and viscosity differ by `_TENSED` (assumption). Between
-    postures a distance apart, in rad, M_ij changes by at most that times ``√(M_ii M_jj)``, in
-    proportion for all rows i. The data don't tell the size of this: where joints are held softly,
-    the person causes most of R_jk.
-    """
-    postures = np.stack([record.position.mean(axis=1) for record in records])
-    s = 2j * np.pi * f
-    size = np.sqrt(np.abs(np.diag(arm.M)))
-    tension = _TENSED * MBK(M=np.zeros_like(arm.M), B=arm.B, K=arm.K).impedance(f)
-    effects = list[ComplexArray]()
-    for j, k in np.ndindex(R.shape[:2]):
-        if j == k:
-            continue
-        moved = R[j, k] * inverse[k]
-        effects.append(tension[:, None, j] * moved)
-        apart = float(np.linalg.norm(postures[j] - postures[k]))
-        if apart > APART:
-            change = size * size[j] * apart / np.sqrt(3.0)
-            effects.append(change[:, None, None] * s**2 * moved)
-    return effects
-
-
-def _reversals(
-    records: Sequence[TrialRecord], impedance: ComplexArray, f: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """How friction of the perturbed joint responds to chattering commands within control periods.
-
-    Torques on the arm that step by Δτ from reading to reading change its speed by ``Δv = M⁻¹ Δτ L``
-    in between, which reverses any lower speed. The mean over the period of a force F that is not
-    linear in speed is then less than the mean of its values at the ends, by ``F'' Δv²/12``. For F
-    with the sign of v, this acts like a viscosity ``E[v F'']/E[v²] = -2 p(0) E[v F]/(E|v| E[v²])``,
-    with the density p of v; the skew correction adds half of ``L E[v F]/E[v²]`` as inertia.
-
-    Returned by trial: the share of the time in which the motion of the joint is reversed, and that
-    viscosity relative to the inertia that the skew correction adds, 1/s.
-    """
-    reversing, bending = np.zeros((2, len(records)))
-    inertia = _inertia(impedance, f)
-    # With some trials only, no more is known than the inertia of each perturbed joint. The whole
-    # matrix may be singular, as from identical channels, which the verdict reports.
-    whole = np.linalg.pinv(_possible(inertia)) if len(records) == len(inertia) else None
-    for number, record in enumerate(records):
-        k = record.perturbed_joint
-        steps = np.diff(record.torque, axis=1)
-        gained = steps[k] / inertia[k, number] if whole is None else whole[k] @ steps
-        change = float(np.std(gained)) / record.rate
-        speed = np.abs(speed_of(record.position[k], record.rate, float(f[-1])))
-        reversing[number] = np.mean(speed < change)
-        usual = max(float(np.mean(speed)), _TINY)
-        bending[number] = record.rate * reversing[number] * change / (6.0 * usual)
-    return reversing, bending
-
-
-def _inertia(impedance: ComplexArray, f: FloatArray) -> FloatArray:
-    """Inertia, kg·m², from the real part of the impedance in the upper fifth of the band."""
-    high = f >= 0.8 * f[-1]
-    squared = (2.0 * np.pi * f[high]) ** 2
-    return np.asarray(-np.mean(impedance.real[..., high] / squared, axis=-1))
-
-
-def _possible(inertia: FloatArray) -> FloatArray:
-    """Inertia, (n, n), with diagonal elements raised to what the coupling requires.
-
-    ``M_kk ≥ M_ik²/M_ii`` for any i; a transducer that misses quick changes shows less.
-    """
-    own = np.maximum(np.abs(np.diag(inertia)), _TINY)
-    possible: FloatArray = inertia.copy()
-    np.fill_diagonal(possible, np.max(inertia**2 / own[:, None], axis=0))
-    return possible
 
 
 def _unit(rows: int, channels: int, f: FloatArray) -> ComplexArray:
