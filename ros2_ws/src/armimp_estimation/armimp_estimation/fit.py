@@ -11,7 +11,9 @@ standard error of the correction, in addition to the prior uncertainty of the re
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import chain, product
 
 import numpy as np
@@ -117,10 +119,12 @@ class CommonDelay(JsonModel):
 class MBKFit:
     """Fitted parameters, their standard errors and the quality of the fit.
 
+    There are n columns, or those m for which the impedance was estimated.
+
     Attributes
     ----------
-    mbk : MBK
-        Fitted matrices, in kg·m², N·m·s/rad and N·m/rad.
+    values : ndarray, shape (3, n, n)
+        M, B and K, in kg·m², N·m·s/rad and N·m/rad.
     r2 : ndarray, shape (n, n)
         Coefficient of determination, see :func:`armimp_estimation.weighted_fit.r_squared`.
     lack : ndarray, shape (n, n)
@@ -138,7 +142,7 @@ class MBKFit:
         Rows b of ``(M, B, K) = Re Σ_f conj(b_f) Z_f`` for each element.
     """
 
-    mbk: MBK
+    values: FloatArray
     r2: FloatArray
     covariance: FloatArray
     lack: FloatArray
@@ -147,10 +151,11 @@ class MBKFit:
     delay: CommonDelay | None = None
     high_pass: tuple[float, float] = (0.0, math.inf)
 
-    @property
-    def values(self) -> FloatArray:
-        """M, B and K, SI units, shape (3, n, n)."""
-        return np.stack((self.mbk.M, self.mbk.B, self.mbk.K))
+    @cached_property
+    def mbk(self) -> MBK:
+        """The fitted matrices, of all n columns."""
+        M, B, K = self.values
+        return MBK(M=M, B=B, K=K)
 
     @property
     def errors(self) -> FloatArray:
@@ -161,9 +166,10 @@ class MBKFit:
         """Change of M, B and K, (3, n), by a change of one row of the impedance, (n, n_freq)."""
         return np.asarray(real_sums(self.functionals[joint], change[:, None]).T)
 
-    def with_doubt(self, shift: FloatArray) -> MBKFit:
-        """Return the fit with a change of M, B and K, (3, n, n), as one more standard error."""
-        return replace(self, covariance=self.covariance + np.outer(shift, shift))
+    def with_doubts(self, shifts: Sequence[FloatArray]) -> MBKFit:
+        """Return the fit with changes of M, B and K, (3, n, n), as further standard errors."""
+        doubts = np.reshape(shifts, (-1, self.values.size))
+        return replace(self, covariance=self.covariance + doubts.T @ doubts)
 
 
 _REFUTED = 4.0
@@ -186,6 +192,8 @@ def fit_impedance(
     calibration: Calibration | None = None,
 ) -> tuple[ImpedanceEstimate, MBKFit]:
     """Fit ``Z_ij(jω) = K - M ω² + jω B`` to each element, and a delay that is common to all.
+
+    All n columns are fitted, or those m that were estimated.
 
     The real part gives M and K, the imaginary part B, as in
     :mod:`armimp_estimation.weighted_fit`. The changes of M, B and K by further terms, such as s³
@@ -211,13 +219,14 @@ def fit_impedance(
         If there are fewer than three frequencies, or a value or variance is not finite.
     """
     known = calibration or Calibration(linearity=0.0)
-    # The noise is that at the fitted impedance, which a first fit gives.
-    first, delay = _with_delay(WeightedFit(estimate=estimate))
-    late = 0.0 if delay is None else delay.delay
-    fitted = first.impedance(first.values) * np.exp(-1j * first.omega * late)
-    estimate = estimate.with_noise_at(fitted)
-    effects = known.effects(estimate.Z)
     problem, delay = _with_delay(WeightedFit(estimate=estimate))
+    if estimate.covariance is not None:
+        # The noise is that at the fitted impedance, which the first fit gives.
+        late = 0.0 if delay is None else delay.delay
+        fitted = problem.impedance(problem.values) * np.exp(-1j * problem.omega * late)
+        estimate = estimate.with_noise_at(fitted)
+        problem, delay = _with_delay(WeightedFit(estimate=estimate))
+    effects = known.effects(estimate.Z)
     if delay is not None and estimate.friction_skew is not None:
         # Torques that are or may be late also jump differently, as behind slow drives.
         late = abs(delay.delay) or delay.error
@@ -226,11 +235,10 @@ def fit_impedance(
         problem = problem.corrected(problem.estimate.Z, systematics)
     problem = _with_bounds_told(problem)
     found = replace(problem.estimate, bounded=0, delay_uncertainty=None)
-    mbk = MBK(**dict(zip("MBK", problem.values, strict=True)))
-    fitted = mbk.impedance(found.f)
+    fitted = problem.impedance(problem.values)
     further = np.diag(squared_changes(problem, may_creep=known.linearity is None).ravel())
     fit = MBKFit(
-        mbk=mbk,
+        values=problem.values,
         r2=r_squared(found.Z, fitted),
         lack=lack_of_fit(found, fitted),
         lack_limit=lack_limit(found.bin_correlation),
@@ -240,29 +248,6 @@ def fit_impedance(
         functionals=problem.functionals,
     )
     return replace(found, noise=found.noise + sum(np.abs(one) ** 2 for one in effects)), fit
-
-
-def fit_columns(estimate: ImpedanceEstimate) -> tuple[FloatArray, FloatArray]:
-    """Fit the elements of some columns as :func:`fit_impedance` fits those of a matrix.
-
-    Parameters
-    ----------
-    estimate : ImpedanceEstimate
-        Estimate with an impedance of the shape (n, m, n_freq).
-
-    Returns
-    -------
-    values, errors : ndarray, shape (3, n, m)
-        M, B and K of each element, and their standard errors, SI units.
-
-    Raises
-    ------
-    DataError
-        As :func:`fit_impedance`.
-    """
-    found, _ = _with_delay(WeightedFit(estimate=estimate))
-    covariance = found.covariance() + np.diag(squared_changes(found).ravel())
-    return found.values, roots(covariance).reshape(found.values.shape)
 
 
 def _with_bounds_told(fit: WeightedFit) -> WeightedFit:

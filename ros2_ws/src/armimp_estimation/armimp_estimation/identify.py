@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
 
 import numpy as np
 from pydantic import Field
@@ -56,26 +55,27 @@ class EstimatorResult:
     models: dict[str, ModelFit]
     """Models of the arm that were fitted in addition to M, B and K, by name."""
 
-    def with_doubts(self, shifts: Sequence[FloatArray]) -> EstimatorResult:
-        """Return the result with changes of M, B and K, (3, n, n), as further standard errors."""
-        return replace(self, fit=reduce(MBKFit.with_doubt, shifts, self.fit))
+    def with_doubts(self, shifts: Sequence[FloatArray], gains: FloatArray) -> EstimatorResult:
+        """Return the result with what is in doubt of its sensors and its arm in its errors.
 
-    def with_gains_in_doubt(self, doubts: FloatArray) -> EstimatorResult:
-        """Return the result with relative standard errors of gains and cross-talk in its errors.
-
-        Row i of `doubts`, (n, n), is the transducer, column l the joint whose torque it may show.
+        Parameters
+        ----------
+        shifts : sequence of ndarray, shape (3, n, n)
+            Changes of M, B and K, one standard error each.
+        gains : ndarray, shape (n, n)
+            Relative standard errors of gains and cross-talk: row i is the transducer, column l the
+            joint whose torque it may show.
         """
-        if not doubts.any():
-            return self
-        fit, noise, shifts = self.fit, self.estimate.noise.copy(), []
+        fit, noise, changes = self.fit.with_doubts(shifts), self.estimate.noise.copy(), []
         # An element that is near 0 by chance would otherwise get next to no error.
         found = np.copysign(np.hypot(fit.values, fit.errors), fit.values)
-        for i, row in np.argwhere(doubts):
+        for i, row in np.argwhere(gains):
             shift = np.zeros_like(found)
-            shift[:, i] = doubts[i, row] * found[:, row]
-            shifts.append(shift)
-            noise[i] += np.abs(doubts[i, row] * self.estimate.Z[row]) ** 2
-        return replace(self.with_doubts(shifts), estimate=replace(self.estimate, noise=noise))
+            shift[:, i] = gains[i, row] * found[:, row]
+            changes.append(shift)
+            noise[i] += np.abs(gains[i, row] * self.estimate.Z[row]) ** 2
+        estimate = replace(self.estimate, noise=noise)
+        return replace(self, fit=fit.with_doubts(changes), estimate=estimate)
 
 
 class TrialScores(JsonModel):
@@ -242,10 +242,7 @@ def identify(
         of_postures, changes = other_postures(records, best.fit, apart)
         problems += [*of_motion, *of_postures]
         doubts += changes
-        results = {
-            name: one.with_doubts(doubts).with_gains_in_doubt(np.diag(gains))
-            for name, one in results.items()
-        }
+        results = {name: one.with_doubts(doubts, np.diag(gains)) for name, one in results.items()}
     realised = scores.realisation(best.estimate, known.target)
     balance = (
         None
@@ -256,7 +253,8 @@ def identify(
     problems += [*unbalanced, *judge_answers(names, records, balance, best.fit)]
     scales = [] if balance is None else balance.scales_in_doubt(best.fit)
     results = {
-        name: one.with_gains_in_doubt(gains).with_doubts(scales) for name, one in results.items()
+        name: one.with_doubts([], gains).with_doubts(scales, np.zeros_like(gains))
+        for name, one in results.items()
     }
     return Identification(
         joint_names=names,

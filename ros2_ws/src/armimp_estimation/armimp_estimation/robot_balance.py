@@ -336,37 +336,34 @@ class RobotResponses:
             systematics.append(0.5 * turn * steady)
         disturbance = covariance_of(self.columns, coefficients)
         noise = noise_of(disturbance, self.inverse)
-        values, covariance, friction, damped = self._fit(
+        fitted = self._fit(
             impedance + ahead,
             noise + sum(np.abs(one) ** 2 for one in systematics),
             multiply(multiply(mixed[:, 2 * n :], self.stacked[2 * n :]), self.inverse),
         )
+        M, B, _ = map(np.diag, fitted["values"])
         undamped, pace = self._not_of_a_damper
         unsure = np.zeros((n, n))
         if arm is not None and calibration is not None:
             # A gain or cross-talk adds a share of a row of the arm's inertia, the scale of an
             # encoder one of a column of the robot's. At other postures the robot is another one.
             squares = calibration.shares(n) ** 2 @ arm.mbk.M**2
-            squares += (calibration.angle * values[0]) ** 2
+            squares += (calibration.angle * fitted["values"][0]) ** 2
             if apart > APART:
-                own = np.abs(np.diag(values[0]))
-                squares += apart**2 * np.outer(own, own) / 6.0
+                squares += apart**2 * np.abs(np.outer(M, M)) / 6.0
             unsure = np.sqrt(squares)
         return RobotBalance(
-            values=values,
-            covariance=covariance,
-            damped=damped,
-            friction=friction,
+            **fitted,
             unseen=self.hidden.share,
             undamped=undamped,
-            rubbing=np.abs(np.diag(values[1])) * np.diag(undamped) * pace,
+            rubbing=np.abs(B) * np.diag(undamped) * pace,
             order=order,
             unsure=unsure,
         )
 
     def _fit(
         self, impedance: ComplexArray, variance: FloatArray, driven: ComplexArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    ) -> dict[str, FloatArray]:
         """Fit a robot, friction of locked joints and a lag of the drives to an impedance.
 
         Returned are values, covariance, friction and damped of a :class:`RobotBalance`; `driven` is
@@ -395,7 +392,7 @@ class RobotResponses:
             found[:, i, j], errors[:, :, i, j] = values[:3], covariance[:3, :3]
             whole = float(np.linalg.norm(impedance[i, j] / s))
             friction[i, j] = float(np.linalg.norm(taken / s)) / max(whole, _TINY)
-        return found, errors, friction, damped
+        return {"values": found, "covariance": errors, "friction": friction, "damped": damped}
 
     @cached_property
     def _not_of_a_damper(self) -> tuple[FloatArray, FloatArray]:

@@ -144,35 +144,29 @@ class WeightedFit:
         return np.asarray(self._covariance_by_noise() + known.T @ known)
 
     def _covariance_by_noise(self) -> FloatArray:
-        """Part of noise: ``½ Re Σ_fg conj(b_f) c_g σ_f ς_g ρ_fg (κ_f + κ_g)/2`` of two elements.
-
-        κ is their coherency. Without covariances in the estimate, elements count as independent.
-        """
-        elements = list(np.ndindex(self.shape))
-        noise = np.sqrt(0.5 * self.estimate.noise)[:, :, None]
-        terms = (self.functionals * noise).reshape(len(elements), 3, -1)
+        """Part of noise: ``½ Re Σ_fg conj(b_f) c_g σ_f ς_g ρ_fg (κ_f + κ_g)/2`` of two elements."""
+        noise = np.sqrt(self.estimate.noise).reshape(-1, self.omega.size)
+        terms = math.sqrt(0.5) * noise[:, None] * self.functionals.reshape(len(noise), 3, -1)
         spread = with_neighbours(terms, self.estimate.bin_correlation)
-        covariance = np.zeros((3, len(elements), 3, len(elements)))
-        for one, first in enumerate(elements):
-            for other, second in enumerate(elements[one:], one):
-                kappa = self._coherency(first, second)
-                a, b = np.conj(terms[one]) * kappa, np.conj(spread[one]) * kappa
-                block = 0.5 * (a @ spread[other].T + b @ terms[other].T).real
-                covariance[:, one, :, other] = block
-                covariance[:, other, :, one] = block.T
-        return covariance.reshape(3 * len(elements), 3 * len(elements))
+        kappa = self._coherency(noise)
+        found = np.einsum("apf,abf,bqf->paqb", np.conj(terms), kappa, spread).real
+        one_way = found.reshape(self.values.size, -1)
+        return np.asarray(0.5 * (one_way + one_way.T))
 
-    def _coherency(self, one: tuple[int, ...], other: tuple[int, ...]) -> ComplexArray:
-        """Complex correlation of the errors of two elements at each frequency."""
+    def _coherency(self, noise: FloatArray) -> ComplexArray:
+        """Complex correlation κ of the errors of any two of N elements, (N, N, n_freq).
+
+        `noise` is their standard deviation. Without covariances, elements count as independent.
+        """
         disturbance, inverse = self.estimate.disturbance, self.estimate.inverse
-        if one == other:
-            return np.ones(self.omega.size, dtype=np.complex128)
+        itself = np.eye(len(noise), dtype=np.complex128)[:, :, None]
         if disturbance is None or inverse is None:
-            return np.zeros(self.omega.size, dtype=np.complex128)
-        (i, j), (m, l) = one, other
-        shared = np.sum(disturbance[:, i, m] * inverse[:, j] * np.conj(inverse[:, l]), axis=0)
-        size = np.sqrt(self.estimate.noise[one]) * np.sqrt(self.estimate.noise[other])
-        return np.asarray(np.divide(shared, size, out=np.zeros_like(shared), where=size > 0.0))
+            return np.broadcast_to(itself, (*itself.shape[:2], self.omega.size))
+        shared = np.einsum("kimf,kjf,klf->ijmlf", disturbance, inverse, np.conj(inverse))
+        size = noise[:, None] * noise
+        shared = shared.reshape(size.shape)
+        kappa = np.divide(shared, size, out=np.zeros_like(shared), where=size > 0.0)
+        return np.where(itself == 1.0, 1.0, kappa)
 
     def _beside(self, terms: ComplexArray) -> ComplexArray:
         """Residual of terms, (..., n, m, n_freq), regressed on M, B and K of their elements.
@@ -298,18 +292,18 @@ def lack_limit(correlation: FloatArray) -> float:
 
 
 def lack_of_fit(estimate: ImpedanceEstimate, fitted: ComplexArray) -> FloatArray:
-    """Weighted squared residual of each element per degree of freedom, (n, n).
+    """Weighted squared residual of each element per degree of freedom, (n, m).
 
     It is 1 if noise explains all of it. M, B and K, and systematic errors within their standard
     errors, first explain what they can of ``Z - fit``: each has one shape over frequency, and
     explains nothing else (generalised least squares).
     """
-    f, n = estimate.f, estimate.joints
+    f = estimate.f
     weights = 1.0 / np.sqrt(_spared(estimate.Z, estimate.noise, estimate.averages - 1.0))
     relative = 1j * f / f[-1]
     shapes = np.stack((relative**2, relative, np.ones_like(relative)))
-    found = np.zeros((n, n))
-    for at in np.ndindex(n, n):
+    found = np.zeros(fitted.shape[:2])
+    for at in np.ndindex(found.shape):
         systematic = np.reshape([one[at] for one in estimate.systematics], (-1, f.size))
         design = _stacked(weights[at] * np.concatenate((shapes, systematic)))
         # M, B and K, the first three, have no prior.

@@ -17,7 +17,7 @@ from armimp_estimation.estimators.local_polynomial import (
     local_response,
 )
 from armimp_estimation.estimators.welch import invert, multiply
-from armimp_estimation.fit import fit_columns, fit_mbk
+from armimp_estimation.fit import fit_mbk
 from armimp_estimation.frf import order_trials, stands_out
 from armimp_estimation.hold_correction import (
     HoldCorrection,
@@ -142,7 +142,7 @@ class LpmFull:
             reference=reference,
             jump=jump,
         )
-        disturbance = covariance_of(columns, coefficients)
+        disturbance, whole = covariance_of(columns, coefficients), len(records) == n
         return ImpedanceEstimate(
             name=self.name,
             f=f,
@@ -152,21 +152,21 @@ class LpmFull:
             averages=min(column.freedom for column in columns) + 1.0,
             T=torque,
             R=R,
-            perturbed=() if len(records) == n else tuple(joints),
+            perturbed=() if whole else tuple(joints),
             systematics=(*bounds, *others),
             bounded=len(bounds),
             power=1.0 / np.stack([column.gain for column in columns]),
             weight_floor=_FLOOR,
-            friction_skew=added.real.astype(np.complex128),
+            friction_skew=added.real.astype(np.complex128) if whole else None,
             delay_uncertainty=_delay_uncertainty(records[0], jump),
             delay_unknown=0.5 / rate,
             unbiased=True,
             uneven=_uneven(
                 covariance_of(plain, coefficients), disturbance, torque, columns, joints
             ),
-            without_slow=tuple(without_slow(records)) if len(records) == n else (),
+            without_slow=tuple(without_slow(records)) if whole else (),
             hold=jump,
-            covariance=covariance_of(columns, every),
+            covariance=covariance_of(columns, every) if whole else None,
             disturbance=disturbance,
             inverse=inverse,
         )
@@ -194,18 +194,12 @@ class LpmFull:
         joints, k = sorted(by_joint), record.perturbed_joint
         records = [by_joint[joint] for joint in joints]
         found = self._estimate(records, *self._reference(records))
-        preliminary = len(joints) < record.joints
-        if preliminary:
-            values, errors = fit_columns(found)
-        else:
-            fit = fit_mbk(found)
-            values, errors = fit.values, fit.errors
-        place = joints.index(k)
+        fit, place = fit_mbk(found), joints.index(k)
         return FittedColumn(
             joint=k,
-            values=values[:, :, place],
-            errors=errors[:, :, place],
-            preliminary=preliminary,
+            values=fit.values[:, :, place],
+            errors=fit.errors[:, :, place],
+            preliminary=len(joints) < record.joints,
         )
 
     def _residuals(
