@@ -119,7 +119,7 @@ class CommonDelay(JsonModel):
 class MBKFit:
     """Fitted parameters, their standard errors and the quality of the fit.
 
-    There are n columns, or those m for which the impedance was estimated.
+    If only m of the n columns were estimated, m takes the place of the second n in all shapes.
 
     Attributes
     ----------
@@ -192,8 +192,6 @@ def fit_impedance(
     calibration: Calibration | None = None,
 ) -> tuple[ImpedanceEstimate, MBKFit]:
     """Fit ``Z_ij(jω) = K - M ω² + jω B`` to each element, and a delay that is common to all.
-
-    All n columns are fitted, or those m that were estimated.
 
     The real part gives M and K, the imaginary part B, as in
     :mod:`armimp_estimation.weighted_fit`. The changes of M, B and K by further terms, such as s³

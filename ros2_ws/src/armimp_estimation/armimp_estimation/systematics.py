@@ -388,21 +388,21 @@ def rounding_lead(
 
 def _speeds(record: TrialRecord, inertia: FloatArray, band_end: float) -> FloatArray:
     """Speeds, (n, N), rad/s: from the angles in the band, above it from the torques if possible."""
-    turning = 2.0 * np.pi * np.fft.rfftfreq(record.samples, 1.0 / record.rate)
-    beyond = turning > 2.0 * np.pi * band_end
-    spectrum = 1j * turning * np.fft.rfft(record.position - record.position[:, :1])
-    spectrum[:, beyond] = 0.0
+    speeds = speed_of(record.position, record.rate, band_end)
     size = np.sqrt(np.abs(np.diag(inertia)))
     own = inertia / np.maximum(np.outer(size, size), _TINY)
     if np.min(np.linalg.eigvalsh(own + own.T)) > _DISTINCT:
-        felt = np.fft.rfft(record.torque)[:, beyond] / (1j * turning[beyond])
-        spectrum[:, beyond] = np.linalg.solve(inertia, felt)
-    return np.asarray(np.fft.irfft(spectrum, record.samples))
+        turning = 2.0 * np.pi * np.fft.rfftfreq(record.samples, 1.0 / record.rate)
+        beyond = turning > 2.0 * np.pi * band_end
+        felt = np.fft.rfft(record.torque) * beyond
+        felt[:, beyond] = np.linalg.solve(inertia, felt[:, beyond] / (1j * turning[beyond]))
+        speeds = speeds + np.fft.irfft(felt, record.samples)
+    return speeds
 
 
 def speed_of(angle: FloatArray, rate: float, band_end: float) -> FloatArray:
-    """Speed of a joint up to the frequency `band_end` in Hz, (N,), rad/s."""
-    turning = 2.0 * np.pi * np.fft.rfftfreq(angle.size, 1.0 / rate)
-    spectrum = 1j * turning * np.fft.rfft(angle - np.mean(angle))
-    spectrum[turning > 2.0 * np.pi * band_end] = 0.0
-    return np.asarray(np.fft.irfft(spectrum, angle.size))
+    """Speed of joints up to the frequency `band_end` in Hz, (..., N), rad/s."""
+    turning = 2.0 * np.pi * np.fft.rfftfreq(angle.shape[-1], 1.0 / rate)
+    spectrum = 1j * turning * np.fft.rfft(angle - angle.mean(axis=-1, keepdims=True))
+    spectrum[..., turning > 2.0 * np.pi * band_end] = 0.0
+    return np.asarray(np.fft.irfft(spectrum, angle.shape[-1]))

@@ -55,7 +55,7 @@ _LOW, _FEWEST = 1.0 / 3.0, 8
 def squared_changes(fit: WeightedFit, *, may_creep: bool = False) -> FloatArray:
     """Squared standard errors of M, B and K, (3, n, m), by all that they don't describe.
 
-    Transducers whose linearity is unknown `may_creep`: show more of a torque the longer it lasts.
+    Transducers of unknown linearity `may_creep`: they show more of a torque the longer it lasts.
     """
     n, columns = fit.shape
     squares = _by_curvature(fit) + _by_frequency(fit)

@@ -377,9 +377,9 @@ def _uneven(
 ) -> tuple[float, ...]:
     """Scatter of lines beyond noise, as a share of the power of each perturbed joint's torque.
 
-    From the responses T and the covariance (m, n, n, n_freq) of the torques that the estimated arm
-    leaves, without it and with it; by the power of the lines, as noise at a weak line is no torque.
-    The motion itself may be uneven, where friction of the robot distorts it.
+    It follows from the responses T and from the covariance, (m, n, n, n_freq), of the torques that
+    the estimated arm leaves, `plain` without that scatter and `scattered` with it. Lines count by
+    their power. The motion itself may be uneven, where friction of the robot distorts it.
     """
     shares = []
     for column, joint in enumerate(joints):
