@@ -16,7 +16,7 @@ from armimp_estimation.nonlinearity import Deviation, deviations
 from armimp_estimation.periods import Periods, common_lines
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.residual_torque import Residual
-from armimp_estimation.trial import SIGNIFICANT, segment_for, slopes_of
+from armimp_estimation.trial import SIGNIFICANT, cleaned, segment_for, slopes_of
 from support.synthetic_trials import LOOP, TWO_JOINT_ARM, made_record, part_of, synthetic_trial
 
 PERIOD = 4096
@@ -274,6 +274,11 @@ def test_torque_that_an_arm_does_not_explain_is_sorted_by_its_origin(
     inside[0] = False
     whole = float(np.sqrt(2.0 * np.sum(spectrum[inside]))) / noise.size
     assert sorted_out.noise == pytest.approx(whole, rel=0.1)
+    resting = elbow(*(np.pad(one, (0, 900)) for one in (source, angle, record.torque[0])))
+    assert cleaned([resting])[0][0].samples == source.size
+    rested = Distortion.of(resting, spring)
+    assert rested is not None
+    assert rested.noise == sorted_out.noise
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.05])
