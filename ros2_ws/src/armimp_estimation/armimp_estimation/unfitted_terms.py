@@ -105,16 +105,16 @@ def _by_sensors_and_cuffs(fit: WeightedFit) -> FloatArray:
     proportion to s².
     """
     Z, squares = fit.impedance(fit.values), np.zeros_like(fit.values)
-    cuffs = [-Z[:, joint, None] * Z[None, joint] for joint in range(len(Z))]
-    sensors = [-1j * Z / fit.omega, (fit.omega / fit.omega[-1]) ** 2 * Z]
-    for place, terms in enumerate([*cuffs, *sensors]):
+    for joint in range(len(Z)):
+        terms = -Z[:, joint, None] * Z[None, joint]
         value, error, _ = fit.common_coefficient(terms)
-        square = _noticed(value, error)
-        if place < len(cuffs):
-            # A compliance is not negative; a corner is if angles passed the high-pass.
-            soft, _ = hidden_square(value, error, _SOFT, sizes=(_CUFF,), positive=True)
-            square = np.maximum(_noticed(max(value, 0.0), error), soft)
+        soft, _ = hidden_square(value, error, _SOFT, sizes=(_CUFF,), positive=True)
+        # A compliance is not negative; a corner is if angles passed the high-pass.
+        square = np.maximum(_noticed(max(value, 0.0), error), soft)
         squares += square * fit.shifts(terms) ** 2
+    for terms in (-1j * Z / fit.omega, (fit.omega / fit.omega[-1]) ** 2 * Z):
+        value, error, _ = fit.common_coefficient(terms)
+        squares += _noticed(value, error) * fit.shifts(terms) ** 2
     return squares
 
 
