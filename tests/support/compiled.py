@@ -41,9 +41,9 @@ def brief_rig(
 
 def main() -> None:
     """Compile what most tests need."""
-    for rig in (brief_rig(), brief_rig(arm_sim={"sensors.torque.noise": 0.01})):
-        run_offline([rig])
-        run_offline([rig, rig])
+    rig, noisy = brief_rig(), brief_rig(arm_sim={"sensors.torque.noise": 0.01})
+    for rigs in ([rig], [rig, rig], [noisy]):
+        run_offline(rigs)
     for joints in (1, 3):
         run_offline([brief_rig(joints=joints)])
     controller = brief_rig().controller
