@@ -271,8 +271,8 @@ class TrialRecorder:
         self._column = None
         if record is not None and record.samples:
             with suppress(DataError):  # too few samples
-                records = [replace(one, reading=self._reading) for one in (record, *self._past)]
-                self._column = LpmFull().column(records[0], records[1:])
+                record = replace(record, reading=self._reading)
+                self._column = LpmFull().column(record, self._past)
         return self._column
 
     def stop(self) -> None:
@@ -430,7 +430,7 @@ class TrialRecorder:
             return Problem.of(error, ProblemCode.RECORDING_FAILED)
         (trial,) = trials
         if trial.record is not None:
-            self._past.append(trial.record)
+            self._past.append(replace(trial.record, reading=self._reading))
         rtf = trial.statistics.span / RATE / elapsed
         return replace(trial, bag=self._bag or None, rtf=rtf)
 

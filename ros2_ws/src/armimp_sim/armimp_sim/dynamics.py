@@ -230,7 +230,7 @@ def _slopes(w: FloatArray, joints: Tag, width: Tag) -> None:
     _links(w, joints, width)
     _drive(w, joints, width)
     _masses(w, joints, width)
-    _friction(w, joints, width)
+    _friction(w, joints, width)  # last: it takes longest, and only _solve waits for it
     _solve(w, joints, width)
 
 
