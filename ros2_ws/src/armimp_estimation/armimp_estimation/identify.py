@@ -227,9 +227,16 @@ def identify(
         code = ProblemCode.CALIBRATION_ASSUMED
         problems.append(problem(code, severity=Severity.NOTE, **assumed))
     hold = best.estimate.hold or update_jump(records)
+    balance = (
+        None
+        if responses is None
+        else responses.balance(order, hold, best.fit, known.calibration, apart)
+    )
+    unbalanced, gains = judge_balance(names, balance, best.fit, known.calibration)
+    doubts = [] if balance is None else balance.scales_in_doubt(best.fit)
     deviating: Sequence[Mapping[str, Deviation]] = [{} for _ in records]
     if best.estimate.unbiased:
-        of_motion, doubts, gains, deviating = judge_linearity(
+        of_motion, nonlinear, sensors, deviating = judge_linearity(
             at_posture(records, best.estimate.turning),
             best.estimate,
             best.fit,
@@ -237,25 +244,14 @@ def identify(
             resolved=np.all(lost_motion(records)[0] < RESOLVED_SHARE, axis=0),
             linearity=known.calibration.linearity,
         )
-        if known.calibration.assumed:
-            doubts += mixed_channels(best.fit, known.calibration)
         of_postures, changes = other_postures(records, best.fit, apart)
         problems += [*of_motion, *of_postures]
-        doubts += changes
-        results = {name: one.with_doubts(doubts, np.diag(gains)) for name, one in results.items()}
-    realised = scores.realisation(best.estimate, known.target)
-    balance = (
-        None
-        if responses is None
-        else responses.balance(order, hold, best.fit, known.calibration, apart)
-    )
-    unbalanced, gains = judge_balance(names, balance, best.fit, known.calibration)
+        doubts += [*nonlinear, *changes]
+        gains = np.hypot(gains, np.diag(sensors))
+        if known.calibration.assumed:
+            doubts += mixed_channels(best.fit, known.calibration)
     problems += [*unbalanced, *judge_answers(names, records, balance, best.fit)]
-    scales = [] if balance is None else balance.scales_in_doubt(best.fit)
-    results = {
-        name: one.with_doubts([], gains).with_doubts(scales, np.zeros_like(gains))
-        for name, one in results.items()
-    }
+    realised = scores.realisation(best.estimate, known.target)
     return Identification(
         joint_names=names,
         trials=tuple(
@@ -273,7 +269,7 @@ def identify(
             )
             for k in range(len(names))
         ),
-        estimators=results,
+        estimators={name: one.with_doubts(doubts, gains) for name, one in results.items()},
         problems=tuple(problems),
         balance=balance,
     )
