@@ -44,7 +44,7 @@ def investigate(options: InvestigationOptions) -> int:
             line += f" imbalance {share.round(3)} ± {error.round(3)} M_r {M.round(3).tolist()}"
         if result.fit.delay is not None:
             delay = result.fit.delay
-            line += f" delay {1e6 * delay.told:.1f} ± {1e6 * delay.told_error:.1f} µs"
+            line += f" delay {1e6 * delay.measured:.1f} ± {1e6 * delay.measured_error:.1f} µs"
             line += f" -> {1e6 * delay.delay:.1f} ± {1e6 * delay.error:.1f}"
         se = np.max(result.fit.errors / np.abs(truth), axis=(1, 2))
         line += " se% " + " ".join(f"{100 * one:.2f}" for one in se)

@@ -89,8 +89,8 @@ class Recording:
             zero, the rate is not from 200 to 4000 Hz, there is no such timing, or the delay is
             impossible.
         """
-        told = {"torque_timing": timing, "torque_delay": float(torque_delay)}
-        known = Metadata.of({name: json.dumps(value) for name, value in told.items()})
+        reading = {"torque_timing": timing, "torque_delay": float(torque_delay)}
+        known = Metadata.of({name: json.dumps(value) for name, value in reading.items()})
         signals: list[Any] = [perturbation, position, torque]
         if command is not None:
             signals.append(command)

@@ -100,9 +100,9 @@ class CommonDelay(JsonModel):
     """Delay that was corrected, s."""
     error: Number
     """Its standard error, s."""
-    told: Number
-    """What the data alone tell, s."""
-    told_error: Number
+    measured: Number
+    """Delay that the data alone give, s."""
+    measured_error: Number
     """Standard error of that, s."""
     refuted: bool = False
     """Whether that contradicts what was declared."""
@@ -110,9 +110,9 @@ class CommonDelay(JsonModel):
     @property
     def held(self) -> float:
         """Share of a true delay that is left uncorrected, as the prior shrinks the fitted one."""
-        if not self.error < self.told_error:
+        if not self.error < self.measured_error:
             return 0.0
-        return 1.0 - (self.error / self.told_error) ** 2
+        return 1.0 - (self.error / self.measured_error) ** 2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -268,24 +268,24 @@ def _with_delay(problem: WeightedFit) -> tuple[WeightedFit, CommonDelay | None]:
     uncertainty, unknown = estimate.delay_uncertainty, estimate.delay_unknown
     if uncertainty is None:
         return problem, None
-    total, told_error, apart = 0.0, math.inf, 0.0
+    total, measured_error, apart = 0.0, math.inf, 0.0
     trial = problem
     for _ in range(_ITERATIONS):
         # For each element, Z = fit - d jω fit is solved for d by weighted least squares.
         turned = -turning * trial.impedance(trial.values)
-        step, told_error, apart = trial.common_coefficient(turned)
+        step, measured_error, apart = trial.common_coefficient(turned)
         total = float(np.clip(total + step, -_LATEST, _LATEST))
         trial = problem.corrected(estimate.Z * np.exp(turning * total), estimate.systematics)
     # Torques that jump with their commands are read within the period: what then seems later than
     # that against the angles is the arm's own, as of soft tissue.
-    late = total > unknown + _REFUTED * told_error and estimate.hold is not None
+    late = total > unknown + _REFUTED * measured_error and estimate.hold is not None
     fits = trial.roughly_fits(trial.values) and not late
     sure = max(uncertainty, _SUREST)
-    refuted = fits and abs(total) > _REFUTED * math.hypot(sure, told_error)
+    refuted = fits and abs(total) > _REFUTED * math.hypot(sure, measured_error)
     assumed = max(uncertainty, unknown) if refuted else uncertainty
     # Unless the arm is of the form M, B and K, what looks like a delay may be the arm's own.
     identified = fits and assumed > 0.0
-    delay = total * assumed**2 / (assumed**2 + told_error**2) if identified else 0.0
+    delay = total * assumed**2 / (assumed**2 + measured_error**2) if identified else 0.0
     values = trial.values if fits else problem.values
     steady, inertial = (
         problem.impedance(values * np.reshape(parts, (3, 1, 1)))
@@ -293,8 +293,8 @@ def _with_delay(problem: WeightedFit) -> tuple[WeightedFit, CommonDelay | None]:
     )
     turned = estimate.Z * np.exp(turning * delay)
     doubt = 0.5 * delay * turning * steady
-    # The delay of B and K keeps its prior uncertainty, whatever the data tell of the inertial part.
-    untold = assumed * turning * steady
+    # The delay of B and K keeps its prior uncertainty, whatever the data show of the inertial part.
+    prior = assumed * turning * steady
     # A first-order low-pass is exp(-sd + (sd)²/2 - (sd)³/3 ...); others have less of each term.
     filtered = [(delay * turning) ** order / order * inertial for order in _ORDERS if delay]
     # In mid-period, torques that jump and angles that do not differ by (ωL)²/24 of the inertia.
@@ -302,7 +302,7 @@ def _with_delay(problem: WeightedFit) -> tuple[WeightedFit, CommonDelay | None]:
     terms = np.stack([assumed * turning * turned, jumping, *filtered])
     # Each transducer may have a delay of its own, or seem to, as with hysteresis.
     single = (min(apart, assumed) * turning * turned,) if identified else ()
-    trial = problem.corrected(turned - doubt, (*estimate.systematics, *single, doubt, untold))
+    trial = problem.corrected(turned - doubt, (*estimate.systematics, *single, doubt, prior))
     found, covariance = np.zeros(len(terms)), np.eye(len(terms))
     if identified:
         own = problem.own
@@ -321,8 +321,8 @@ def _with_delay(problem: WeightedFit) -> tuple[WeightedFit, CommonDelay | None]:
     known = CommonDelay(
         delay=delay - assumed * found[0],
         error=assumed * math.sqrt(covariance[0, 0]),
-        told=total,
-        told_error=told_error,
+        measured=total,
+        measured_error=measured_error,
         refuted=refuted,
     )
     errors = np.tensordot(root_of(covariance).T, terms, axes=1)

@@ -170,8 +170,8 @@ def update_jump(records: Sequence[TrialRecord]) -> HoldCorrection | None:
         error=np.where(sure, 0.0, moved.error),
     )
     most = _OFF * (_LEFT_BESIDE if sure.any() else _LEFT)
-    told = (sure | (moved.error < most) & _shows(*chatter, moved)).all()
-    return jump if told and _is_share_of_inertia(jump.torque) else None
+    determined = (sure | (moved.error < most) & _shows(*chatter, moved)).all()
+    return jump if determined and _is_share_of_inertia(jump.torque) else None
 
 
 def answers_to_rounding(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]:

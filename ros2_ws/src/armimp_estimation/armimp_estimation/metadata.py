@@ -158,15 +158,15 @@ class Metadata(BaseModel):
             If an entry is invalid, or the truth has another number of joints.
         """
         keys = (*cls.model_fields, *READING_KEYS, *CALIBRATION_KEYS)
-        told = {key: _parsed(metadata, key) for key in keys if key in metadata}
+        entries = {key: _parsed(metadata, key) for key in keys if key in metadata}
         try:
-            declared = _Declared.validate_python(_named(told, CALIBRATION_KEYS))
+            declared = _Declared.validate_python(_named(entries, CALIBRATION_KEYS))
             assumed = not declared.keys() >= {"gain", "cross_talk", "angle"}
             sensors = replace(Calibration.undeclared(), assumed=assumed, **declared)
             # Of JSON, as only there the name of a timing stands for it strictly.
-            properties = json.dumps(_named(told, READING_KEYS))
+            properties = json.dumps(_named(entries, READING_KEYS))
             reading = TorqueReading.model_validate_json(properties, strict=True)
-            found = cls.model_validate({**told, "reading": reading, "calibration": sensors})
+            found = cls.model_validate({**entries, "reading": reading, "calibration": sensors})
         except ValidationError as error:
             given = f"{error.errors()[0]['input']!r:.60}"
             where, _, reason = first_complaint(error).partition(": ")
@@ -202,9 +202,9 @@ class Metadata(BaseModel):
             return None
 
 
-def _named(told: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, Any]:
-    """Return what metadata tell under some keys, by the names of attributes; null tells nothing."""
-    return {name: told[key] for key, name in names.items() if told.get(key) is not None}
+def _named(entries: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, Any]:
+    """Return metadata, without those that are null, by the names of the attributes."""
+    return {name: entries[key] for key, name in names.items() if entries.get(key) is not None}
 
 
 def _parsed(metadata: Mapping[str, str], key: str) -> Any:

@@ -175,9 +175,9 @@ class Deviation:
         term = self.term
         if term.kind is Kind.GAIN and self.error == np.inf:
             return term.likely * float(np.mean(np.square(term.sizes))), 0.0
-        untold = not term.likely or (term.lines_alone and not self.coefficient.at_lines)
+        unknown = not term.likely or (term.lines_alone and not self.coefficient.at_lines)
         errors = self.coefficient.errors()
-        if untold or not errors > 0.0 or self.of_robot:
+        if unknown or not errors > 0.0 or self.of_robot:
             return 0.0, 0.0
         lost = term.kind is Kind.LOST
         return hidden_square(

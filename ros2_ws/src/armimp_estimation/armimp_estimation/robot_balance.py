@@ -463,9 +463,9 @@ def imbalance(
     whole, whole_error, _ = _imbalance(robot, arm, known, np.diag(robot.rubbing))
     left, left_error, alike = _imbalance(robot, arm, known, np.diag(robot.rubbing) + potential)
     near = np.minimum(np.abs(left), _REFUTED * left_error)
-    tells = (np.abs(left - whole) < near) & (left_error < np.abs(whole))
-    sure = tells & (np.abs(left) > _REFUTED * left_error)
-    possible = np.where(tells & ~sure & (np.abs(whole) > _REFUTED * whole_error), whole, 0.0)
+    informative = (np.abs(left - whole) < near) & (left_error < np.abs(whole))
+    sure = informative & (np.abs(left) > _REFUTED * left_error)
+    possible = np.where(informative & ~sure & (np.abs(whole) > _REFUTED * whole_error), whole, 0.0)
     shares, errors = np.where(sure, whole, left), np.where(sure, whole_error, left_error)
     own, K_own = np.diag(K), np.diag(arm.mbk.K)
     spring = _PULLED * np.abs(K_own) + robot.rubbing + _REFUTED * np.diag(robot.K_se)
@@ -538,12 +538,12 @@ def _gains_above_one(
     least = allowed * arms + _NEGATIVE * own_error
     least[1] += robot.rubbing
     beyond = (arms > 0.0) & (own < -least)
-    told = np.divide(own, arms, out=np.zeros_like(own), where=beyond)
-    told_error = np.divide(own_error, arms, out=np.zeros_like(own), where=beyond)
-    gravity = (shares > 0.5 * told[1]) & (errors < np.abs(told[1]))
-    gravity |= (told[1] > -_PULLED) & (shares > -_REFUTED * errors)
+    implied = np.divide(own, arms, out=np.zeros_like(own), where=beyond)
+    implied_error = np.divide(own_error, arms, out=np.zeros_like(own), where=beyond)
+    gravity = (shares > 0.5 * implied[1]) & (errors < np.abs(implied[1]))
+    gravity |= (implied[1] > -_PULLED) & (shares > -_REFUTED * errors)
     by_stiffness = beyond[1] & ~gravity & (len(shares) > 1)
-    share, error = (np.where(by_stiffness, one[1], one[0]) for one in (told, told_error))
+    share, error = (np.where(by_stiffness, one[1], one[0]) for one in (implied, implied_error))
     return np.maximum(share, -0.99), error
 
 
@@ -577,21 +577,21 @@ def _gains_in_doubt(
     residual better than a gain does.
     """
     size, own = np.abs(shares), np.eye(len(shares), dtype=np.bool_)
-    told = np.where(
+    significant = np.where(
         (size > _REFUTED * errors) & (own | _explained_better(shares, errors)), size, 0.0
     )
     # If nobody declared the gain, a share above one standard error is possible, too.
     unconfirmed = np.maximum(_UNCONFIRMED, np.where(size > errors, size, 0.0))
     cross_talk = _UNCONFIRMED_CROSS_TALK
     if not calibration.assumed:
-        told = np.where(_may_be_spring(shares) & (shares > 0.0), 0.0, told)
+        significant = np.where(_may_be_spring(shares) & (shares > 0.0), 0.0, significant)
         springs, unconfirmed, cross_talk = np.minimum(springs, 0.0), 0.0 * size, 0.0
     apparent, unexplained = np.abs(springs)
     most = np.where(own, np.maximum(apparent, unconfirmed), cross_talk)
-    untold = np.minimum(np.hypot(shares, errors), most)
-    untold = np.maximum(untold, _LOADED * np.diag(unexplained))
+    possible = np.minimum(np.hypot(shares, errors), most)
+    possible = np.maximum(possible, _LOADED * np.diag(unexplained))
     return np.asarray(
-        np.minimum(np.maximum(told, untold), np.inf if calibration.assumed else _WRONG)
+        np.minimum(np.maximum(significant, possible), np.inf if calibration.assumed else _WRONG)
     )
 
 
@@ -642,8 +642,8 @@ def judge_balance(
         (beyond & own & ~_may_be_spring(shares), shares, errors),
         (np.diag(less < 0.0), np.diag(less), np.diag(less_error)),
     ]
-    for told, share, error in explanations:
-        for i, row in np.argwhere(told):
+    for where, share, error in explanations:
+        for i, row in np.argwhere(where):
             if i != row or names[i] not in wrong:
                 wrong.append(names[i])
                 problems.append(_wrong(names, i, row, share[i, row], error[i, row]))

@@ -379,8 +379,8 @@ def aliased(record: TrialRecord) -> float:
     power = np.sum(np.abs(pushes) ** 2, axis=1)
     f = (np.arange(power.size) + 0.5) * _BINS * record.rate / (record.samples - 2)
     slow, quick = (f > 3.0) & (f < 8.0), (f > 15.0) & (f < 40.0)
-    told = slow.any() and quick.any()
-    if not told or np.mean(power[f > 0.375 * record.rate]) < _FOLDED * np.mean(power[quick]):
+    comparable = slow.any() and quick.any()
+    if not comparable or np.mean(power[f > 0.375 * record.rate]) < _FOLDED * np.mean(power[quick]):
         return 1.0
     share, _, answer = followed(pushes, spectrum_by_bins(np.diff(record.position[k], n=2)))
     # Power of the second differences of rounding, whose variance is q²/12, with a Hann window.

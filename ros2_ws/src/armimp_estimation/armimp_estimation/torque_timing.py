@@ -54,7 +54,7 @@ class TorqueTiming(str, Enum):
 
 
 _INSTANTS = {
-    TorqueTiming.UNKNOWN: "at an instant that nobody told",
+    TorqueTiming.UNKNOWN: "at an unknown instant",
     TorqueTiming.AFTER_UPDATE: "just after each command takes effect",
     TorqueTiming.MID_INTERVAL: "half a control period before the angles",
     TorqueTiming.BEFORE_UPDATE: "just before each command takes effect",

@@ -138,13 +138,13 @@ def _by_reflexes(fit: WeightedFit) -> FloatArray:
     """
     change = np.zeros_like(fit.values)
     for likely, terms in hidden_terms(fit, fit.values):
-        shifts, told = fit.shifts(terms), fit.coefficients(terms)
+        shifts, coefficients = fit.shifts(terms), fit.coefficients(terms)
         judged = partial(hidden_square, likely=likely, positive=True, rare=_RARE)
         for column, own in enumerate(fit.own):
-            evidence = judged(*told[own])[1]
-            for row in range(len(told)):
+            evidence = judged(*coefficients[own])[1]
+            for row in range(len(coefficients)):
                 elsewhere = 0.0 if (row, column) == own else evidence
-                square, _ = judged(*told[row, column], elsewhere=elsewhere)
+                square, _ = judged(*coefficients[row, column], elsewhere=elsewhere)
                 at = slice(None), row, column
                 change[at] = np.maximum(change[at], square * shifts[at] ** 2)
     return change
@@ -166,8 +166,8 @@ def _by_second_mode(fit: WeightedFit) -> FloatArray:
         for w, damped in product(2.0 * np.pi * np.array(_MODES), _DAMPED)
     ]
     judged = partial(hidden_square, likely=0.5, sizes=_PARTS, positive=True)
-    told = [[[judged(*one) for one in row] for row in fit.coefficients(shape)] for shape in shapes]
-    squares, evidence = np.moveaxis(np.array(told), -1, 0)
+    every = [[[judged(*one) for one in row] for row in fit.coefficients(shape)] for shape in shapes]
+    squares, evidence = np.moveaxis(np.array(every), -1, 0)
     squares *= 1.0 + np.exp(np.minimum(-evidence, 700.0))  # if there is such a mode
     moved = squares * np.stack([fit.shifts(shape) for shape in shapes], axis=1) ** 2
     of_own = np.stack([evidence[:, row, column] for row, column in fit.own], axis=1)
@@ -204,9 +204,9 @@ def _by_channels(fit: WeightedFit, *, may_creep: bool) -> FloatArray:
     for likely, sizes, axis, possible, effect in kinds:
         channels = np.where(np.moveaxis(own, 1, 1 + axis), effect * Z, 0.0)[possible]
         judged = partial(hidden_square, likely=likely, sizes=sizes, positive=True)
-        told = [fit.common_coefficient(terms)[:2] for terms in channels]
-        evidence = [judged(*one)[1] for one in told]
-        for terms, one, of_one in zip(channels, told, evidence, strict=True):
+        found = [fit.common_coefficient(terms)[:2] for terms in channels]
+        evidence = [judged(*one)[1] for one in found]
+        for terms, one, of_one in zip(channels, found, evidence, strict=True):
             square, _ = judged(*one, elsewhere=max(sum(evidence) - of_one, 0.0))
             change = np.maximum(change, square * fit.shifts(terms) ** 2)
     return change
@@ -221,7 +221,7 @@ def _noticed(value: FloatArray | float, error: FloatArray | float) -> FloatArray
 
 
 def hidden_square(
-    told: float,
+    value: float,
     error: float,
     likely: float,
     *,
@@ -240,7 +240,7 @@ def hidden_square(
 
     Parameters
     ----------
-    told, error : float
+    value, error : float
         Estimate g s and its standard error e s.
     likely : float
         Prior probability p.
@@ -264,7 +264,7 @@ def hidden_square(
         return 0.0, 0.0
     size = np.asarray(sizes, dtype=np.float64)
     left = (error / size) ** 2 / (1.0 + (error / size) ** 2)
-    mean = told / size * left / (error / size) ** 2
+    mean = value / size * left / (error / size) ** 2
     ratios = 0.5 * np.log(left) + 0.5 * mean**2 / left - math.log(len(size))
     if positive:
         ratios += math.log(2.0) + log_ndtr(mean / np.sqrt(left))

@@ -139,8 +139,8 @@ def judge_trials(records: Sequence[TrialRecord]) -> Iterator[Problem]:
             if np.std(seen) < _AS_MUCH * np.std(other.readings[stream][i]):
                 continue
             shown = spectrum_by_bins(seen[:samples])
-            told = [followed(pushes[one], shown) for one in (k, i)]
-            here, elsewhere = (float(share @ power / np.sum(power)) for share, power, _ in told)
+            answers = [followed(pushes[one], shown) for one in (k, i)]
+            here, elsewhere = (float(share @ power / np.sum(power)) for share, power, _ in answers)
             if elsewhere > _FOLLOWS and here < 0.5 * elsewhere:
                 yield problem(
                     ProblemCode.TRIALS_MIXED,
@@ -245,11 +245,11 @@ def judge_estimate(
         yield problem(ProblemCode.HIGH_PASSED, estimator=name, **about)
     delay = fit.delay
     if delay is not None and abs(delay.delay) > _NOTICED * max(delay.error, _SUREST):
-        told: dict[str, Any] = {"delay_ms": 1e3 * delay.delay, "error_ms": 1e3 * delay.error}
+        values: dict[str, Any] = {"delay_ms": 1e3 * delay.delay, "error_ms": 1e3 * delay.error}
         code = ProblemCode.DELAY_CORRECTED
         if delay.refuted and (reading.timing is not TorqueTiming.UNKNOWN or not reading.prompt):
-            code, told = ProblemCode.TIMING_REFUTED, {**told, "declared": reading.sentence}
-        yield problem(code, severity=Severity.NOTE, estimator=name, **told)
+            code, values = ProblemCode.TIMING_REFUTED, {**values, "declared": reading.sentence}
+        yield problem(code, severity=Severity.NOTE, estimator=name, **values)
 
 
 def judge_models(estimator: str, models: Mapping[str, ModelFit]) -> Iterator[Problem]:
@@ -260,11 +260,11 @@ def judge_models(estimator: str, models: Mapping[str, ModelFit]) -> Iterator[Pro
     if not models:
         return
     name = supported(models)
-    told: dict[str, Any] = {"models": ", ".join(models)}
+    values: dict[str, Any] = {"models": ", ".join(models)}
     code = ProblemCode.NO_MODEL
     if name is not None:
         best = models[name]
         code = ProblemCode.MODEL_DECLARED if best.declared else ProblemCode.MODEL_OFFERED
-        told = {"model": name, "equation": best.equation}
-        told |= {"lack": float(np.max(best.lack_of_fit)), "text": best.text}
-    yield problem(code, severity=Severity.NOTE, estimator=estimator, **told)
+        values = {"model": name, "equation": best.equation}
+        values |= {"lack": float(np.max(best.lack_of_fit)), "text": best.text}
+    yield problem(code, severity=Severity.NOTE, estimator=estimator, **values)

@@ -180,9 +180,9 @@ class WeightedFit:
         """Coefficient of each element's term beside M, B and K, and its error, (n, m, 2)."""
         left, estimate = self._beside(terms), self.estimate
         total = np.sum(self._weights * np.abs(left) ** 2, axis=-1)
-        told = (np.finfo(np.float64).tiny < total) & (total < math.inf)
-        left = np.where(told[..., None], left, 0.0)
-        functionals = self._weights * left / np.where(told, total, 1.0)[..., None]
+        determined = (np.finfo(np.float64).tiny < total) & (total < math.inf)
+        left = np.where(determined[..., None], left, 0.0)
+        functionals = self._weights * left / np.where(determined, total, 1.0)[..., None]
         spread = functionals * np.sqrt(estimate.noise)
         variance = 0.5 * real_sums(spread, with_neighbours(spread, estimate.bin_correlation))
         for systematic in estimate.systematics:
@@ -190,7 +190,7 @@ class WeightedFit:
         errors = np.sqrt(np.maximum(variance, 0.0))
         found = np.stack((real_sums(functionals, estimate.Z), errors), axis=-1)
         # Where nothing was measured, the values are not numbers either.
-        return np.where(told[..., None], found, (0.0, math.inf))
+        return np.where(determined[..., None], found, (0.0, math.inf))
 
     def common_coefficient(self, terms: ComplexArray) -> tuple[float, float, float]:
         """Weighted mean of :meth:`coefficients`, its error with their scatter, and their spread.
@@ -230,12 +230,12 @@ class WeightedFit:
             errors = self._covariance_of(functionals, i, k) + least
             design = (np.conj(functionals) @ term.T).real
             information = np.linalg.pinv(errors, rcond=_SINGULAR, hermitian=True)
-            told = (np.conj(functionals) @ self.estimate.Z[i, k]).real
-            elements.append((design, information, told))
+            data = (np.conj(functionals) @ self.estimate.Z[i, k]).real
+            elements.append((design, information, data))
         normal = sum(design.T @ information @ design for design, information, _ in elements)
-        mixed = sum(design.T @ information @ told for design, information, told in elements)
+        mixed = sum(design.T @ information @ data for design, information, data in elements)
         found = np.linalg.solve(np.eye(len(terms)) + normal, expected + mixed)
-        left_over = [(one @ found - told, information) for one, information, told in elements]
+        left_over = [(one @ found - data, information) for one, information, data in elements]
         ratio = sum(float(one @ information @ one) for one, information in left_over)
         scatter = max(1.0, ratio / (len(terms) * max(len(elements) - 1, 1)))
         covariance = np.linalg.inv(np.eye(len(terms)) + normal / scatter)

@@ -92,10 +92,10 @@ def read_bag(path: Path, *, namespace: str | None = None) -> BagContent:
     for topic, content in _NEEDED.items():
         if topic not in found:
             raise BagError(f"{path}: has no {content}: no messages of {topic}{cut}")
-    told = messages.get(topics.TRIAL, [])
-    if len(told) > _MOST_STATUSES:
-        raise BagError(f"{path}: has {len(told)} messages of {topics.TRIAL}")
-    statuses, defect = decode_trial_statuses(told)
+    announced = messages.get(topics.TRIAL, [])
+    if len(announced) > _MOST_STATUSES:
+        raise BagError(f"{path}: has {len(announced)} messages of {topics.TRIAL}")
+    statuses, defect = decode_trial_statuses(announced)
     try:
         joint_names = _joint_names(raw.metadata, messages[topics.PERTURBATION])
         if len(joint_names) > _MOST_JOINTS:

@@ -102,8 +102,8 @@ class LocalResponse:
         distance = (self.f[places] - self.f[:, None]) / (self.f[-1] - self.f[0])
         powers = distance[:, :, None] ** np.arange(ORDER + 1) * window ** np.arange(ORDER + 1)
         root = np.sqrt(self.line_power[places])[:, :, None]
-        told = np.linalg.pinv(root * powers)[:, :1] @ (root * np.eye(window))
-        apart = (places == np.arange(size)[:, None]) - told[:, 0]
+        fitted = np.linalg.pinv(root * powers)[:, :1] @ (root * np.eye(window))
+        apart = (places == np.arange(size)[:, None]) - fitted[:, 0]
         left = np.abs(np.sum(apart * self.response[outputs][:, places], axis=2)) ** 2
         chance = np.sum(apart**2 * variance[:, places], axis=2)
         spare = (self.freedom - 1.0) / self.freedom
