@@ -136,7 +136,7 @@ class Backend:
     lost: tuple[type[Exception], ...] = ()
     """Errors that mean the death of a worker."""
     end: Callable[[], None] | None = None
-    """Ends the workers, whatever they do; without it, tasks that have begun run to their end."""
+    """Ends the pool and what belongs to it; by default, tasks that have begun run to their end."""
 
     def run(self, work: Callable[[Task], Done], tasks: Iterable[Task]) -> Generator[Done]:
         """Yield the results of all tasks, in the order in which they are ready.
@@ -157,13 +157,12 @@ class Backend:
         except lost as error:
             raise DataError(f"a worker died: {error}") from None
         finally:
-            if self.end is not None:
-                self.end()  # a pool without its workers ends the futures itself
+            for future in futures:
+                future.cancel()
+            if self.end is None:
+                self.pool.shutdown(wait=False)
             else:
-                for future in futures:
-                    future.cancel()
-            # A pool that still clears up while this process exits would leave semaphores behind.
-            self.pool.shutdown(wait=self.end is not None)
+                self.end()
 
 
 def processes(workers: int | None = None) -> Backend:
@@ -180,6 +179,8 @@ def processes(workers: int | None = None) -> Backend:
     def end() -> None:
         for child in {*active_children()}.difference(others):
             child.kill()
+        # A pool that still clears up while this process exits would leave semaphores behind.
+        pool.shutdown()
 
     return Backend(pool, workers, (BrokenProcessPool,), end)
 
@@ -219,4 +220,10 @@ def cluster(address: str) -> Backend:
     if not workers:
         client.close()
         raise DataError(f"--scheduler {address}: the cluster has no workers")
-    return Backend(client.get_executor(pure=False), workers, (distributed.KilledWorker,))
+    pool = client.get_executor(pure=False)
+
+    def end() -> None:
+        pool.shutdown(wait=False)
+        client.close()
+
+    return Backend(pool, workers, (distributed.KilledWorker,), end)
