@@ -45,7 +45,7 @@ def set_state(plant: Plant, state: Array) -> None:
     """Put an ideal plant of one lane into the state (θ, v, z), (3, n), and read its sensors."""
     batch = plant.batch
     batch.w[0, : state.size, 0] = state.ravel()
-    dynamics.sample_now(batch.w, batch.joints, batch.width)
+    dynamics.sample_now(batch)
     read(batch)
 
 

@@ -28,7 +28,8 @@ from armimp_estimation.identify import Identification, identify_records
 from armimp_estimation.mbk import MBK
 from armimp_estimation.metadata import Metadata
 from armimp_estimation.record import TrialRecord
-from armimp_sim.plant import Batch, Plant, check_ratio, tick
+from armimp_sim.dynamics import Batch
+from armimp_sim.plant import Plant, check_ratio, tick
 from armimp_sim.real_rig import RealRig
 from armimp_sim.voluntary import reading_noise, voluntary_torque
 

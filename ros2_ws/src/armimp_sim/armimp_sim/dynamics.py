@@ -14,6 +14,8 @@ state θ, v, z; input τ, d; parameters; work space.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from armimp_common.arrays import FloatArray
@@ -41,6 +43,26 @@ VECTORS = 26
 # n×n matrices follow the vectors.
 INERTIA, DAMPING, STIFFNESS, CHAIN, _MASS = 0, 1, 2, 3, 4
 MATRICES = 5
+
+
+class Batch(NamedTuple):
+    """A batch of plants, in the form that compiled code takes."""
+
+    w: FloatArray
+    """(blocks, rows(n), width) all numbers of the plants."""
+    joints: Tag
+    width: Tag
+    """Tuples of zeros, n of them and as many as a block is wide."""
+    substeps: int
+    step: float
+    """Number and length (s) of the RK4 steps of a period."""
+    interval_mean: bool
+    """Whether torque is read as the mean over the period."""
+    resolutions: FloatArray
+    """(lanes, 2) of encoders, rad, and torque transducers, N·m."""
+    position: FloatArray
+    torque: FloatArray
+    """(lanes, n) readings, rad and N·m."""
 
 
 def rows(n: int) -> int:
@@ -278,56 +300,34 @@ def sample_block(w: FloatArray, joints: Tag, width: Tag) -> None:
 
 
 @compiled_entry
-def sample_now(w: FloatArray, joints: Tag, width: Tag) -> None:
+def sample_now(batch: Batch) -> None:
     """Put the torque on the arm at this instant, N·m, under the present command, into TORQUE."""
-    for block in w:
-        sample_block(block, joints, width)
+    for block in batch.w:
+        sample_block(block, batch.joints, batch.width)
 
 
 @compiled_entry
-def advance(w: FloatArray, joints: Tag, width: Tag, steps: int, h: float) -> None:
-    """Advance all lanes by ``steps`` RK4 steps of ``h`` seconds, then sample the torque.
-
-    Parameters
-    ----------
-    w : (blocks, rows(n), width)
-        The batch; its COMMAND and VOLUNTARY rows are held constant (zero-order hold).
-    joints, width : tuples of zeros, n of them and as many as a block is wide
-        Carry the two numbers as compile-time constants.
-    steps : int
-        Number of steps.
-    h : s
-        Length of one.
-    """
-    for block in w:
-        for _ in range(steps):
-            rk4_step(block, joints, width, h)
-        sample_block(block, joints, width)
+def advance(batch: Batch) -> None:
+    """Advance all lanes by a period, with COMMAND and VOLUNTARY held, then sample the torque."""
+    for block in batch.w:
+        for _ in range(batch.substeps):
+            rk4_step(block, batch.joints, batch.width, batch.step)
+        sample_block(block, batch.joints, batch.width)
 
 
 @compiled_entry
-def stiffness_ratio(w: FloatArray, joints: Tag, width: Tag, h: float) -> float:
+def stiffness_ratio(batch: Batch) -> float:
     """Return the largest h·σ0|v|/g(v) of all joints and lanes, for the check of the step.
 
-    Parameters
-    ----------
-    w : (blocks, rows(n), width)
-        The batch.
-    joints, width : tuples of zeros, n of them and as many as a block is wide
-        Carry the two numbers as compile-time constants.
-    h : s
-
-    Returns
-    -------
-    float
-        Not finite if the velocity of any joint in any lane is not.
+    It is not finite if the velocity of any joint in any lane is not.
     """
+    joints, width = batch.joints, batch.width
     ratios = np.empty(len(joints) * len(width))
     worst = 0.0
-    for block in w:
+    for block in batch.w:
         v = _vector(block, VELOCITY, joints, width)
         level = _bristle_force(block, v, joints, width)
-        store(ratios, 0, h * _vector(block, SIGMA_0, joints, width) * abs(v) / level)
+        store(ratios, 0, batch.step * _vector(block, SIGMA_0, joints, width) * abs(v) / level)
         for ratio in ratios:
             if np.isnan(ratio):
                 return np.nan

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -12,10 +11,10 @@ from armimp_common.compiled import compiled_entry
 from armimp_common.errors import ArmimpError, ConfigurationError
 from armimp_common.topics import PERIOD
 from armimp_sim import dynamics, real_rig
+from armimp_sim.dynamics import Batch
 from armimp_sim.model.sensors import Sampling, quantise
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.real_rig import RealRig
-from armimp_sim.simd import Tag
 
 RK4_LIMIT = 2.7
 """|h·λ| on the real axis up to which explicit RK4 is stable (2.785, with a margin)."""
@@ -23,25 +22,6 @@ RK4_LIMIT = 2.7
 
 class IntegrationError(ArmimpError):
     """The explicit integration left its stability region or produced non-finite numbers."""
-
-
-class Batch(NamedTuple):
-    """A batch of plants, in the form that compiled code takes."""
-
-    w: FloatArray
-    joints: Tag
-    width: Tag
-    """As in :mod:`armimp_sim.dynamics`."""
-    substeps: int
-    step: float
-    """Number and length (s) of the RK4 steps of a period."""
-    interval_mean: bool
-    """Whether torque is read as the mean over the period."""
-    resolutions: FloatArray
-    """(lanes, 2) of encoders, rad, and torque transducers, N·m."""
-    position: FloatArray
-    torque: FloatArray
-    """(lanes, n) readings, rad and N·m."""
 
 
 class Plant:
@@ -100,13 +80,12 @@ class Plant:
             # The last block is filled up with plants that nothing ever moves.
             row = _pack(configs[min(lane, lanes - 1)])
             self.batch.w[lane // width, :, lane % width] = row
-        w, joints, tag = self.batch.w, self.batch.joints, self.batch.width
         if self.real is None:
-            dynamics.sample_now(w, joints, tag)
+            dynamics.sample_now(self.batch)
             read(self.batch)
         else:
-            real_rig.settle(w, joints, tag, self.real)
-            real_rig.read(self.real, 1, self.batch.step, self._noise, self.position, self.torque)
+            real_rig.settle(self.batch, self.real)
+            real_rig.read(self.batch, self.real, 1, self._noise)
 
     def tick(
         self, command: FloatArray, voluntary: FloatArray, noise: FloatArray | None = None
@@ -227,14 +206,7 @@ def tick(
     float
         Largest h·σ0|v|/g(v) at the end, for :func:`check_ratio`.
     """
-    w, joints, width, substeps, step = (
-        batch.w,
-        batch.joints,
-        batch.width,
-        batch.substeps,
-        batch.step,
-    )
-    n, m = len(joints), len(width)
+    w, n, m = batch.w, len(batch.joints), len(batch.width)
     used = command.shape[1]
     for lane in range(command.shape[0]):
         for i in range(used):
@@ -243,11 +215,9 @@ def tick(
             w[lane // m, dynamics.VOLUNTARY * n + n - used + i, lane % m] = voluntary[lane, i]
     # Only the branch that is needed gets compiled, as None has a type of its own.
     if real is None:
-        dynamics.advance(w, joints, width, substeps, step)
+        dynamics.advance(batch)
         read(batch)
     else:
-        mean = batch.interval_mean
-        real_rig.advance(w, joints, width, substeps, step, mean, real)
-        count = substeps if mean else 1
-        real_rig.read(real, count, step, noise, batch.position, batch.torque)
-    return dynamics.stiffness_ratio(w, joints, width, step)
+        real_rig.advance(batch, real)
+        real_rig.read(batch, real, batch.substeps if batch.interval_mean else 1, noise)
+    return dynamics.stiffness_ratio(batch)

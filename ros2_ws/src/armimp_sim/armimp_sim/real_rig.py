@@ -18,6 +18,7 @@ import numpy as np
 from armimp_common.arrays import FloatArray, IntArray
 from armimp_common.compiled import compiled, compiled_entry
 from armimp_sim import dynamics
+from armimp_sim.dynamics import Batch
 from armimp_sim.model.arm import MuscleParameters, ReflexParameters
 from armimp_sim.model.sensors import ORDERS, ReadingParameters, quantise
 from armimp_sim.parameters import SimulatorParameters
@@ -179,72 +180,78 @@ def _stepwise(a: FloatArray, b: FloatArray, c: FloatArray, step: float) -> Float
     return numbers
 
 
+class _Block(NamedTuple):
+    """The lanes of one block: what :class:`Batch` and :class:`RealRig` hold of them."""
+
+    w: FloatArray
+    joints: Tag
+    width: Tag
+    steps: int
+    h: float
+    mean: bool
+    rows: FloatArray
+    commands: FloatArray
+    past: FloatArray
+
+
 @compiled
-def _stretch(w: FloatArray, lane: int, i: int, joints: Tag) -> float:
+def _stretch(block: _Block, lane: int, i: int) -> float:
     """Return the angle of coordinate i from the posture."""
-    n = len(joints)
+    w, n = block.w, len(block.joints)
     return float(w[dynamics.THETA * n + i, lane] - w[dynamics.POSTURE * n + i, lane])
 
 
 @compiled
-def _drive(w: FloatArray, lane: int, i: int, joints: Tag, row: FloatArray, torque: float) -> None:
+def _drive(block: _Block, lane: int, i: int, torque: float) -> None:
     """Apply the torque of a current loop to its joint, with ripple and cogging."""
+    w, coordinates, row = block.w, len(block.joints), block.rows[lane, i]
     if row[_RIPPLE] > 0.0 or row[_COGGING] > 0.0:
-        angle = w[dynamics.THETA * len(joints) + i, lane]
+        angle = w[dynamics.THETA * coordinates + i, lane]
         torque += torque * row[_RIPPLE] * np.sin(row[_RIPPLE_CYCLES] * angle)
         torque += row[_COGGING] * np.sin(row[_COGGING_CYCLES] * angle)
-    w[dynamics.COMMAND * len(joints) + i, lane] = torque
+    w[dynamics.COMMAND * coordinates + i, lane] = torque
 
 
 @compiled
-def _effort(
-    w: FloatArray,
-    lane: int,
-    joints: Tag,
-    rows: FloatArray,
-    past: FloatArray,
-    now: int,
-    seconds: float,
-) -> None:
+def _effort(block: _Block, lane: int, now: int) -> None:
     """Apply to the arm the voluntary torque, and the torque of its muscles beyond K_h."""
-    n = rows.shape[1]
-    arm = len(joints) - n  # with a cuff, the arm comes after the robot
+    rows, past, seconds = block.rows, block.past, now * block.h
+    n, coordinates = rows.shape[1], len(block.joints)
+    arm = coordinates - n  # with a cuff, the arm comes after the robot
     for i in range(n):
         row = rows[lane, i]
         total = row[_VOLUNTARY]
         if row[_MUSCULAR] > 0.0:
-            q = _stretch(w, lane, arm + i, joints)
+            q = _stretch(block, lane, arm + i)
             total += row[_CUBIC] * q * q * q + row[_SHORT_RANGE] * (q - row[_YIELDED])
             late = int(row[_CHANNELS + REFLEX * _CHANNEL + _LATE])
             total += past[lane, i, REFLEX, (now - late) % past.shape[3]]
             for j in range(n):
-                total += row[_GROWTH + j] * seconds * _stretch(w, lane, arm + j, joints)
-        w[dynamics.VOLUNTARY * len(joints) + arm + i, lane] = total
+                total += row[_GROWTH + j] * seconds * _stretch(block, lane, arm + j)
+        block.w[dynamics.VOLUNTARY * coordinates + arm + i, lane] = total
 
 
 @compiled
-def _load(
-    w: FloatArray, joints: Tag, width: Tag, rows: FloatArray, past: FloatArray, now: int, h: float
-) -> None:
+def _load(block: _Block, now: int) -> None:
     """Set TORQUE to the torque at the transducers, at the instant `now` steps from the start."""
+    w, joints, rows = block.w, block.joints, block.rows
     for lane in range(rows.shape[0]):
         for i in range(rows.shape[1]):
-            row = rows[lane, i]
-            _drive(w, lane, i, joints, row, row[_APPLIED])
-        _effort(w, lane, joints, rows, past, now, now * h)
-    dynamics.sample_block(w, joints, width)
+            _drive(block, lane, i, rows[lane, i, _APPLIED])
+        _effort(block, lane, now)
+    dynamics.sample_block(w, joints, block.width)
 
 
 @compiled
-def _signal(w: FloatArray, lane: int, kind: int, i: int, joints: Tag, rows: FloatArray) -> float:
+def _signal(block: _Block, lane: int, kind: int, i: int) -> float:
     """Return the input of a channel at this instant."""
-    n = len(joints)
+    w, rows, n = block.w, block.rows, len(block.joints)
     if kind == ANGLE:
         return float(w[dynamics.THETA * n + i, lane])
     if kind == TORQUE:
         return float(w[dynamics.TORQUE * n + i, lane])
     row, arm = rows[lane, i], n - rows.shape[1] + i
-    velocity, stretch = w[dynamics.VELOCITY * n + arm, lane], _stretch(w, lane, arm, joints)
+    velocity, stretch = w[dynamics.VELOCITY * n + arm, lane], _stretch(block, lane, arm)
     return float(row[_VELOCITY_GAIN] * velocity + row[_STRETCH_GAIN] * stretch)
 
 
@@ -276,25 +283,19 @@ def _pass(row: FloatArray, past: FloatArray, kind: int, at: int, signal: float, 
     past[kind, at] = 0.5 * (filtered + out) if mean else out
 
 
-def settle(w: FloatArray, joints: Tag, width: Tag, rig: RealRig) -> None:
-    """Put all channels in the state of a rig that has long stood still, without any command.
-
-    Parameters
-    ----------
-    w, joints, width : the batch, as in :mod:`armimp_sim.dynamics`
-    rig : RealRig, updated
-    """
+def settle(batch: Batch, rig: RealRig) -> None:
+    """Put all channels in the state of a rig that has long stood still, without any command."""
     lanes, n, _ = rig.rows.shape
-    block, lane = np.divmod(np.arange(lanes)[:, None], len(width))
+    block, lane = np.divmod(np.arange(lanes)[:, None], len(batch.width))
 
     def quantity(which: int) -> tuple[IntArray, IntArray, IntArray]:
-        return block, which * len(joints) + np.arange(n), lane
+        return block, which * len(batch.joints) + np.arange(n), lane
 
-    angle, row = w[quantity(dynamics.THETA)], np.moveaxis(rig.rows, 2, 0)
-    w[quantity(dynamics.COMMAND)] = row[_COGGING] * np.sin(row[_COGGING_CYCLES] * angle)
-    dynamics.sample_now(w, joints, width)
+    angle, row = batch.w[quantity(dynamics.THETA)], np.moveaxis(rig.rows, 2, 0)
+    batch.w[quantity(dynamics.COMMAND)] = row[_COGGING] * np.sin(row[_COGGING_CYCLES] * angle)
+    dynamics.sample_now(batch)
     # The channels of reflexes start at zero, which is their state of rest.
-    for kind, signal in ((ANGLE, angle), (TORQUE, w[quantity(dynamics.TORQUE)])):
+    for kind, signal in ((ANGLE, angle), (TORQUE, batch.w[quantity(dynamics.TORQUE)])):
         of = _CHANNELS + kind * _CHANNEL
         row[of + _LAST] = row[of + _FILTERED] = signal
         states = slice(of + _LOW_PASS, of + _CHANNEL, _WIDE)
@@ -304,11 +305,10 @@ def settle(w: FloatArray, joints: Tag, width: Tag, rig: RealRig) -> None:
 
 
 @compiled
-def _take_inputs(
-    w: FloatArray, joints: Tag, rows: FloatArray, commands: FloatArray, tick: int
-) -> None:
+def _take_inputs(block: _Block, tick: int) -> None:
     """Take commands and voluntary torques of the present period."""
-    n, coordinates = rows.shape[1], len(joints)
+    w, rows, commands = block.w, block.rows, block.commands
+    n, coordinates = rows.shape[1], len(block.joints)
     for lane in range(rows.shape[0]):
         for i in range(n):
             row, command = rows[lane, i], w[dynamics.COMMAND * coordinates + i, lane]
@@ -318,18 +318,9 @@ def _take_inputs(
 
 
 @compiled
-def _begin(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
-    w: FloatArray,
-    joints: Tag,
-    width: Tag,
-    rows: FloatArray,
-    commands: FloatArray,
-    past: FloatArray,
-    steps: int,
-    now: int,
-    h: float,
-) -> None:
+def _begin(block: _Block, now: int) -> None:
     """Have commands, and voluntary torque, take effect at the start of a step."""
+    rows, commands, steps = block.rows, block.commands, block.steps
     jumps = now % steps == 0
     for lane in range(rows.shape[0]):
         jumps = jumps or (now - int(rows[lane, 0, _LATE_COMMAND])) % steps == 0
@@ -343,100 +334,89 @@ def _begin(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
             if row[_KEEP] == 0.0:
                 row[_APPLIED] = row[_TARGET]
     # The torque on the arm has jumped: the step begins with its new value.
-    _load(w, joints, width, rows, past, now, h)
+    _load(block, now)
     for lane in range(rows.shape[0]):
         for i in range(rows.shape[1]):
-            signal = _signal(w, lane, TORQUE, i, joints, rows)
+            signal = _signal(block, lane, TORQUE, i)
             rows[lane, i, _CHANNELS + TORQUE * _CHANNEL + _LAST] = signal
 
 
 @compiled
-def _follow(w: FloatArray, joints: Tag, rows: FloatArray) -> None:
+def _follow(block: _Block) -> None:
     """Advance the drives by a step; COMMAND becomes the mean of their torque over it."""
-    for lane in range(rows.shape[0]):
-        for i in range(rows.shape[1]):
-            row = rows[lane, i]
+    for lane in range(block.rows.shape[0]):
+        for i in range(block.rows.shape[1]):
+            row = block.rows[lane, i]
             away = row[_APPLIED] - row[_TARGET]
-            _drive(w, lane, i, joints, row, row[_TARGET] + away * row[_SHARE])
+            _drive(block, lane, i, row[_TARGET] + away * row[_SHARE])
             row[_APPLIED] = row[_TARGET] + away * row[_KEEP]
 
 
 @compiled
-def _end(
-    w: FloatArray,
-    joints: Tag,
-    width: Tag,
-    rows: FloatArray,
-    past: FloatArray,
-    now: int,
-    h: float,
-    mean: bool,
-) -> None:
+def _end(block: _Block, now: int) -> None:
     """Advance muscles and channels by the step that ends `now` steps from the start."""
+    rows, past = block.rows, block.past
     n, at = rows.shape[1], now % past.shape[3]
     for lane in range(rows.shape[0]):
         for i in range(n):
             row = rows[lane, i]
             if row[_MUSCULAR] > 0.0:
-                signal = _signal(w, lane, REFLEX, i, joints, rows)
+                signal = _signal(block, lane, REFLEX, i)
                 _pass(row, past[lane, i], REFLEX, at, signal, False)
-                q = _stretch(w, lane, len(joints) - n + i, joints)
+                q = _stretch(block, lane, len(block.joints) - n + i)
                 row[_YIELDED] = min(max(row[_YIELDED], q - row[_REACH]), q + row[_REACH])
-    _load(w, joints, width, rows, past, now, h)
+    _load(block, now)
     for lane in range(rows.shape[0]):
         for i in range(n):
             for kind in range(2):
-                signal = _signal(w, lane, kind, i, joints, rows)
-                averaged = mean and kind == TORQUE
+                signal = _signal(block, lane, kind, i)
+                averaged = block.mean and kind == TORQUE
                 _pass(rows[lane, i], past[lane, i], kind, at, signal, averaged)
 
 
 @compiled_entry
-def advance(
-    w: FloatArray, joints: Tag, width: Tag, steps: int, h: float, interval_mean: bool, rig: RealRig
-) -> None:
-    """Advance all lanes as :func:`armimp_sim.dynamics.advance` does, for real rigs.
-
-    Parameters
-    ----------
-    w, joints, width, steps, h : as there; COMMAND holds the commands to the drives
-    interval_mean : whether torques are read as means over the period
-    rig : RealRig, updated
-    """
-    start = int(rig.clock[0])
-    for block in range(w.shape[0]):
-        lanes = slice(block * len(width), (block + 1) * len(width))
-        numbers, rows = w[block], rig.rows[lanes]
-        commands, past = rig.commands[lanes], rig.past[lanes]
-        _take_inputs(numbers, joints, rows, commands, start // steps)
-        for now in range(start, start + steps):
-            _begin(numbers, joints, width, rows, commands, past, steps, now, h)
-            _follow(numbers, joints, rows)
-            dynamics.rk4_step(numbers, joints, width, h)
-            _end(numbers, joints, width, rows, past, now + 1, h, interval_mean)
-    rig.clock[0] += steps
+def advance(batch: Batch, rig: RealRig) -> None:
+    """Advance all lanes as :func:`armimp_sim.dynamics.advance` does, for real rigs."""
+    start, width = int(rig.clock[0]), len(batch.width)
+    for number in range(batch.w.shape[0]):
+        lanes = slice(number * width, (number + 1) * width)
+        block = _Block(
+            batch.w[number],
+            batch.joints,
+            batch.width,
+            batch.substeps,
+            batch.step,
+            batch.interval_mean,
+            rig.rows[lanes],
+            rig.commands[lanes],
+            rig.past[lanes],
+        )
+        _take_inputs(block, start // batch.substeps)
+        for now in range(start, start + batch.substeps):
+            _begin(block, now)
+            _follow(block)
+            dynamics.rk4_step(block.w, batch.joints, batch.width, batch.step)
+            _end(block, now + 1)
+    rig.clock[0] += batch.substeps
 
 
 @compiled_entry
-def read(
-    rig: RealRig, count: int, h: float, noise: FloatArray, position: FloatArray, torque: FloatArray
-) -> None:
+def read(batch: Batch, rig: RealRig, count: int, noise: FloatArray) -> None:
     """Take the readings of the present sample.
 
     Parameters
     ----------
-    rig : RealRig, updated
+    batch, rig : updated
     count : steps over which torques are averaged
-    h : step of the integration, s
     noise : (lanes, 2, n) on angles and torques, rad and N·m
-    position, torque : (lanes, n), written, rad and N·m
     """
     rows, past, now, played = rig.rows, rig.past, int(rig.clock[0]), rig.played
+    seconds = now * batch.step
     signals = np.empty(rows.shape[1])
     for lane in range(rows.shape[0]):
         for kind in range(2):
             hum, speed, band, limit, resolution = rig.chain[lane, kind]
-            hum *= np.sin(speed * (now * h))
+            hum *= np.sin(speed * seconds)
             for i in range(rows.shape[1]):
                 late = int(rows[lane, i, _CHANNELS + kind * _CHANNEL + _LATE])
                 signals[i] = _mean(past[lane, i, kind], now - late, count if kind == TORQUE else 1)
@@ -449,12 +429,12 @@ def read(
                 value = min(max(played[lane, kind, i], value - band), value + band)
                 played[lane, kind, i] = value
                 offset, drift = rig.added[lane, kind, i]
-                value += offset + drift * (now * h) + hum + noise[lane, kind, i]
+                value += offset + drift * seconds + hum + noise[lane, kind, i]
                 reading = quantise(min(max(value, -limit), limit), resolution)
                 if kind == ANGLE:
-                    position[lane, i] = reading
+                    batch.position[lane, i] = reading
                 else:
-                    torque[lane, i] = reading
+                    batch.torque[lane, i] = reading
 
 
 @compiled
