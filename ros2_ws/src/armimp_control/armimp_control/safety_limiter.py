@@ -33,7 +33,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import Final, Literal, TypeAlias
+from typing import Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from pydantic import Field
@@ -58,35 +58,46 @@ COMMAND_LIMITS: Final = LIMITS[TORQUE:]
 Action: TypeAlias = Literal["clip", "stop"]
 """What is done with a command beyond a limit of torque, rate or power."""
 
-# Rows of the rules, an array (RULE_ROWS, n): the limits by index, in rad, rad/s, N·m, N·m per tick
-# and W; then, at STOPS + index, whether a limit of commands means a stop, 1 or 0; the posture, rad;
-# the number of ticks of a ramp.
+# Rows of the rules: the limits by index, in rad, rad/s, N·m, N·m per tick and W; then, at
+# STOPS + index, whether a limit of commands means a stop, 1 or 0; the posture, rad; the number of
+# ticks of a ramp.
 STOPS = len(LIMITS) - TORQUE
 CENTRE = STOPS + len(LIMITS)
 RAMP = CENTRE + 1
 RULE_ROWS = RAMP + 1
 
-# Rows of the memory, an array (LIMITER_ROWS, n), zeros before the first tick: what was sent last,
-# what the law asked for, N·m; distance from the posture, rad; velocity, rad/s; the last positions,
-# rad.
+# Rows of the memory: what was sent last, what the law asked for, N·m; distance from the posture,
+# rad; velocity, rad/s; the last positions, rad.
 SENT, ASKED, EXCURSION, SPEED, HISTORY = range(5)
 LIMITER_ROWS = HISTORY + WINDOW
 
-# The journal, a vector, zeros before the first tick. STOPPED: 0 while commands pass. REMAINING:
-# ticks of the ramp that are left. SAMPLES: number of samples so far. FAULT and PRESENT: each a
-# cause, a joint and a value, of the latched fault and of what is wrong with the last sample.
-# CLIPPED: number of clipped joint commands for each limit.
+# The journal. STOPPED: 0 while commands pass. REMAINING: ticks of the ramp that are left. SAMPLES:
+# number of samples so far. FAULT and PRESENT: each a cause, a joint and a value, of the latched
+# fault and of what is wrong with the last sample. CLIPPED: number of clipped joint commands for
+# each limit.
 STOPPED, REMAINING, SAMPLES, FAULT, PRESENT, CLIPPED = 0, 1, 2, 3, 6, 9
 JOURNAL = CLIPPED + len(LIMITS)
 
-# Causes of a fault; those from LIMIT_CAUSE on are limits.
-NO_CAUSE, BAD_POSITION, BAD_TORQUE, BAD_PERTURBATION, BAD_COMMAND = range(5)
-LIMIT_CAUSE = 5
+# Causes of a fault: those from BAD_SAMPLE on are rows of the sample, those from LIMIT_CAUSE on
+# limits.
+NO_CAUSE, BAD_SAMPLE, BAD_COMMAND, LIMIT_CAUSE = 0, 1, 4, 5
+
+
+class Limiter(NamedTuple):
+    """The arrays of one limiter, in the form that compiled code takes."""
+
+    rules: FloatArray
+    """(RULE_ROWS, n) from :meth:`SafetyParameters.rules`."""
+    memory: FloatArray
+    """(LIMITER_ROWS, n), zeros before the first tick."""
+    journal: FloatArray
+    """(JOURNAL,), zeros before the first tick."""
+
 
 _NOT_FINITE = {
-    BAD_POSITION: "position of",
-    BAD_TORQUE: "torque reading of",
-    BAD_PERTURBATION: "perturbation of",
+    BAD_SAMPLE: "position of",
+    BAD_SAMPLE + 1: "torque reading of",
+    BAD_SAMPLE + 2: "perturbation of",
     BAD_COMMAND: "torque from the control law for",
 }
 _BEYOND = {
@@ -163,20 +174,14 @@ class SafetyParameters(Schema):
         return rows
 
 
-def fault_of(journal: FloatArray, place: int, rules: FloatArray) -> tuple[Cause, str]:
+def fault_of(limiter: Limiter, place: int) -> tuple[Cause, str]:
     """Return a fault as a code, and in words with its joint (from 1), the value and the limit.
 
-    Parameters
-    ----------
-    journal, rules : of the limiter
-    place : :data:`FAULT` or :data:`PRESENT`
-
-    Returns
-    -------
-    Cause, str
-        NONE and empty if there is none, or if the caller reported it itself.
+    `place` is FAULT or PRESENT. The result is NONE and empty if there is none, or if the caller
+    reported it itself.
     """
-    cause, joint, value = int(journal[place]), int(journal[place + 1]), float(journal[place + 2])
+    cause, joint, value = limiter.journal[place : place + 3].tolist()
+    cause, joint = int(cause), int(joint)
     if cause == NO_CAUSE:
         return Cause.NONE, ""
     if cause < LIMIT_CAUSE:
@@ -185,7 +190,7 @@ def fault_of(journal: FloatArray, place: int, rules: FloatArray) -> tuple[Cause,
             f"{_NOT_FINITE[cause]} joint {joint + 1} is not finite: {value}",
         )
     words, unit = _BEYOND[cause - LIMIT_CAUSE]
-    limit = rules[cause - LIMIT_CAUSE, joint]
+    limit = limiter.rules[cause - LIMIT_CAUSE, joint]
     found = words.format(joint=joint + 1, value=value)
     return Cause.LIMIT, f"{found}, beyond the limit of {limit:g} {unit}"
 
@@ -260,10 +265,9 @@ def _first_bad(values: FloatArray) -> int:
 
 
 @compiled
-def _remember(
-    theta: FloatArray, rules: FloatArray, memory: FloatArray, journal: FloatArray
-) -> None:
+def _remember(theta: FloatArray, limiter: Limiter) -> None:
     """Compute excursions and velocities of a finite sample, and remember it."""
+    rules, memory, journal = limiter
     samples = int(journal[SAMPLES])
     slot = HISTORY + samples % WINDOW
     span, oldest = (WINDOW, slot) if samples >= WINDOW else (samples, HISTORY)
@@ -275,35 +279,23 @@ def _remember(
 
 
 @compiled
-def check_sample(
-    theta: FloatArray,
-    tau_h: FloatArray,
-    tau_delta: FloatArray,
-    rules: FloatArray,
-    memory: FloatArray,
-    journal: FloatArray,
-) -> bool:
-    """Check a sample before anything of it is used.
+def check_sample(sample: FloatArray, limiter: Limiter) -> bool:
+    """Check a sample before anything of it is used; return whether the law may use it.
 
     Parameters
     ----------
-    theta, tau_h, tau_delta : (n,) rad, N·m, N·m: encoders, torque transducers, perturbation
-    rules : (RULE_ROWS, n) from :meth:`SafetyParameters.rules`
-    memory, journal : (LIMITER_ROWS, n) and (JOURNAL,), updated
-
-    Returns
-    -------
-    bool
-        Whether the law may use the sample.
+    sample : (3, n) rad, N·m, N·m: encoders, torque transducers, perturbation
+    limiter : Limiter, updated
     """
+    rules, memory, journal = limiter
     cause, joint, value, ticks = NO_CAUSE, 0, 0.0, 0.0
-    for bad, values in ((BAD_POSITION, theta), (BAD_TORQUE, tau_h), (BAD_PERTURBATION, tau_delta)):
-        i = _first_bad(values)
+    for row in range(3):
+        i = _first_bad(sample[row])
         if i >= 0 and cause == NO_CAUSE:
-            cause, joint, value = bad, i, values[i]
+            cause, joint, value = BAD_SAMPLE + row, i, sample[row, i]
     if cause == NO_CAUSE:
-        _remember(theta, rules, memory, journal)
-        for i in range(theta.size):
+        _remember(sample[0], limiter)
+        for i in range(sample.shape[1]):
             for number, row in ((POSITION, EXCURSION), (VELOCITY, SPEED)):
                 if not abs(memory[row, i]) <= rules[number, i] and cause == NO_CAUSE:
                     cause, joint, value = LIMIT_CAUSE + number, i, memory[row, i]
@@ -344,13 +336,12 @@ def _within_torque(command: FloatArray, rules: FloatArray, journal: FloatArray) 
 
 
 @compiled
-def _limit(
-    command: FloatArray, rules: FloatArray, memory: FloatArray, journal: FloatArray
-) -> tuple[int, int, float]:
+def _limit(command: FloatArray, limiter: Limiter) -> tuple[int, int, float]:
     """Bring a finite command within the limits.
 
     Returns index of the limit, joint and value if a stop is due; otherwise the index is -1.
     """
+    rules, memory, journal = limiter
     joint = _within_torque(command, rules, journal)
     if joint >= 0:
         return TORQUE, joint, command[joint]
@@ -373,8 +364,9 @@ def _limit(
 
 
 @compiled
-def _ramp(command: FloatArray, rules: FloatArray, memory: FloatArray, journal: FloatArray) -> None:
+def _ramp(command: FloatArray, limiter: Limiter) -> None:
     """Take one tick of the ramp to zero: a straight line, or less where the power limit asks."""
+    rules, memory, journal = limiter
     remaining = journal[REMAINING]
     share = (remaining - 1.0) / remaining if remaining > 1.0 else 0.0
     journal[REMAINING] = remaining - 1.0 if remaining > 1.0 else 0.0
@@ -386,28 +378,27 @@ def _ramp(command: FloatArray, rules: FloatArray, memory: FloatArray, journal: F
 
 
 @compiled
-def limit_command(
-    command: FloatArray, rules: FloatArray, memory: FloatArray, journal: FloatArray
-) -> int:
+def limit_command(command: FloatArray, limiter: Limiter) -> int:
     """Limit a command before it is sent; :func:`check_sample` has checked its sample.
 
     Parameters
     ----------
     command : (n,) N·m, changed where it has to be; after a stop the input is ignored
-    rules, memory, journal : as of :func:`check_sample`
+    limiter : Limiter, updated
 
     Returns
     -------
     int
         Number of joints whose command was clipped; 0 once the limiter has stopped.
     """
+    rules, memory, journal = limiter
     clipped = 0
     if journal[STOPPED] == 0.0:
         copy_values(command, memory[ASKED])
         joint = _first_bad(command)
         cause, value, ticks = BAD_COMMAND, command[joint], 0.0
         if joint < 0:
-            number, joint, value = _limit(command, rules, memory, journal)
+            number, joint, value = _limit(command, limiter)
             cause, ticks = LIMIT_CAUSE + number, rules[RAMP, joint]
             if number < 0:
                 cause = NO_CAUSE
@@ -418,38 +409,34 @@ def limit_command(
             if command[i] != memory[ASKED, i]:
                 clipped += 1
     else:
-        _ramp(command, rules, memory, journal)
+        _ramp(command, limiter)
     copy_values(command, memory[SENT])
     return clipped
 
 
 @compiled_entry
-def stop_commands(ticks: int, memory: FloatArray, journal: FloatArray) -> None:
+def stop_commands(ticks: int, limiter: Limiter) -> None:
     """Let no command through any more, for a reason that the caller knows.
 
-    Parameters
-    ----------
-    ticks : length of the ramp to zero; with 0, the last command counts as zero from now on
-    memory, journal : as of :func:`check_sample`
+    The ramp to zero takes some ticks; with 0, the last command counts as zero from now on.
     """
-    _stop(journal, ticks, NO_CAUSE, 0, 0.0)
+    _stop(limiter.journal, ticks, NO_CAUSE, 0, 0.0)
     if ticks == 0:
-        memory[SENT] = 0.0
+        limiter.memory[SENT] = 0.0
 
 
 @compiled_entry
-def continue_ramp(
-    ticks: int, command: FloatArray, rules: FloatArray, memory: FloatArray, journal: FloatArray
-) -> None:
-    """Advance the ramp after a stop, while no samples come.
+def continue_ramp(ticks: int, command: FloatArray, limiter: Limiter) -> None:
+    """Advance the ramp after a stop, while no samples come and the last velocity counts.
 
     Parameters
     ----------
     ticks : control periods that have passed since the last command
     command : (n,) N·m, written
-    rules, memory, journal : as of :func:`check_sample`; the velocity is that of the last sample
+    limiter : Limiter, updated
     """
-    copy_values(memory[SENT], command)
+    sent = limiter.memory[SENT]
+    copy_values(sent, command)
     for _ in range(ticks):
-        _ramp(command, rules, memory, journal)
-        copy_values(command, memory[SENT])
+        _ramp(command, limiter)
+        copy_values(command, sent)

@@ -21,6 +21,7 @@ from armimp_control.safety_limiter import (
     TORQUE,
     VELOCITY,
     WINDOW,
+    Limiter,
     check_sample,
     copy_values,
     limit_command,
@@ -111,9 +112,10 @@ def _run_sequence(
     event, event_tick : what the caller asks the limiter for, and when
     broken, counts : of promises; of faults, poisoned ticks and clipped joint commands: added to
     """
-    theta, tau_h, tau_delta, asked = inputs
+    theta, asked = inputs[0], inputs[3]
     ticks, n = theta.shape
-    limiter, journal = np.zeros((LIMITER_ROWS, n)), np.zeros(JOURNAL)
+    journal = np.zeros(JOURNAL)
+    limiter = Limiter(rules, np.zeros((LIMITER_ROWS, n)), journal)
     command, before, kept = np.zeros(n), np.zeros(n), np.zeros((ticks, n))
     speed, excursion = np.zeros(n), np.zeros(n)
     count, closed_at, released = 0, -1, False
@@ -121,7 +123,7 @@ def _run_sequence(
         cut = event == _CUT and k == event_tick
         if event != _NONE and k == event_tick:
             released = event == _RELEASED and journal[STOPPED] == 0.0
-            stop_commands(0 if cut else int(rules[RAMP, 0]), limiter, journal)
+            stop_commands(0 if cut else int(rules[RAMP, 0]), limiter)
         poisoned = not (finite[0, k] and finite[1, k] and finite[2, k])
         if not poisoned:
             span = min(count, WINDOW)
@@ -131,9 +133,9 @@ def _run_sequence(
                 excursion[i] = theta[k, i] - rules[CENTRE, i]
                 kept[count, i] = theta[k, i]
             count += 1
-        used = check_sample(theta[k], tau_h[k], tau_delta[k], rules, limiter, journal)
+        used = check_sample(inputs[:3, k], limiter)
         copy_values(asked[k], command)
-        clipped = limit_command(command, rules, limiter, journal)
+        clipped = limit_command(command, limiter)
         poisoned = poisoned or (used and not finite[3, k])
         closed = journal[STOPPED] != 0.0
         if closed and closed_at < 0:

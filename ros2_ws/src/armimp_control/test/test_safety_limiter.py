@@ -20,6 +20,7 @@ from armimp_control.safety_limiter import (
     PRESENT,
     STOPPED,
     WINDOW,
+    Limiter,
     SaturationCounter,
     check_sample,
     continue_ramp,
@@ -40,9 +41,9 @@ class SafetyLimiter:
     """A limiter of its own, fed tick by tick."""
 
     def __init__(self, joints: int = 2, **limits: Any) -> None:
-        self.rules = WIDE.model_copy(update=limits).rules(np.zeros(joints))
-        self.memory = np.zeros((LIMITER_ROWS, joints))
+        rules = WIDE.model_copy(update=limits).rules(np.zeros(joints))
         self.journal = np.zeros(JOURNAL)
+        self.arrays = Limiter(rules, np.zeros((LIMITER_ROWS, joints)), self.journal)
         self.command = np.zeros(joints)
         self.clipped = 0
 
@@ -54,12 +55,10 @@ class SafetyLimiter:
         tau_delta: Vector | None = None,
     ) -> FloatArray:
         still = (0.0,) * self.command.size
-        sample, torque, perturbation = (
-            np.array(still if values is None else values) for values in (theta, tau_h, tau_delta)
-        )
-        _check(sample, torque, perturbation, self.rules, self.memory, self.journal)
+        sample = [still if values is None else values for values in (theta, tau_h, tau_delta)]
+        _check(np.array(sample), self.arrays)
         self.command = np.array(command)
-        self.clipped = _limit(self.command, self.rules, self.memory, self.journal)
+        self.clipped = _limit(self.command, self.arrays)
         return self.command
 
     @property
@@ -68,11 +67,11 @@ class SafetyLimiter:
 
     @property
     def fault(self) -> str:
-        return fault_of(self.journal, FAULT, self.rules)[1]
+        return fault_of(self.arrays, FAULT)[1]
 
     @property
     def present(self) -> str:
-        return fault_of(self.journal, PRESENT, self.rules)[1]
+        return fault_of(self.arrays, PRESENT)[1]
 
     def count(self, limit: str) -> int:
         counts = {one: int(self.journal[CLIPPED + i]) for i, one in enumerate(LIMITS)}
@@ -186,7 +185,7 @@ def test_power_beyond_its_limit_is_clipped_joint_by_joint() -> None:
 def test_after_a_stop_the_torque_falls_in_a_straight_line(ramp_time: float, ticks: int) -> None:
     limiter = SafetyLimiter(ramp_time=ramp_time)
     limiter.tick((50.0, -20.0))
-    stop_commands(ticks, limiter.memory, limiter.journal)
+    stop_commands(ticks, limiter.arrays)
     outputs = np.array([limiter.tick((50.0, -20.0)) for _ in range(ticks + 20)])
     line = np.clip(1.0 - np.arange(1, ticks + 21) / ticks, 0.0, None)
     assert outputs == pytest.approx(line[:, None] * [50.0, -20.0], abs=1e-9)
@@ -196,9 +195,9 @@ def test_after_a_stop_the_torque_falls_in_a_straight_line(ramp_time: float, tick
 def test_when_no_samples_come_the_ramp_goes_on_by_the_ticks_that_have_passed() -> None:
     limiter = SafetyLimiter(ramp_time=0.05)
     limiter.tick((50.0, -50.0))
-    stop_commands(50, limiter.memory, limiter.journal)
+    stop_commands(50, limiter.arrays)
     for ticks, left in ((10, 40.0), (0, 40.0), (39, 1.0), (100, 0.0)):
-        continue_ramp(ticks, limiter.command, limiter.rules, limiter.memory, limiter.journal)
+        continue_ramp(ticks, limiter.command, limiter.arrays)
         assert limiter.command == pytest.approx([left, -left])
     assert not limiter.command.any()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -42,6 +42,26 @@ NO_JOINT = -1
 
 IMBIC, PD, IMBIC_OBSERVER = 0, 1, 2
 """Codes of the laws in compiled code."""
+
+
+class LawArrays(NamedTuple):
+    """The arrays on which a law works, in the form that compiled code takes."""
+
+    sample: FloatArray
+    """(3, n) of this tick: θ of the encoders (rad), τ_h of the transducers and τ_Δ (N·m)."""
+    command: FloatArray
+    """(n,) N·m, written: before the safety limiter, which changes it to what is sent."""
+    target: FloatArray
+    """(n,) θ_rd, rad."""
+    role: FloatArray
+    """(ROLE_ROWS, n) from :meth:`Law.role`."""
+    memory: FloatArray
+    """(MEMORY_ROWS, n), updated; zeros before the first tick; COMMAND holds what was sent."""
+    model: FloatArray
+    """(MODEL_ROWS, n, n) from :meth:`Law.model`."""
+    gamma: FloatArray
+    """(1,) Γ, rad/s."""
+
 
 SECOND_TONE = 1.55
 """Frequency of the second sine of the dither, over that of the first.

@@ -78,6 +78,7 @@ from armimp_control.laws import (
     VELOCITY,
     VELOCITY_GAIN,
     Law,
+    LawArrays,
 )
 
 
@@ -172,15 +173,10 @@ class Imbic(Law):
 
 
 @compiled
-def _observe(
-    theta: FloatArray,
-    tau_h: FloatArray,
-    role: FloatArray,
-    model: FloatArray,
-    memory: FloatArray,
-    command: FloatArray,
-) -> None:
+def _observe(arrays: LawArrays) -> None:
     """Update ANGLE, VELOCITY and DISTURBANCE with this sample; ``command`` is work space."""
+    theta, tau_h, command = arrays.sample[0], arrays.sample[1], arrays.command
+    role, model, memory = arrays.role, arrays.model, arrays.memory
     n, late = theta.size, int(role[LATE, 0])
     for i in range(n):
         command[i] = memory[COMMAND + late, i] - (tau_h[i] - role[TARE, i])
@@ -202,38 +198,18 @@ def _observe(
 
 
 @compiled
-def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
-    observer: bool,
-    theta: FloatArray,
-    tau_h: FloatArray,
-    tau_delta: FloatArray,
-    role: FloatArray,
-    target: FloatArray,
-    model: FloatArray,
-    gamma: float,
-    memory: FloatArray,
-    command: FloatArray,
-) -> None:
-    """Compute the command of one tick, before the safety limiter.
-
-    Parameters
-    ----------
-    observer : whether the internal model is the observer
-    theta, tau_h, tau_delta : (n,) rad, N·m, N·m: encoders, torque transducers, perturbation
-    role : (ROLE_ROWS, n) from :meth:`Imbic.role`
-    target : (n,) θ_rd, rad
-    model : (MODEL_ROWS, n, n) from :meth:`Imbic.model`
-    gamma : rad/s
-    memory : (MEMORY_ROWS, n), updated; zeros before the first tick; COMMAND holds what was sent
-    command : (n,) N·m, written
-    """
+def imbic(observer: bool, arrays: LawArrays) -> None:
+    """Compute the command of one tick, by the observer or by time-delay estimation."""
+    theta, tau_h, tau_delta = arrays.sample[0], arrays.sample[1], arrays.sample[2]
+    role, model, memory, command = arrays.role, arrays.model, arrays.memory, arrays.command
+    target, gamma = arrays.target, arrays.gamma[0]
     n = theta.size
     ticks = memory[TICKS, 0]
     if ticks == 0.0:
         for i in range(n):
             memory[THETA_1, i] = memory[THETA_2, i] = memory[ANGLE, i] = theta[i]
     elif observer:
-        _observe(theta, tau_h, role, model, memory, command)
+        _observe(arrays)
     memory[TICKS, 0] = ticks + 1.0
     for i in range(n):
         goal = target[i]
@@ -272,17 +248,14 @@ def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
 
 
 @compiled
-def forgo(command: FloatArray, model: FloatArray, memory: FloatArray) -> None:
+def forgo(arrays: LawArrays) -> None:
     """Subtract from the ideal velocity what a clipped command can't bring about (anti-windup).
 
     Otherwise it would grow without limit while commands are clipped, and throw the joint about once
-    they no longer are. With the subtraction it approaches the observed velocity, at the rate Γ.
-
-    Parameters
-    ----------
-    command : (n,) what is sent, N·m; the memory still holds what the law asked for
-    model, memory : as of :func:`imbic`
+    they no longer are. With the subtraction it approaches the observed velocity, at the rate Γ. The
+    command is what will be sent; COMMAND of the memory still holds what the law asked for.
     """
+    command, model, memory = arrays.command, arrays.model, arrays.memory
     n = command.size
     for i in range(n):
         for j in range(n):

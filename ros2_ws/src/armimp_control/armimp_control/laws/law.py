@@ -20,6 +20,7 @@ from armimp_control.laws import (
     ROLE_ROWS,
     TARE,
     Law,
+    LawArrays,
 )
 from armimp_control.laws.imbic import Imbic, forgo, imbic
 from armimp_control.laws.pd import Pd, pd
@@ -35,6 +36,7 @@ from armimp_control.safety_limiter import (
     SENT,
     STOPPED,
     TORQUE,
+    Limiter,
     SafetyParameters,
     check_sample,
     continue_ramp,
@@ -49,12 +51,8 @@ LAWS: Final[Mapping[str, type[Law]]] = {"imbic": Imbic, "pd": Pd}
 
 
 @compiled
-def _unpacked(w: FloatArray, n: int) -> tuple[FloatArray, ...]:
-    """Return views of the array `w` on which a controller works.
-
-    They are sample; command and target posture; role; rules, memory of the law and of the limiter;
-    internal model; journal; Γ (rad/s).
-    """
+def _unpacked(w: FloatArray, n: int) -> tuple[LawArrays, Limiter]:
+    """Return the parts of the array `w` on which a controller works."""
     a = 3 * n
     b = a + 2 * n
     c = b + ROLE_ROWS * n
@@ -63,17 +61,16 @@ def _unpacked(w: FloatArray, n: int) -> tuple[FloatArray, ...]:
     f = e + LIMITER_ROWS * n
     g = f + MODEL_ROWS * n * n
     h = g + JOURNAL
-    return (
+    law = LawArrays(
         w[:a].reshape((3, n)),
-        w[a:b].reshape((2, n)),
+        w[a : a + n],
+        w[a + n : b],
         w[b:c].reshape((ROLE_ROWS, n)),
-        w[c:d].reshape((RULE_ROWS, n)),
         w[d:e].reshape((MEMORY_ROWS, n)),
-        w[e:f].reshape((LIMITER_ROWS, n)),
         w[f:g].reshape((MODEL_ROWS, n, n)),
-        w[g:h],
         w[h:],
     )
+    return law, Limiter(w[c:d].reshape((RULE_ROWS, n)), w[e:f].reshape((LIMITER_ROWS, n)), w[g:h])
 
 
 def packed_size(n: int) -> int:
@@ -99,22 +96,19 @@ def packed_tick(law: int, n: int, w: FloatArray) -> int:
         Number of joints whose command was clipped. After a stop, which the journal records, the law
         is no longer computed and its memory is zero.
     """
-    sample, posture, role, rules, memory, limiter, model, journal, gain = _unpacked(w, n)
-    theta, tau_h, tau_delta = sample[0], sample[1], sample[2]
-    command, target, gamma = posture[0], posture[1], gain[0]
-    if check_sample(theta, tau_h, tau_delta, rules, limiter, journal):
+    arrays, limiter = _unpacked(w, n)
+    if check_sample(arrays.sample, limiter):
         if law == PD:
-            pd(theta, tau_delta, role, target, memory, command)
+            pd(arrays)
         else:
-            observer = law == IMBIC_OBSERVER
-            imbic(observer, theta, tau_h, tau_delta, role, target, model, gamma, memory, command)
-    clipped = limit_command(command, rules, limiter, journal)
-    if journal[STOPPED] != 0.0:
-        memory[:] = 0.0
+            imbic(law == IMBIC_OBSERVER, arrays)
+    clipped = limit_command(arrays.command, limiter)
+    if limiter.journal[STOPPED] != 0.0:
+        arrays.memory[:] = 0.0
     else:
         if law == IMBIC_OBSERVER and clipped > 0:
-            forgo(command, model, memory)
-        copy_values(command, memory[COMMAND])
+            forgo(arrays)
+        copy_values(arrays.command, arrays.memory[COMMAND])
     return clipped
 
 
@@ -151,20 +145,18 @@ class Controller:
         n = law.joints
         self._kind, self._joints = law.kind, n
         self._all = np.zeros(packed_size(n)) if storage is None else storage
-        views = _unpacked(self._all, n)
-        self.sample, posture, self.role, self.rules, self.memory, self._limiter = views[:6]
-        self.model, self._journal, gain = views[6:]
-        self.command = posture[0]
-        posture[1] = law.target_posture
-        gain[:] = law.law.gamma
-        self.rules[:] = safety.rules(law.target_posture)
+        self._arrays, self._limiter = _unpacked(self._all, n)
+        self.sample, self.command = self._arrays.sample, self._arrays.command
+        self._arrays.target[:] = law.target_posture
+        self._arrays.gamma[:] = law.law.gamma
+        self._limiter.rules[:] = safety.rules(law.target_posture)
         self._tare = np.zeros(n)
         # Models are computed and kept now, as there is no time for that between two samples.
         for joint in (NO_JOINT, *range(n)):
             law.model(joint)
         self.perturb_joint(0)
         self._ramp_ticks = safety.ramp_ticks
-        self._notes = self._journal.data  # a memoryview, read in half the time
+        self._notes = self._limiter.journal.data  # a memoryview, read in half the time
 
     @property
     def stopped(self) -> bool:
@@ -174,26 +166,27 @@ class Controller:
     @property
     def fault(self) -> tuple[Cause, str]:
         """Why the limiter has stopped by itself, as a code and in words; else NONE and empty."""
-        return fault_of(self._journal, FAULT, self.rules)
+        return fault_of(self._limiter, FAULT)
 
     @property
     def present_fault(self) -> str:
         """What is wrong with the last sample, stopped or not; else empty."""
-        return fault_of(self._journal, PRESENT, self.rules)[1]
+        return fault_of(self._limiter, PRESENT)[1]
 
     @property
     def clipped(self) -> dict[str, int]:
         """Number of clipped joint commands for each limit of commands."""
         counts = enumerate(COMMAND_LIMITS, TORQUE)
-        return {limit: int(self._journal[CLIPPED + i]) for i, limit in counts}
+        return {limit: int(self._notes[CLIPPED + i]) for i, limit in counts}
 
     def perturb_joint(self, joint: int | None) -> None:
         """Make ``joint`` (0-based; None: all) compliant and lock the others, without a jump.
 
         With NO_JOINT all joints are locked.
         """
-        self.role[:], self.model[:] = self.law.role(joint), self.law.model(joint)
-        self.role[TARE] = self._tare
+        self._arrays.role[:] = self.law.role(joint)
+        self._arrays.role[TARE] = self._tare
+        self._arrays.model[:] = self.law.model(joint)
 
     def tare(self, offset: Sequence[float]) -> None:
         """Subtract what torque transducers read at rest (n,), N·m, from their readings from now on.
@@ -201,25 +194,25 @@ class Controller:
         Only the law uses the difference; the limiter checks the readings themselves.
         """
         self._tare[:] = offset
-        self.role[TARE] = self._tare
+        self._arrays.role[TARE] = self._tare
 
     def stop(self) -> None:
         """Stop for a fault that the caller knows; the torque ramps down to zero."""
-        stop_commands(self._ramp_ticks, self._limiter, self._journal)
+        stop_commands(self._ramp_ticks, self._limiter)
 
     def cut(self) -> None:
         """Stop for a fault that the caller knows; zero torque at once."""
-        stop_commands(0, self._limiter, self._journal)
+        stop_commands(0, self._limiter)
         self.command[:] = 0.0
 
     def release(self) -> None:
         """Stop at the end, without a fault: torque falls as fast as the rate limit allows."""
-        ticks = np.ceil(np.max(np.abs(self._limiter[SENT]) / self.rules[RATE]))
-        stop_commands(max(int(ticks), 1), self._limiter, self._journal)
+        ticks = np.ceil(np.max(np.abs(self._limiter.memory[SENT]) / self._limiter.rules[RATE]))
+        stop_commands(max(int(ticks), 1), self._limiter)
 
     def continue_ramp(self, ticks: int) -> None:
         """Advance the ramp after a stop by some ticks, while no samples come."""
-        continue_ramp(ticks, self.command, self.rules, self._limiter, self._journal)
+        continue_ramp(ticks, self.command, self._limiter)
 
     def tick(self, theta: FloatArray, tau_h: FloatArray, tau_delta: FloatArray) -> int:
         """Compute :attr:`command` from a sample, (n,) each; the result is that of `packed_tick`."""

@@ -33,6 +33,7 @@ from armimp_control.laws import (
     THETA_1,
     TICKS,
     Law,
+    LawArrays,
 )
 
 
@@ -54,24 +55,10 @@ class Pd(Law):
 
 
 @compiled
-def pd(
-    theta: FloatArray,
-    tau_delta: FloatArray,
-    role: FloatArray,
-    target: FloatArray,
-    memory: FloatArray,
-    command: FloatArray,
-) -> None:
-    """Compute the command of one tick, before the safety limiter.
-
-    Parameters
-    ----------
-    theta, tau_delta : (n,) rad, N·m: encoders, perturbation
-    role : (ROLE_ROWS, n) from :meth:`Pd.role`
-    target : (n,) θ_rd, rad
-    memory : (MEMORY_ROWS, n), updated; zeros before the first tick
-    command : (n,) N·m, written
-    """
+def pd(arrays: LawArrays) -> None:
+    """Compute the command of one tick."""
+    theta, tau_delta, target = arrays.sample[0], arrays.sample[2], arrays.target
+    role, memory, command = arrays.role, arrays.memory, arrays.command
     n = theta.size
     if memory[TICKS, 0] == 0.0:
         for i in range(n):
