@@ -65,30 +65,40 @@ class Batch(NamedTuple):
     """(lanes, n) readings, rad and N·m."""
 
 
+class Block(NamedTuple):
+    """One block of a batch, see :class:`Batch`."""
+
+    w: FloatArray
+    """(rows(n), width)"""
+    joints: Tag
+    width: Tag
+
+
 def rows(n: int) -> int:
     """Return the number of quantities of a lane with n joints."""
     return VECTORS * n + MATRICES * n * n
 
 
 @compiled
-def _get(w: FloatArray, row: int, width: Tag) -> float:
-    return load(w, row * len(width), (width,))
+def _get(block: Block, row: int) -> float:
+    return load(block.w, row * len(block.width), (block.width,))
 
 
 @compiled
-def _put(w: FloatArray, row: int, width: Tag, value: float) -> None:
-    store(w, row * len(width), value)
+def _put(block: Block, row: int, value: float) -> None:
+    store(block.w, row * len(block.width), value)
 
 
 @compiled
-def _vector(w: FloatArray, which: int, joints: Tag, width: Tag) -> float:
+def _vector(block: Block, which: int) -> float:
     """Return one quantity of all joints: where they don't act on each other, they go together."""
-    return load(w, which * len(joints) * len(width), (joints, width))
+    joints, lanes = block.joints, block.width
+    return load(block.w, which * len(joints) * len(lanes), (joints, lanes))
 
 
 @compiled
-def _put_vector(w: FloatArray, which: int, joints: Tag, width: Tag, values: float) -> None:
-    store(w, which * len(joints) * len(width), values)
+def _put_vector(block: Block, which: int, values: float) -> None:
+    store(block.w, which * len(block.joints) * len(block.width), values)
 
 
 @compiled
@@ -97,222 +107,219 @@ def _matrix_row(which: int, i: int, j: int, n: int) -> int:
 
 
 @compiled
-def _kinematics(w: FloatArray, joints: Tag, width: Tag) -> None:
+def _kinematics(block: Block) -> None:
     """Compute sines and cosines of the absolute link angles, and squared absolute rates."""
-    n = len(joints)
+    n = len(block.joints)
     # The dynamics depend on differences of angles only, so the first link is put at zero.
-    angle = fill(0.0, width)
-    rate = _get(w, VELOCITY * n, width)
-    _put(w, _COSINE * n, width, fill(1.0, width))
-    _put(w, _SINE * n, width, angle)
-    _put(w, _OMEGA_SQUARED * n, width, rate * rate)
+    angle = fill(0.0, block.width)
+    rate = _get(block, VELOCITY * n)
+    _put(block, _COSINE * n, fill(1.0, block.width))
+    _put(block, _SINE * n, angle)
+    _put(block, _OMEGA_SQUARED * n, rate * rate)
     for a in range(1, n):
-        angle += _get(w, THETA * n + a, width)
-        rate += _get(w, VELOCITY * n + a, width)
+        angle += _get(block, THETA * n + a)
+        rate += _get(block, VELOCITY * n + a)
         s, c = sine_cosine(angle)
-        _put(w, _COSINE * n + a, width, c)
-        _put(w, _SINE * n + a, width, s)
-        _put(w, _OMEGA_SQUARED * n + a, width, rate * rate)
+        _put(block, _COSINE * n + a, c)
+        _put(block, _SINE * n + a, s)
+        _put(block, _OMEGA_SQUARED * n + a, rate * rate)
 
 
 @compiled
-def _bristle_force(w: FloatArray, v: float, joints: Tag, width: Tag) -> float:
+def _bristle_force(block: Block, v: float) -> float:
     """Return LuGre's g(v) of all joints."""
     return bristle_force(
         v,
-        _vector(w, COULOMB, joints, width),
-        _vector(w, STRIBECK, joints, width),
-        _vector(w, INVERSE_STRIBECK_VELOCITY, joints, width),
+        _vector(block, COULOMB),
+        _vector(block, STRIBECK),
+        _vector(block, INVERSE_STRIBECK_VELOCITY),
     )
 
 
 @compiled
-def _friction(w: FloatArray, joints: Tag, width: Tag) -> None:
+def _friction(block: Block) -> None:
     """Compute the slopes of the bristles' deflections, and subtract F from the right-hand side."""
-    v = _vector(w, VELOCITY, joints, width)
+    v = _vector(block, VELOCITY)
     dz, force = lugre(
         v,
-        _vector(w, BRISTLE, joints, width),
-        _bristle_force(w, v, joints, width),
-        _vector(w, SIGMA_0, joints, width),
-        _vector(w, SIGMA_1, joints, width),
-        _vector(w, SIGMA_2, joints, width),
+        _vector(block, BRISTLE),
+        _bristle_force(block, v),
+        _vector(block, SIGMA_0),
+        _vector(block, SIGMA_1),
+        _vector(block, SIGMA_2),
     )
-    _put_vector(w, _SLOPE_Z, joints, width, dz)
-    _put_vector(w, _RHS, joints, width, _vector(w, _RHS, joints, width) - force)
+    _put_vector(block, _SLOPE_Z, dz)
+    _put_vector(block, _RHS, _vector(block, _RHS) - force)
 
 
 @compiled
-def _arm(w: FloatArray, joints: Tag, width: Tag) -> None:
+def _arm(block: Block) -> None:
     """Subtract B_h θ̇ + K_h (θ − θ_0) + d from the right-hand side."""
-    n = len(joints)
+    n = len(block.joints)
     for i in range(n):
-        total = _get(w, VOLUNTARY * n + i, width)
+        total = _get(block, VOLUNTARY * n + i)
         for j in range(n):
-            angle = _get(w, THETA * n + j, width) - _get(w, POSTURE * n + j, width)
+            angle = _get(block, THETA * n + j) - _get(block, POSTURE * n + j)
             total += (
-                _get(w, _matrix_row(DAMPING, i, j, n), width) * _get(w, VELOCITY * n + j, width)
-                + _get(w, _matrix_row(STIFFNESS, i, j, n), width) * angle
+                _get(block, _matrix_row(DAMPING, i, j, n)) * _get(block, VELOCITY * n + j)
+                + _get(block, _matrix_row(STIFFNESS, i, j, n)) * angle
             )
-        _put(w, _RHS * n + i, width, -total)
+        _put(block, _RHS * n + i, -total)
 
 
 @compiled
-def _links(w: FloatArray, joints: Tag, width: Tag) -> None:
+def _links(block: Block) -> None:
     """Compute inertia and centripetal torque of the chain in absolute link angles φ.
 
     There the kinetic energy is ½ Σ_ab A_ab cos(φ_a − φ_b) φ̇_a φ̇_b with constant A. Since
     φ_a = Σ_{i≤a} θ_i, joint quantities are sums over the links from the joint outwards.
     """
-    n = len(joints)
+    n = len(block.joints)
     for a in range(n):
-        _put(w, _matrix_row(_MASS, a, a, n), width, _get(w, _matrix_row(CHAIN, a, a, n), width))
-        _put(w, _CENTRIPETAL * n + a, width, fill(0.0, width))
+        _put(block, _matrix_row(_MASS, a, a, n), _get(block, _matrix_row(CHAIN, a, a, n)))
+        _put(block, _CENTRIPETAL * n + a, fill(0.0, block.width))
     for a in range(n):
-        c_a, s_a = _get(w, _COSINE * n + a, width), _get(w, _SINE * n + a, width)
+        c_a, s_a = _get(block, _COSINE * n + a), _get(block, _SINE * n + a)
         for b in range(a + 1, n):
-            c_b, s_b = _get(w, _COSINE * n + b, width), _get(w, _SINE * n + b, width)
-            coefficient = _get(w, _matrix_row(CHAIN, a, b, n), width)
+            c_b, s_b = _get(block, _COSINE * n + b), _get(block, _SINE * n + b)
+            coefficient = _get(block, _matrix_row(CHAIN, a, b, n))
             cosine = coefficient * (c_a * c_b + s_a * s_b)
-            _put(w, _matrix_row(_MASS, a, b, n), width, cosine)
-            _put(w, _matrix_row(_MASS, b, a, n), width, cosine)
+            _put(block, _matrix_row(_MASS, a, b, n), cosine)
+            _put(block, _matrix_row(_MASS, b, a, n), cosine)
             sine = coefficient * (s_a * c_b - c_a * s_b)
-            _accumulate(
-                w, _CENTRIPETAL * n + a, sine * _get(w, _OMEGA_SQUARED * n + b, width), width
-            )
-            _accumulate(
-                w, _CENTRIPETAL * n + b, -sine * _get(w, _OMEGA_SQUARED * n + a, width), width
-            )
+            _accumulate(block, _CENTRIPETAL * n + a, sine * _get(block, _OMEGA_SQUARED * n + b))
+            _accumulate(block, _CENTRIPETAL * n + b, -sine * _get(block, _OMEGA_SQUARED * n + a))
 
 
 @compiled
-def _drive(w: FloatArray, joints: Tag, width: Tag) -> None:
+def _drive(block: Block) -> None:
     """Add τ − C θ̇ to the right-hand side."""
-    n = len(joints)
-    outwards = fill(0.0, width)
+    n = len(block.joints)
+    outwards = fill(0.0, block.width)
     for i in range(n - 1, -1, -1):
-        outwards = _get(w, _CENTRIPETAL * n + i, width) + outwards
-        torque = _get(w, COMMAND * n + i, width) - outwards
-        _put(w, _RHS * n + i, width, _get(w, _RHS * n + i, width) + torque)
+        outwards = _get(block, _CENTRIPETAL * n + i) + outwards
+        torque = _get(block, COMMAND * n + i) - outwards
+        _put(block, _RHS * n + i, _get(block, _RHS * n + i) + torque)
 
 
 @compiled
-def _masses(w: FloatArray, joints: Tag, width: Tag) -> None:
+def _masses(block: Block) -> None:
     """Compute M_r(θ) + M_h from the inertia of the links: sum over columns, then over rows."""
-    n = len(joints)
+    n = len(block.joints)
     first, arm = _matrix_row(_MASS, 0, 0, n), _matrix_row(INERTIA, 0, 0, n)
     for i in range(n):
         for b in range(n - 2, -1, -1):
             row = first + i * n + b
-            _accumulate(w, row, _get(w, row + 1, width), width)
+            _accumulate(block, row, _get(block, row + 1))
     for element in range(n * (n - 1) - 1, -1, -1):
-        _accumulate(w, first + element, _get(w, first + element + n, width), width)
+        _accumulate(block, first + element, _get(block, first + element + n))
     for element in range(n * n):
-        _accumulate(w, first + element, _get(w, arm + element, width), width)
+        _accumulate(block, first + element, _get(block, arm + element))
 
 
 @compiled
-def _accumulate(w: FloatArray, row: int, value: float, width: Tag) -> None:
+def _accumulate(block: Block, row: int, value: float) -> None:
     """Add a value to a quantity."""
-    _put(w, row, width, _get(w, row, width) + value)
+    _put(block, row, _get(block, row) + value)
 
 
 @compiled
-def _solve(w: FloatArray, joints: Tag, width: Tag) -> None:
+def _solve(block: Block) -> None:
     """Solve θ̈ = (M_r + M_h)⁻¹ rhs by elimination.
 
     Without pivoting: configuration checks that the symmetric part is positive definite, for which
     elimination in the given order is stable.
     """
-    n = len(joints)
+    n = len(block.joints)
     for p in range(n):
         pivot = _matrix_row(_MASS, p, p, n)
-        inverse = 1.0 / _get(w, pivot, width)  # what needs the right-hand side only multiplies
-        _put(w, pivot, width, inverse)
+        inverse = 1.0 / _get(block, pivot)  # what needs the right-hand side only multiplies
+        _put(block, pivot, inverse)
         for i in range(p + 1, n):
-            factor = _get(w, _matrix_row(_MASS, i, p, n), width) * inverse
+            factor = _get(block, _matrix_row(_MASS, i, p, n)) * inverse
             for j in range(p + 1, n):
                 row, above = _matrix_row(_MASS, i, j, n), _matrix_row(_MASS, p, j, n)
-                value = _get(w, row, width) - factor * _get(w, above, width)
-                _put(w, row, width, value)
-            value = _get(w, _RHS * n + i, width) - factor * _get(w, _RHS * n + p, width)
-            _put(w, _RHS * n + i, width, value)
+                value = _get(block, row) - factor * _get(block, above)
+                _put(block, row, value)
+            value = _get(block, _RHS * n + i) - factor * _get(block, _RHS * n + p)
+            _put(block, _RHS * n + i, value)
     for i in range(n - 1, -1, -1):
-        total = _get(w, _RHS * n + i, width)
+        total = _get(block, _RHS * n + i)
         for j in range(i + 1, n):
-            total -= _get(w, _matrix_row(_MASS, i, j, n), width) * _get(w, _SLOPE_V * n + j, width)
-        _put(w, _SLOPE_V * n + i, width, total * _get(w, _matrix_row(_MASS, i, i, n), width))
+            total -= _get(block, _matrix_row(_MASS, i, j, n)) * _get(block, _SLOPE_V * n + j)
+        _put(block, _SLOPE_V * n + i, total * _get(block, _matrix_row(_MASS, i, i, n)))
 
 
 @compiled
-def _slopes(w: FloatArray, joints: Tag, width: Tag) -> None:
+def _slopes(block: Block) -> None:
     """Compute the time derivatives of v and z at the present state (that of θ is v itself)."""
-    _kinematics(w, joints, width)
-    _arm(w, joints, width)
-    _links(w, joints, width)
-    _drive(w, joints, width)
-    _masses(w, joints, width)
-    _friction(w, joints, width)  # last: it takes longest, and only _solve waits for it
-    _solve(w, joints, width)
+    _kinematics(block)
+    _arm(block)
+    _links(block)
+    _drive(block)
+    _masses(block)
+    _friction(block)  # last: it takes longest, and only _solve waits for it
+    _solve(block)
 
 
 @compiled
-def rk4_step(w: FloatArray, joints: Tag, width: Tag, h: float) -> None:
+def rk4_step(block: Block, h: float) -> None:
     """Take one classical Runge–Kutta step of length h with constant command."""
-    n = len(joints)
+    n = len(block.joints)
     for row in range(3 * n):
-        _put(w, _START * n + row, width, _get(w, row, width))
-        _put(w, _SUM * n + row, width, fill(0.0, width))
+        _put(block, _START * n + row, _get(block, row))
+        _put(block, _SUM * n + row, fill(0.0, block.width))
     for stage in range(4):
         # Weight of these slopes in the sum, and how far they lead to the next stage.
         weight = 2.0 if 1 <= stage <= 2 else 1.0
         ahead = 0.5 * h if stage < 2 else h
-        _slopes(w, joints, width)
+        _slopes(block)
         for row in range(3 * n):
             if row < n:
-                slope = _get(w, VELOCITY * n + row, width)
+                slope = _get(block, VELOCITY * n + row)
             else:
-                slope = _get(w, _SLOPE_V * n + row - n, width)
-            total = _get(w, _SUM * n + row, width) + weight * slope
-            _put(w, _SUM * n + row, width, total)
-            next_value = _get(w, _START * n + row, width) + ahead * slope
-            _put(w, row, width, next_value)
+                slope = _get(block, _SLOPE_V * n + row - n)
+            total = _get(block, _SUM * n + row) + weight * slope
+            _put(block, _SUM * n + row, total)
+            next_value = _get(block, _START * n + row) + ahead * slope
+            _put(block, row, next_value)
     for row in range(3 * n):
-        total = (h / 6.0) * _get(w, _SUM * n + row, width)
-        _put(w, row, width, _get(w, _START * n + row, width) + total)
+        total = (h / 6.0) * _get(block, _SUM * n + row)
+        _put(block, row, _get(block, _START * n + row) + total)
 
 
 @compiled
-def sample_block(w: FloatArray, joints: Tag, width: Tag) -> None:
+def sample_block(block: Block) -> None:
     """Set TORQUE = M_h θ̈ + B_h θ̇ + K_h (θ − θ_0) + d in a block, as :func:`sample_now`."""
-    n = len(joints)
-    _slopes(w, joints, width)
+    n = len(block.joints)
+    _slopes(block)
     for i in range(n):
-        total = _get(w, VOLUNTARY * n + i, width)
+        total = _get(block, VOLUNTARY * n + i)
         for j in range(n):
-            angle = _get(w, THETA * n + j, width) - _get(w, POSTURE * n + j, width)
+            angle = _get(block, THETA * n + j) - _get(block, POSTURE * n + j)
             total += (
-                _get(w, _matrix_row(INERTIA, i, j, n), width) * _get(w, _SLOPE_V * n + j, width)
-                + _get(w, _matrix_row(DAMPING, i, j, n), width) * _get(w, VELOCITY * n + j, width)
-                + _get(w, _matrix_row(STIFFNESS, i, j, n), width) * angle
+                _get(block, _matrix_row(INERTIA, i, j, n)) * _get(block, _SLOPE_V * n + j)
+                + _get(block, _matrix_row(DAMPING, i, j, n)) * _get(block, VELOCITY * n + j)
+                + _get(block, _matrix_row(STIFFNESS, i, j, n)) * angle
             )
-        _put(w, TORQUE * n + i, width, total)
+        _put(block, TORQUE * n + i, total)
 
 
 @compiled_entry
 def sample_now(batch: Batch) -> None:
     """Put the torque on the arm at this instant, N·m, under the present command, into TORQUE."""
-    for block in batch.w:
-        sample_block(block, batch.joints, batch.width)
+    for w in batch.w:
+        sample_block(Block(w, batch.joints, batch.width))
 
 
 @compiled_entry
 def advance(batch: Batch) -> None:
     """Advance all lanes by a period, with COMMAND and VOLUNTARY held, then sample the torque."""
-    for block in batch.w:
+    for w in batch.w:
+        block = Block(w, batch.joints, batch.width)
         for _ in range(batch.substeps):
-            rk4_step(block, batch.joints, batch.width, batch.step)
-        sample_block(block, batch.joints, batch.width)
+            rk4_step(block, batch.step)
+        sample_block(block)
 
 
 @compiled_entry
@@ -321,13 +328,13 @@ def stiffness_ratio(batch: Batch) -> float:
 
     It is not finite if the velocity of any joint in any lane is not.
     """
-    joints, width = batch.joints, batch.width
-    ratios = np.empty(len(joints) * len(width))
+    ratios = np.empty(len(batch.joints) * len(batch.width))
     worst = 0.0
-    for block in batch.w:
-        v = _vector(block, VELOCITY, joints, width)
-        level = _bristle_force(block, v, joints, width)
-        store(ratios, 0, batch.step * _vector(block, SIGMA_0, joints, width) * abs(v) / level)
+    for w in batch.w:
+        block = Block(w, batch.joints, batch.width)
+        v = _vector(block, VELOCITY)
+        level = _bristle_force(block, v)
+        store(ratios, 0, batch.step * _vector(block, SIGMA_0) * abs(v) / level)
         for ratio in ratios:
             if np.isnan(ratio):
                 return np.nan

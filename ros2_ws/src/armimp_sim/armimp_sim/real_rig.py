@@ -18,11 +18,10 @@ import numpy as np
 from armimp_common.arrays import FloatArray, IntArray
 from armimp_common.compiled import compiled, compiled_entry
 from armimp_sim import dynamics
-from armimp_sim.dynamics import Batch
+from armimp_sim.dynamics import Batch, Block
 from armimp_sim.model.arm import MuscleParameters, ReflexParameters
 from armimp_sim.model.sensors import ORDERS, ReadingParameters, quantise
 from armimp_sim.parameters import SimulatorParameters
-from armimp_sim.simd import Tag
 
 ANGLE, TORQUE, REFLEX = 0, 1, 2
 """Kinds of channels."""
@@ -180,12 +179,10 @@ def _stepwise(a: FloatArray, b: FloatArray, c: FloatArray, step: float) -> Float
     return numbers
 
 
-class _Block(NamedTuple):
+class _Part(NamedTuple):
     """The lanes of one block: what :class:`Batch` and :class:`RealRig` hold of them."""
 
-    w: FloatArray
-    joints: Tag
-    width: Tag
+    block: Block
     steps: int
     h: float
     mean: bool
@@ -195,16 +192,16 @@ class _Block(NamedTuple):
 
 
 @compiled
-def _stretch(block: _Block, lane: int, i: int) -> float:
+def _stretch(part: _Part, lane: int, i: int) -> float:
     """Return the angle of coordinate i from the posture."""
-    w, n = block.w, len(block.joints)
+    w, n = part.block.w, len(part.block.joints)
     return float(w[dynamics.THETA * n + i, lane] - w[dynamics.POSTURE * n + i, lane])
 
 
 @compiled
-def _drive(block: _Block, lane: int, i: int, torque: float) -> None:
+def _drive(part: _Part, lane: int, i: int, torque: float) -> None:
     """Apply the torque of a current loop to its joint, with ripple and cogging."""
-    w, coordinates, row = block.w, len(block.joints), block.rows[lane, i]
+    w, coordinates, row = part.block.w, len(part.block.joints), part.rows[lane, i]
     if row[_RIPPLE] > 0.0 or row[_COGGING] > 0.0:
         angle = w[dynamics.THETA * coordinates + i, lane]
         torque += torque * row[_RIPPLE] * np.sin(row[_RIPPLE_CYCLES] * angle)
@@ -213,45 +210,45 @@ def _drive(block: _Block, lane: int, i: int, torque: float) -> None:
 
 
 @compiled
-def _effort(block: _Block, lane: int, now: int) -> None:
+def _effort(part: _Part, lane: int, now: int) -> None:
     """Apply to the arm the voluntary torque, and the torque of its muscles beyond K_h."""
-    rows, past, seconds = block.rows, block.past, now * block.h
-    n, coordinates = rows.shape[1], len(block.joints)
+    rows, past, seconds = part.rows, part.past, now * part.h
+    n, coordinates = rows.shape[1], len(part.block.joints)
     arm = coordinates - n  # with a cuff, the arm comes after the robot
     for i in range(n):
         row = rows[lane, i]
         total = row[_VOLUNTARY]
         if row[_MUSCULAR] > 0.0:
-            q = _stretch(block, lane, arm + i)
+            q = _stretch(part, lane, arm + i)
             total += row[_CUBIC] * q * q * q + row[_SHORT_RANGE] * (q - row[_YIELDED])
             late = int(row[_CHANNELS + REFLEX * _CHANNEL + _LATE])
             total += past[lane, i, REFLEX, (now - late) % past.shape[3]]
             for j in range(n):
-                total += row[_GROWTH + j] * seconds * _stretch(block, lane, arm + j)
-        block.w[dynamics.VOLUNTARY * coordinates + arm + i, lane] = total
+                total += row[_GROWTH + j] * seconds * _stretch(part, lane, arm + j)
+        part.block.w[dynamics.VOLUNTARY * coordinates + arm + i, lane] = total
 
 
 @compiled
-def _load(block: _Block, now: int) -> None:
+def _load(part: _Part, now: int) -> None:
     """Set TORQUE to the torque at the transducers, at the instant `now` steps from the start."""
-    w, joints, rows = block.w, block.joints, block.rows
+    w, joints, rows = part.block.w, part.block.joints, part.rows
     for lane in range(rows.shape[0]):
         for i in range(rows.shape[1]):
-            _drive(block, lane, i, rows[lane, i, _APPLIED])
-        _effort(block, lane, now)
-    dynamics.sample_block(w, joints, block.width)
+            _drive(part, lane, i, rows[lane, i, _APPLIED])
+        _effort(part, lane, now)
+    dynamics.sample_block(part.block)
 
 
 @compiled
-def _signal(block: _Block, lane: int, kind: int, i: int) -> float:
+def _signal(part: _Part, lane: int, kind: int, i: int) -> float:
     """Return the input of a channel at this instant."""
-    w, rows, n = block.w, block.rows, len(block.joints)
+    w, rows, n = part.block.w, part.rows, len(part.block.joints)
     if kind == ANGLE:
         return float(w[dynamics.THETA * n + i, lane])
     if kind == TORQUE:
         return float(w[dynamics.TORQUE * n + i, lane])
     row, arm = rows[lane, i], n - rows.shape[1] + i
-    velocity, stretch = w[dynamics.VELOCITY * n + arm, lane], _stretch(block, lane, arm)
+    velocity, stretch = w[dynamics.VELOCITY * n + arm, lane], _stretch(part, lane, arm)
     return float(row[_VELOCITY_GAIN] * velocity + row[_STRETCH_GAIN] * stretch)
 
 
@@ -305,10 +302,10 @@ def settle(batch: Batch, rig: RealRig) -> None:
 
 
 @compiled
-def _take_inputs(block: _Block, tick: int) -> None:
+def _take_inputs(part: _Part, tick: int) -> None:
     """Take commands and voluntary torques of the present period."""
-    w, rows, commands = block.w, block.rows, block.commands
-    n, coordinates = rows.shape[1], len(block.joints)
+    w, rows, commands = part.block.w, part.rows, part.commands
+    n, coordinates = rows.shape[1], len(part.block.joints)
     for lane in range(rows.shape[0]):
         for i in range(n):
             row, command = rows[lane, i], w[dynamics.COMMAND * coordinates + i, lane]
@@ -318,9 +315,9 @@ def _take_inputs(block: _Block, tick: int) -> None:
 
 
 @compiled
-def _begin(block: _Block, now: int) -> None:
+def _begin(part: _Part, now: int) -> None:
     """Have commands, and voluntary torque, take effect at the start of a step."""
-    rows, commands, steps = block.rows, block.commands, block.steps
+    rows, commands, steps = part.rows, part.commands, part.steps
     jumps = now % steps == 0
     for lane in range(rows.shape[0]):
         jumps = jumps or (now - int(rows[lane, 0, _LATE_COMMAND])) % steps == 0
@@ -334,43 +331,43 @@ def _begin(block: _Block, now: int) -> None:
             if row[_KEEP] == 0.0:
                 row[_APPLIED] = row[_TARGET]
     # The torque on the arm has jumped: the step begins with its new value.
-    _load(block, now)
+    _load(part, now)
     for lane in range(rows.shape[0]):
         for i in range(rows.shape[1]):
-            signal = _signal(block, lane, TORQUE, i)
+            signal = _signal(part, lane, TORQUE, i)
             rows[lane, i, _CHANNELS + TORQUE * _CHANNEL + _LAST] = signal
 
 
 @compiled
-def _follow(block: _Block) -> None:
+def _follow(part: _Part) -> None:
     """Advance the drives by a step; COMMAND becomes the mean of their torque over it."""
-    for lane in range(block.rows.shape[0]):
-        for i in range(block.rows.shape[1]):
-            row = block.rows[lane, i]
+    for lane in range(part.rows.shape[0]):
+        for i in range(part.rows.shape[1]):
+            row = part.rows[lane, i]
             away = row[_APPLIED] - row[_TARGET]
-            _drive(block, lane, i, row[_TARGET] + away * row[_SHARE])
+            _drive(part, lane, i, row[_TARGET] + away * row[_SHARE])
             row[_APPLIED] = row[_TARGET] + away * row[_KEEP]
 
 
 @compiled
-def _end(block: _Block, now: int) -> None:
+def _end(part: _Part, now: int) -> None:
     """Advance muscles and channels by the step that ends `now` steps from the start."""
-    rows, past = block.rows, block.past
+    rows, past = part.rows, part.past
     n, at = rows.shape[1], now % past.shape[3]
     for lane in range(rows.shape[0]):
         for i in range(n):
             row = rows[lane, i]
             if row[_MUSCULAR] > 0.0:
-                signal = _signal(block, lane, REFLEX, i)
+                signal = _signal(part, lane, REFLEX, i)
                 _pass(row, past[lane, i], REFLEX, at, signal, False)
-                q = _stretch(block, lane, len(block.joints) - n + i)
+                q = _stretch(part, lane, len(part.block.joints) - n + i)
                 row[_YIELDED] = min(max(row[_YIELDED], q - row[_REACH]), q + row[_REACH])
-    _load(block, now)
+    _load(part, now)
     for lane in range(rows.shape[0]):
         for i in range(n):
             for kind in range(2):
-                signal = _signal(block, lane, kind, i)
-                averaged = block.mean and kind == TORQUE
+                signal = _signal(part, lane, kind, i)
+                averaged = part.mean and kind == TORQUE
                 _pass(rows[lane, i], past[lane, i], kind, at, signal, averaged)
 
 
@@ -380,10 +377,9 @@ def advance(batch: Batch, rig: RealRig) -> None:
     start, width = int(rig.clock[0]), len(batch.width)
     for number in range(batch.w.shape[0]):
         lanes = slice(number * width, (number + 1) * width)
-        block = _Block(
-            batch.w[number],
-            batch.joints,
-            batch.width,
+        block = Block(batch.w[number], batch.joints, batch.width)
+        part = _Part(
+            block,
             batch.substeps,
             batch.step,
             batch.interval_mean,
@@ -391,12 +387,12 @@ def advance(batch: Batch, rig: RealRig) -> None:
             rig.commands[lanes],
             rig.past[lanes],
         )
-        _take_inputs(block, start // batch.substeps)
+        _take_inputs(part, start // batch.substeps)
         for now in range(start, start + batch.substeps):
-            _begin(block, now)
-            _follow(block)
-            dynamics.rk4_step(block.w, batch.joints, batch.width, batch.step)
-            _end(block, now + 1)
+            _begin(part, now)
+            _follow(part)
+            dynamics.rk4_step(block, batch.step)
+            _end(part, now + 1)
     rig.clock[0] += batch.substeps
 
 
