@@ -50,15 +50,12 @@ def time_estimate(tell: Callable[[str], None]) -> list[Measured]:
 
     length = f"trial of {SAMPLES / 1000:g} s"
     return [
-        Measured(key="read", label=f"reading the bag of a {length}", value=reading, unit="s"),
+        Measured(label=f"reading the bag of a {length}", value=reading, unit="s"),
         *(
-            Measured(
-                key=name, label=f"{name} alone, each {length}", value=estimate((name,)), unit="s"
-            )
+            Measured(label=f"{name} alone, each {length}", value=estimate((name,)), unit="s")
             for name in names
         ),
         Measured(
-            key="trial",
             label=f"from bag to result ({', '.join(names)}), each {length}",
             value=whole,
             unit="s",

@@ -137,54 +137,40 @@ def graph_figures(
     # As processes of their own, sim and controller do not wait for the recorder.
     known = floor + plant + law + codecs + (recording if processes == "composed" else 0.0)
     shares = {
-        "bare": ("bare exchange of the messages", floor),
-        "graph": ("experiment", tick),
-        "plant": ("step of the plant", plant),
-        "law": ("control law and safety limiter", law),
-        "codecs": ("encoding and decoding", codecs),
-        "recording": ("recording", recording),
-        "rest": ("all the rest", tick - known),
+        "bare exchange of the messages": floor,
+        "experiment": tick,
+        "step of the plant": plant,
+        "control law and safety limiter": law,
+        "encoding and decoding": codecs,
+        "recording": recording,
+        "all the rest": tick - known,
     }
     return [
         *(
-            Measured(
-                key=f"{processes}_{key}",
-                label=f"{processes}: {label}",
-                value=1e6 * value,
-                unit="µs per tick",
-            )
-            for key, (label, value) in shares.items()
+            Measured(label=f"{processes}: {label}", value=1e6 * value, unit="µs per tick")
+            for label, value in shares.items()
         ),
         Measured(
-            key=f"{processes}_ratio",
             label=f"{processes}: without plant, over bare exchange",
             value=median(one.ratio for one in rounds),
             limit=RATIO_LIMIT,
         ),
+        Measured(label=f"{processes}: with plant, over bare exchange", value=tick / floor),
         Measured(
-            key=f"{processes}_ratio_with_plant",
-            label=f"{processes}: with plant, over bare exchange",
-            value=tick / floor,
-        ),
-        Measured(
-            key=f"{processes}_slowest",
             label=f"{processes}: real time over speed, slowest of {len(speeds)} trials",
             value=1.0 / min(speeds),
             limit=1.0 / limit,
         ),
         Measured(
-            key=f"{processes}_lost",
             label=f"{processes}: lost samples of {len(speeds)} trials",
             value=sum(one.lost for one in rounds),
             limit=0,
         ),
         Measured(
-            key=f"{processes}_disturbance",
             label=f"{processes}: plain Python beside, median over fastest",
             value=disturbance([took for one in rounds for took in one.loops]),
         ),
         Measured(
-            key=f"{processes}_stolen",
             label=f"{processes}: taken away by the host, in the worst of {len(rounds)} runs",
             value=max(one.stolen for one in rounds),
             unit="processors",

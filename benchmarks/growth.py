@@ -55,20 +55,14 @@ def _case(joints: int, seconds: float, tell: Callable[[str], None]) -> list[Meas
         names = EstimatorParameters().estimators
         estimate = shortest(lambda: estimate_bags(bags, names), _REPEATS)
     figures = [
-        ("rate", "ticks per second", RATE * median(one.rtf for one in run.summary.trials), "1/s"),
-        ("outside", "run outside of its trials", run.outside, "s"),
-        ("memory", "largest resident size", run.peaks[COMMAND] / MB, "MB"),
-        ("bag", "bag of a trial", size / len(bags) / MB, "MB"),
-        ("estimate", "from bag to result, each trial", estimate / len(bags), "s"),
+        ("ticks per second", RATE * median(one.rtf for one in run.summary.trials), "1/s"),
+        ("run outside of its trials", run.outside, "s"),
+        ("largest resident size", run.peaks[COMMAND] / MB, "MB"),
+        ("bag of a trial", size / len(bags) / MB, "MB"),
+        ("from bag to result, each trial", estimate / len(bags), "s"),
     ]
     return [
-        Measured(
-            key=f"{joints}_joints_{seconds:g}_s_{key}",
-            label=f"{what}: {label}",
-            value=value,
-            unit=unit,
-        )
-        for key, label, value, unit in figures
+        Measured(label=f"{what}: {label}", value=value, unit=unit) for label, value, unit in figures
     ]
 
 

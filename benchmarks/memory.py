@@ -41,7 +41,6 @@ def measure_memory(tell: Callable[[str], None]) -> list[Measured]:
             peaks = run_command(Path(folder) / "out", *options, watch_memory=True).peaks
         figures += [
             Measured(
-                key=f"{processes}_{label}",
                 label=f"{processes}: {label}, largest resident size",
                 value=peaks[module] / MB,
                 unit="MB",

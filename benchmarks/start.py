@@ -66,7 +66,6 @@ def _figures(kind: str, runs: Sequence[CommandRun]) -> list[Measured]:
     }
     return [
         Measured(
-            key=f"{kind}_{key}",
             label=f"{kind}: {label} (median)",
             value=median(getattr(wall, key) for wall in walls),
             unit="s",

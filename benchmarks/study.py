@@ -58,27 +58,20 @@ def time_study(tell: Callable[[str], None]) -> list[Measured]:
     simulated = blocks * WIDTH * base.joints * loaded
     estimated = len(conditions) * estimate / cores
     return [
+        Measured(label="50 s trial, one lane, per core", value=scalar, unit="s"),
+        Measured(label=f"50 s trial, {WIDTH} lanes, per core", value=batch, unit="s"),
+        Measured(label="one lane over many", value=scalar / batch),
         Measured(
-            key="scalar_trial", label="50 s trial, one lane, per core", value=scalar, unit="s"
-        ),
-        Measured(
-            key="batch_trial", label=f"50 s trial, {WIDTH} lanes, per core", value=batch, unit="s"
-        ),
-        Measured(key="speed_up", label="one lane over many", value=scalar / batch),
-        Measured(
-            key="loaded_trial",
             label=f"50 s trial, {WIDTH} lanes, all cores busy, per core",
             value=loaded,
             unit="s",
         ),
         Measured(
-            key="estimate",
             label=f"estimates of one condition ({', '.join(base.estimators)})",
             value=estimate,
             unit="s",
         ),
         Measured(
-            key="study",
             label=f"study of {trials} trials on {cores} cores, extrapolated",
             value=simulated + estimated,
             unit="s",

@@ -12,21 +12,21 @@ from benchmarks.__main__ import main
 pytestmark = pytest.mark.slow
 
 # Measurements as short as they can be, and a target that nothing can meet.
-BENCHES: dict[str, tuple[ModuleType, dict[str, Any], list[str]]] = {
+BENCHES: dict[str, tuple[ModuleType, dict[str, Any], int]] = {
     "growth": (
         growth,
         {"CASES": ((1, 10.0),)},
-        [f"1_joints_10_s_{name}" for name in ("rate", "outside", "memory", "bag", "estimate")],
+        5,
     ),
     "estimate": (
         estimate,
         {"SAMPLES": 10_000, "_REPEATS": 1, "TARGET": 1e-9},
-        ["read", "welch_siso", "lpm_full", "trial"],
+        4,
     ),
     "study": (
         study,
         {"TRIAL": 10.0, "_SCALAR": 0.02, "_BATCH": 0.02, "_REPEATS": 1, "TARGET": 1e-9},
-        ["scalar_trial", "batch_trial", "speed_up", "loaded_trial", "estimate", "study"],
+        6,
     ),
 }
 
@@ -35,12 +35,12 @@ BENCHES: dict[str, tuple[ModuleType, dict[str, Any], list[str]]] = {
 def test_a_benchmark_prints_its_figures_and_misses_a_target_that_nothing_meets(
     name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    module, changes, expected = BENCHES[name]
+    module, changes, count = BENCHES[name]
     for constant, value in changes.items():
         monkeypatch.setattr(module, constant, value)
     assert main([name, "--json"]) == ("TARGET" in changes)
     figures = json.loads(capsys.readouterr().out)["benchmarks"][name]
-    assert set(expected) <= set(figures)
-    assert all(one["value"] > 0.0 for one in figures.values())
-    missed = [key for key, one in figures.items() if one["limit"] and not one["met"]]
-    assert missed == expected[-1:] * ("TARGET" in changes)
+    assert len(figures) == count
+    assert all(one["value"] > 0.0 for one in figures)
+    missed = [one for one in figures if one["limit"] and not one["met"]]
+    assert missed == figures[-1:] * ("TARGET" in changes)

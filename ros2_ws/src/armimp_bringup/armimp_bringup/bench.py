@@ -29,10 +29,8 @@ _PRIORITY = 50  # of SCHED_FIFO
 class Measured:
     """One figure of a benchmark."""
 
-    key: str
-    """Its name in the record."""
     label: str
-    """What people read."""
+    """Its name, also in the record."""
     value: float
     """NaN misses every limit."""
     unit: str = ""
@@ -84,13 +82,11 @@ def speed(tell: Tell) -> list[Measured]:
         trials = run_for_bench(tell, processes=processes).trials
         figures += [
             Measured(
-                key=f"{processes}_speed",
                 label=f"{processes}: speed",
                 value=median(trial.rtf for trial in trials),
                 unit="x real time",
             ),
             Measured(
-                key=f"{processes}_lost",
                 label=f"{processes}: lost samples",
                 value=sum(trial.lost for trial in trials),
                 limit=0,
@@ -105,7 +101,7 @@ def jitter(tell: Tell) -> list[Measured]:
     Jitter has no target: the verdict of a run decides how much of it is acceptable.
     """
     figures: list[Measured] = []
-    for key, label, priority in (("ordinary", "ordinary", 0), ("fifo", "SCHED_FIFO", _PRIORITY)):
+    for label, priority in (("ordinary", 0), ("SCHED_FIFO", _PRIORITY)):
         tell(f"{DURATION:g} s in real time, {label}")
         try:
             timing = run_for_bench(tell, mode="realtime", joints=1, priority=priority).timing
@@ -116,20 +112,21 @@ def jitter(tell: Tell) -> list[Measured]:
             tell(str(error))
             timing = None
         if timing is None:
-            words = f"{label}: aborted"
-            figures.append(Measured(key=f"{key}_aborted", label=words, value=1.0, limit=0.0))
+            figures.append(Measured(label=f"{label}: aborted", value=1.0, limit=0.0))
             continue
-        found = {
-            "late": ("late samples", 100.0 * timing.late / max(timing.ticks, 1), "%"),
-            "missed": ("missed commands", 100.0 * timing.missed / max(timing.ticks, 1), "%"),
-        }
-        for name, what in (("period", "period"), ("latency", "sample to command")):
-            for part, words in (("p50", "median"), ("p99", "99 %"), ("max", "longest")):
-                value = 1e3 * float(getattr(timing, f"{name}_{part}"))
-                found[f"{name}_{part}"] = (f"{what}, {words}", value, "ms")
+        found = [
+            ("late samples", 100.0 * timing.late / max(timing.ticks, 1), "%"),
+            ("missed commands", 100.0 * timing.missed / max(timing.ticks, 1), "%"),
+            ("period, median", 1e3 * timing.period_p50, "ms"),
+            ("period, 99 %", 1e3 * timing.period_p99, "ms"),
+            ("period, longest", 1e3 * timing.period_max, "ms"),
+            ("sample to command, median", 1e3 * timing.latency_p50, "ms"),
+            ("sample to command, 99 %", 1e3 * timing.latency_p99, "ms"),
+            ("sample to command, longest", 1e3 * timing.latency_max, "ms"),
+        ]
         figures += [
-            Measured(key=f"{key}_{name}", label=f"{label}: {text}", value=value, unit=unit)
-            for name, (text, value, unit) in found.items()
+            Measured(label=f"{label}: {what}", value=value, unit=unit)
+            for what, value, unit in found
             if not math.isnan(value)
         ]
     return figures
@@ -199,7 +196,7 @@ def _record(
         "machine": {"cores": available_cores(), "system": platform.platform()},
         **software(),
         "benchmarks": {
-            name: {one.key: asdict(one) | {"met": not one.missed} for one in group}
+            name: [asdict(one) | {"met": not one.missed} for one in group]
             for name, group in measured.items()
         },
         "failed": failed,

@@ -23,7 +23,7 @@ Benchmarks = dict[str, Callable[[object], list[Measured]]]
 
 
 def _figure(value: float, limit: float | None = None) -> Measured:
-    return Measured(key="one", label="a figure", value=value, unit="s", limit=limit)
+    return Measured(label="a figure", value=value, unit="s", limit=limit)
 
 
 def test_figures_are_shown_with_units_targets_and_the_machine(
@@ -75,9 +75,13 @@ def test_jitter_is_that_of_runs_in_real_time_whose_priority_is_permitted(
 
     monkeypatch.setattr(orchestrator, "run_experiment", run_experiment)
     told: list[str] = []
-    found = {one.key: one.value for one in bench.jitter(told.append)}
-    expected = {"late": 0.5, "missed": 2.0, "period_p50": 1.0, "latency_max": 3.0}
-    assert found == {f"ordinary_{key}": pytest.approx(value) for key, value in expected.items()}
+    found = {one.label: one.value for one in bench.jitter(told.append)}
+    assert found == {
+        "ordinary: late samples": pytest.approx(0.5),
+        "ordinary: missed commands": pytest.approx(2.0),
+        "ordinary: period, median": pytest.approx(1.0),
+        "ordinary: sample to command, longest": pytest.approx(3.0),
+    }
     assert "no use" in told
     assert "priority = 50: not permitted" in told
 
