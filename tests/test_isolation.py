@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from psutil import Process
 
 from armimp_bringup.graph import DomainClaim
 from armimp_bringup.nodes import NODES
-from armimp_common.process import endpoints
 from armimp_estimation.summary import read_summary
 from support.command import program
 from support.graph import CHOICES
@@ -68,7 +68,7 @@ def test_when_the_domain_is_taken_expect_the_second_experiment_refused(tmp_path:
 
 
 def graph_of(process: "subprocess.Popen[str]", directory: Path) -> dict[int, set[Any]]:
-    """Processes of an experiment that has begun its first trial, each with its endpoints."""
+    """Processes of an experiment that has begun its first trial, each with its addresses."""
 
     def begun() -> bool:
         assert process.poll() is None, process.communicate()
@@ -76,7 +76,10 @@ def graph_of(process: "subprocess.Popen[str]", directory: Path) -> dict[int, set
 
     wait_until(begun, "the first trial")
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-    return {number: endpoints(number) for number in (process.pid, *map(int, children))}
+    return {
+        number: {one.laddr for one in Process(number).net_connections() if one.laddr}
+        for number in (process.pid, *map(int, children))
+    }
 
 
 @pytest.mark.parametrize("processes", ["composed", "separate"])

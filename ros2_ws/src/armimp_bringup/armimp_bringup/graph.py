@@ -9,6 +9,7 @@ import socket
 from collections import defaultdict
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Final
 
@@ -19,7 +20,6 @@ from rclpy.signals import SignalHandlerOptions
 
 from armimp_common.errors import ConfigurationError, GraphError
 from armimp_common.executor import NO_LOG_FILES
-from armimp_common.process import reachable_from_outside
 
 _RANGE, _PROFILES = "ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE"
 _OLD_RANGE, _DOMAIN = "ROS_LOCALHOST_ONLY", "ROS_DOMAIN_ID"
@@ -183,13 +183,17 @@ class GraphContext(AbstractContextManager["GraphContext"]):
 
     def _is_open(self) -> bool:
         """Whether other machines can reach this process; sockets exist only with a node."""
+        import psutil  # here, as few processes need it
+
         node = Node("armimp_socket_check", context=self.context, use_global_arguments=False)
         try:
-            return bool(reachable_from_outside())
-        except OSError:  # no Linux
+            sockets = psutil.Process().net_connections("inet")
+        except psutil.Error:  # the system does not say
             return True
         finally:
             node.destroy_node()
+        listening = (one for one in sockets if one.status in (psutil.CONN_NONE, psutil.CONN_LISTEN))
+        return any(not ip_address(one.laddr.ip).is_loopback for one in listening if one.laddr)
 
     def close(self) -> None:
         """Shut the context down, give the domain back, and restore the environment."""

@@ -63,7 +63,7 @@ def test_when_the_user_chose_a_reach_or_a_profile_expect_it_kept(
 OPEN_BEFORE = """
 import os, rclpy
 from armimp_bringup.graph import GraphContext
-from armimp_common.process import endpoints
+from psutil import Process
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SUBNET"
 rclpy.init(domain_id={domain})
 rclpy.create_node("before").destroy_node()
@@ -71,7 +71,7 @@ rclpy.shutdown()
 del os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"]
 with GraphContext() as graph:
     node = rclpy.create_node("after", context=graph.context)
-    print("ports", graph.claim.domain_id, *(one.port for one in endpoints()))
+    print("ports", graph.claim.domain_id, *(one.laddr.port for one in Process().net_connections()))
     print("variable", os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"])
     node.destroy_node()
 """

@@ -1,15 +1,13 @@
-"""Processes of this machine: which are alive, who can reach them, how children follow a parent."""
+"""Processes of this machine: which are alive, how children follow a parent."""
 
 import math
 import os
 import signal
-import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
-from ipaddress import ip_address
 from pathlib import Path
 from types import FrameType
 from typing import Any, Final
@@ -84,37 +82,6 @@ def _state(process: str) -> tuple[str, str]:
     finally:
         os.close(file)
     return fields[0].decode("ascii"), fields[19].decode("ascii")
-
-
-def endpoints(process: int | None = None) -> set[Any]:
-    """Return the addresses (``ip``, ``port``) at which a process can be reached over a network.
-
-    Parameters
-    ----------
-    process
-        PID of a process of this user; by default of this process.
-
-    Raises
-    ------
-    OSError
-        If the system does not say.
-    """
-    import psutil  # here, as few processes need it
-
-    try:
-        connections = psutil.Process(process).net_connections("inet")
-    except psutil.Error as error:
-        raise OSError(str(error)) from None
-    return {
-        one.laddr
-        for one in connections
-        if one.laddr and (one.type == socket.SOCK_DGRAM or one.status == psutil.CONN_LISTEN)
-    }
-
-
-def reachable_from_outside() -> set[Any]:
-    """Return the `endpoints` of this process that other machines can reach."""
-    return {one for one in endpoints() if not ip_address(one.ip).is_loopback}
 
 
 class ParentWatchdog:
