@@ -120,7 +120,7 @@ WRONG = {
     "estimators: [guess]": "unknown estimator 'guess'",
     "impedance_estimator: {metadata: '[1]'}": "'metadata' is not a JSON object of strings: '[1]'",
     # Shapes of matrices
-    "arm_sim: {arm: {inertia: [[1, 0], [0]]}}": "'arm.inertia' = [[1, 0], [0]]: rows differ",
+    "arm_sim: {arm: {inertia: [[1, 0], [0]]}}": "'arm.inertia' = [[1, 0], [0]]: is no square",
     # Numbers
     "arm_sim: {seed: 99999999999999999999}": "'seed' = 99999999999999999999: is too large",
     # Physics

@@ -210,10 +210,6 @@ def _row_by_row(name: str, value: Any) -> Any:
     """Flatten a matrix written as a list of its rows, since parameters are flat lists."""
     if not isinstance(value, list) or not any(isinstance(row, list) for row in value):
         return value
-    lengths = {len(row) if isinstance(row, list) else None for row in value}
-    if len(lengths) > 1:
-        raise ConfigurationError(f"parameter '{name}' = {value!r:.80}: rows differ in length")
-    if lengths != {len(value)}:
-        rows = f"{len(value)} row{'s' * (len(value) > 1)}"
-        raise ConfigurationError(f"parameter '{name}' has {rows} for {lengths.pop()} columns")
+    if any(not isinstance(row, list) or len(row) != len(value) for row in value):
+        raise ConfigurationError(f"parameter '{name}' = {value!r:.80}: is no square matrix")
     return [number for row in value for number in row]
