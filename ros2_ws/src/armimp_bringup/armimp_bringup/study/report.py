@@ -28,9 +28,7 @@ from armimp_estimation.summary import ImpedanceCurve, OriginSummary
 
 _COUNTS: Final = ("", "one", "two", "three", "four", "five", "six", "seven")
 _MOST_PROBLEMS: Final = 10
-_BUDGET: Final = 2_000_000  # bytes for all curves of a page
-_BYTES: Final = 2 * 4 * 4 / 3  # of a point of a line: two numbers of single precision in base64
-_POINTS: Final = (40, 160)  # fewest and most points of a line
+_POINTS: Final = 100  # of a line
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -175,22 +173,20 @@ class StudyReport:
     def _impedance(self) -> Content:
         """Magnitude, phase and error of every element in all conditions of the first seed."""
         first = self.entries[0]
-        n, names = first.joints, self._estimators
+        n = first.joints
         conditions = [one.condition for one in self.entries if one.seed == first.seed]
         if n > MOST_JOINTS:
             for factor in ("friction", "resolution"):
                 levels = {getattr(one, factor) for one in conditions}
                 ends = min(levels), max(levels)
                 conditions = [one for one in conditions if getattr(one, factor) in ends]
-        lines = n * n * len(conditions) * len(names) * 3
-        points = int(min(max(_BUDGET / (lines * _BYTES), _POINTS[0]), _POINTS[1]))
         curves = {
-            one: {name: _thinned(curve, points) for name, curve in self.curves(one).items()}
+            one: {name: _thinned(curve, _POINTS) for name, curve in self.curves(one).items()}
             for one in conditions
         }
         return {
             "seed": first.seed if len(self._seeds) > 1 else None,
-            "points": points,
+            "points": _POINTS,
             "few": n > MOST_JOINTS,
             "choices": list(self._choices(conditions)),
             "switches": list(_switches(conditions)),
