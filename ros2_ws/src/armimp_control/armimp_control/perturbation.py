@@ -18,6 +18,8 @@ from armimp_common.topics import RATE
 _STREAM = 1  # keeps these random streams apart from those of the voluntary torque
 _LINES = 7  # likewise for the lines of a multisine, which all trials have in common
 
+_ORDER = 8  # of the low-pass of the noise
+
 PerturbationKind: TypeAlias = Literal["noise", "multisine", "optimal"]
 
 CREST_OF_NOISE = 3.65
@@ -84,8 +86,6 @@ class PerturbationParameters(Schema):
     stays above it as far as that pays."""
     cutoff: float = Field(default=15.0, gt=0.0, lt=0.5 * RATE)
     """Cut-off frequency of the perturbation (Hz)."""
-    order: int = Field(default=8, ge=1, le=20)
-    """Order of the Butterworth low-pass of the noise."""
     period: float = Field(default=8.192, ge=_SHORTEST_PERIOD, le=100.0)
     """Longest period of the multisine (s); it is made shorter until a whole number of them, four or
     more, fills the trial."""
@@ -124,7 +124,7 @@ def perturbation(
     random = np.random.default_rng(np.random.SeedSequence([seed, _STREAM, trial]))
     if parameters.kind == "noise":
         white = random.uniform(-1.0, 1.0, ticks)
-        coloured = filtered(butterworth(parameters.order, parameters.cutoff, RATE), white)
+        coloured = filtered(butterworth(parameters.cutoff, RATE), white)
         # In this order, the largest value is the peak exactly.
         signal = coloured / np.max(np.abs(coloured)) * peak
     else:
@@ -317,43 +317,32 @@ def crest_factor(signal: FloatArray) -> float:
     return float(np.max(np.abs(signal)) / np.sqrt(np.mean(signal**2)))
 
 
-def butterworth(order: int, cutoff: float, rate: float) -> FloatArray:
-    """Return what ``scipy.signal.butter(order, cutoff, fs=rate, output="sos")`` gives, to the bit.
+def butterworth(cutoff: float, rate: float) -> FloatArray:
+    """Return what ``scipy.signal.butter(8, cutoff, fs=rate, output="sos")`` gives, to the bit.
 
     Importing `scipy.signal` takes longer than everything else that a run imports, and this filter
     is all that the graph needs of it.
 
     Parameters
     ----------
-    order : of the low-pass, positive
     cutoff : where half the power passes, below half the rate, Hz
     rate : of the samples, Hz
 
     Returns
     -------
-    (n_sections, 6) NDArray
-        b0, b1, b2, 1, a1, a2 of each; the poles nearest to the unit circle come last.
+    (4, 6) NDArray
+        b0, b1, b2, 1, a1, a2 of each section; the poles nearest to the unit circle come last.
     """
     twice = 4.0  # twice the rate, in units in which the bilinear transform has a rate of 2
     warped = float(twice * np.tan(np.pi * (cutoff / (rate / 2.0)) / 2.0))
-    places = np.arange(1 - order, order, 2, dtype=np.float64)
-    analogue = warped * -np.exp(1j * np.pi * places / (2 * order))
+    places = np.arange(1 - _ORDER, _ORDER, 2, dtype=np.float64)
+    analogue = warped * -np.exp(1j * np.pi * places / (2 * _ORDER))
     poles = (twice + analogue) / (twice - analogue)
-    gain = warped**order * np.real(1.0 / np.prod(twice - analogue))
-    zeros = np.full(order + order % 2, -1.0)
-    pairs = [(pole, pole.conjugate()) for pole in poles[: order // 2]]
-    if order % 2:  # a pole and a zero at the origin make a pair of the single ones
-        pairs.append((poles[order // 2].real, 0.0))
-        zeros[-1] = 0.0
-    pairs.sort(key=lambda pair: abs(1.0 - abs(pair[0])))
-    sections = np.zeros((len(pairs), 6))
-    for section, pair in zip(sections[::-1], pairs, strict=True):
-        # Each pole takes the zeros nearest to it, beginning with the one nearest to the circle.
-        nearest = np.argsort(np.abs(zeros - pair[0]))
-        section[:3] = np.poly(zeros[nearest[:2]])
-        section[3:] = np.real(np.poly(pair))
-        zeros = zeros[nearest[2:]]
-    sections[0, :3] *= gain
+    upper = sorted(poles[: _ORDER // 2], key=abs)
+    sections = np.zeros((_ORDER // 2, 6))
+    sections[:, :3] = 1.0, 2.0, 1.0
+    sections[:, 3:] = [np.real(np.poly((pole, pole.conjugate()))) for pole in upper]
+    sections[0, :3] *= warped**_ORDER * np.real(1.0 / np.prod(twice - analogue))
     return sections
 
 

@@ -67,17 +67,16 @@ def test_spectrum_is_flat_below_the_cutoff_and_empty_beyond() -> None:
     assert band(30.0, 500.0) < 1e-5 * reference
 
 
-@pytest.mark.parametrize("order", range(1, 21))
-def test_sections_are_those_of_scipy_to_the_last_bit(order: int) -> None:
-    for cutoff in (0.5, 2.0, 5.0, 15.0, 40.0, 100.0, 249.0, 250.5, 400.0, 499.9):
-        expected = signal.butter(order, cutoff, fs=1000.0, output="sos")
-        assert np.array_equal(butterworth(order, cutoff, 1000.0), expected), cutoff
+@pytest.mark.parametrize("cutoff", [0.5, 2.0, 5.0, 15.0, 40.0, 100.0, 249.0, 250.5, 400.0, 499.9])
+def test_sections_are_those_of_scipy_to_the_last_bit(cutoff: float) -> None:
+    expected = signal.butter(8, cutoff, fs=1000.0, output="sos")
+    assert np.array_equal(butterworth(cutoff, 1000.0), expected)
 
 
-@pytest.mark.parametrize(("order", "cutoff"), [(1, 499.9), (2, 2.0), (7, 40.0), (8, 15.0)])
-def test_a_signal_leaves_the_filter_as_it_leaves_that_of_scipy(order: int, cutoff: float) -> None:
+@pytest.mark.parametrize("cutoff", [2.0, 15.0, 40.0, 499.9])
+def test_a_signal_leaves_the_filter_as_it_leaves_that_of_scipy(cutoff: float) -> None:
     white = np.random.default_rng(3).uniform(-1.0, 1.0, 20_000)
-    sections = butterworth(order, cutoff, 1000.0)
+    sections = butterworth(cutoff, 1000.0)
     assert np.array_equal(filtered(sections, white), signal.sosfilt(sections, white))
 
 
