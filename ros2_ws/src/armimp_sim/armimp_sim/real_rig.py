@@ -231,7 +231,7 @@ def _effort(part: _Part, lane: int, now: int) -> None:
 @compiled
 def _load(part: _Part, now: int) -> None:
     """Set TORQUE to the torque at the transducers, at the instant `now` steps from the start."""
-    w, joints, rows = part.block.w, part.block.joints, part.rows
+    rows = part.rows
     for lane in range(rows.shape[0]):
         for i in range(rows.shape[1]):
             _drive(part, lane, i, rows[lane, i, _APPLIED])
