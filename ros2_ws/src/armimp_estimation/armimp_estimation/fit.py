@@ -306,7 +306,11 @@ def _with_delay(problem: WeightedFit) -> tuple[WeightedFit, CommonDelay | None]:
     found, covariance = np.zeros(len(terms)), np.eye(len(terms))
     if identified:
         own = problem.own
-        every = [term for _, term in hidden_terms(problem, values)]
+        every = [
+            term
+            for first, *others in hidden_terms(problem, values)
+            for term in (*first, *(one[0] for one in others))
+        ]
         alike = np.zeros((len(every) * len(own), *turned.shape), dtype=np.complex128)
         for place, (term, row) in enumerate(product(every, own)):
             alike[place][row] = term[row]

@@ -12,27 +12,28 @@ from functools import partial
 from itertools import product
 
 import numpy as np
-from scipy.special import log_ndtr, softmax
+from scipy.special import log_ndtr, ndtr, softmax
 
 from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_estimation.weighted_fit import WeightedFit
 
 _NOTICED = 2.0
 _ROUNDING = 1e-9
+_TINY = float(np.finfo(np.float64).tiny)
 _MOST_CUFFS = 8
 """Most joints for which cuffs and reflexes are looked for: the time goes with the third power."""
 _LIKELY, _SOFT = 0.3, 0.2
-"""Assumption: prior probabilities that an element has a reflex of either kind or a spring that
-relaxes, and that a joint has a soft cuff."""
+"""Assumption: prior probabilities that an element has reflexes, or a spring that relaxes, of one of
+the alternatives rather than none; and that a joint has a soft cuff."""
 _RARE = 0.01
 """Probability at which a reflex or a relaxing spring is too rare to change a 95 % interval."""
 _REFLEX = 0.5
 """Assumption: velocity gain that a reflex of an element may have, relative to its B."""
 _ARCS = ((0.04, 30.0), (0.03, 50.0), (0.06, 50.0))
 """Assumption: delays of reflexes, s, and corners of their muscles, rad/s: as in Kearney, Stein &
-Parameswaran (1997), and for velocity reflexes a quicker and a later one, too."""
-_STRETCH, _LEAD = 0.3, 20.0
-"""Assumption: stretch gain of a reflex, relative to K, and relative to its velocity gain, 1/s."""
+Parameswaran (1997), and a quicker and a later one."""
+_STRETCH = 0.3
+"""Assumption: stretch gain that a reflex of an element may have, relative to its K."""
 _RELAXED, _RELAXATIONS = 0.4, (0.05, 0.3)
 """Assumption: stiffness of a relaxing spring beside K, relative to K, and its time constants, s."""
 _MODE = 0.1
@@ -118,36 +119,66 @@ def _by_sensors_and_cuffs(fit: WeightedFit) -> FloatArray:
     return squares
 
 
-def hidden_terms(fit: WeightedFit, values: FloatArray) -> list[tuple[float, ComplexArray]]:
-    """Prior probabilities of reflexes and relaxing springs, and what they add to M, B and K."""
+def hidden_terms(fit: WeightedFit, values: FloatArray) -> list[list[ComplexArray]]:
+    """What reflexes, and springs that relax, add to M, B and K: the alternatives of either kind.
+
+    A reflex, by speed and by stretch, has two terms, (2, n, m, n_freq); a spring has one.
+    """
     if values[0].size > _MOST_CUFFS**2:
         return []
     s, (_, B, K) = 1j * fit.omega, values[..., None]
-    arcs = [np.exp(-s * delay) / (1.0 + s / muscle) ** 2 for delay, muscle in _ARCS]
-    found = [(_LIKELY / len(arcs), _REFLEX * B * s * arc) for arc in arcs]
-    found.append((_LIKELY, _STRETCH * K * (1.0 + s / _LEAD) * arcs[0]))
-    # The leakage of biased estimators also hides a relaxing spring.
-    times = _RELAXATIONS if fit.estimate.unbiased else ()
-    return found + [(_LIKELY, _RELAXED * K * s * T / (1.0 + s * T)) for T in times]
+    gains = np.stack((_REFLEX * B * s, _STRETCH * K + 0.0 * s))
+    kinds = [[gains * np.exp(-s * delay) / (1.0 + s / muscle) ** 2 for delay, muscle in _ARCS]]
+    if fit.estimate.unbiased:  # the leakage of biased estimators also hides a relaxing spring
+        kinds.append([(_RELAXED * K * s * T / (1.0 + s * T))[None] for T in _RELAXATIONS])
+    return kinds
 
 
 def _by_reflexes(fit: WeightedFit) -> FloatArray:
-    """Squared change by the one of `hidden_terms` that may change M, B and K most.
+    """Squared change by the kind of `hidden_terms` that may change M, B and K most.
 
-    A term across joints also acts on its own joint, which shows whether the term is present.
+    A term across joints also acts on its own joint, which shows whether the term is present. So do
+    the own terms of other joints, as one person has reflexes in all of them or in none.
     """
     change = np.zeros_like(fit.values)
-    for likely, terms in hidden_terms(fit, fit.values):
-        shifts, coefficients = fit.shifts(terms), fit.coefficients(terms)
-        judged = partial(hidden_square, likely=likely, positive=True, rare=_RARE)
+    for kind in hidden_terms(fit, fit.values):
+        found = [_not_negative(fit, terms) for terms in kind]
+        squares, evidence = (np.stack(one) for one in zip(*found, strict=True))
+        of_own = np.stack([evidence[:, row, column] for row, column in fit.own], axis=1)
         for column, own in enumerate(fit.own):
-            evidence = judged(*coefficients[own])[1]
-            for row in range(len(coefficients)):
-                elsewhere = 0.0 if (row, column) == own else evidence
-                square, _ = judged(*coefficients[row, column], elsewhere=elsewhere)
-                at = slice(None), row, column
-                change[at] = np.maximum(change[at], square * shifts[at] ** 2)
+            others = np.maximum(np.sum(of_own, axis=1) - of_own[:, column], 0.0)
+            for row in range(fit.shape[0]):
+                beside = of_own[:, column] if (row, column) != own else 0.0
+                odds = math.log(_LIKELY / (1.0 - _LIKELY)) + others + beside
+                present = softmax(np.append(odds + evidence[:, row, column], 0.0))[:-1]
+                counts = max(1.0 - _RARE / max(float(np.sum(present)), _RARE), 0.0)
+                square = counts * (present @ squares[:, :, row, column])
+                change[:, row, column] = np.maximum(change[:, row, column], square)
     return change
+
+
+def _not_negative(fit: WeightedFit, terms: ComplexArray) -> tuple[FloatArray, FloatArray]:
+    """Squared changes by terms with coefficients 0 ± 1 that aren't negative, and their evidence.
+
+    The changes of M, B and K, (3, n, m), are those if the terms are present. The evidence, (n, m),
+    is the logarithm of the likelihood ratio of their presence to their absence. Two terms may
+    nearly cancel beside M, B and K, so coefficients are judged together. The probability that they
+    are both positive is interpolated between those of independent, equal and opposite ones.
+    """
+    shifts = np.stack([fit.shifts(one) for one in terms])
+    squares, evidence = np.zeros_like(fit.values), np.zeros(fit.shape)
+    elements = zip(np.ndindex(fit.shape), fit.own_coefficients(terms), strict=True)
+    for (row, column), (mean, covariance, ratio) in elements:
+        errors = np.sqrt(np.diag(covariance))
+        single = ndtr(mean / errors)
+        alike = covariance[0, -1] / (errors[0] * errors[-1])
+        share = 2.0 / math.pi * math.asin(min(max(alike, -1.0), 1.0))
+        positive = np.prod(single) * (1.0 - abs(share)) + np.min(single) * max(share, 0.0)
+        evidence[row, column] = ratio + math.log(max(2.0**mean.size * positive, _TINY))
+        most, change = np.maximum(mean, 0.0), shifts[:, :, row, column]
+        square = np.outer(most, most) + covariance
+        squares[:, row, column] = np.einsum("pa,pq,qa->a", change, square, change)
+    return squares, evidence
 
 
 def _by_second_mode(fit: WeightedFit) -> FloatArray:
@@ -228,7 +259,6 @@ def hidden_square(
     sizes: Sequence[float] = (1.0,),
     positive: bool = False,
     elsewhere: float = 0.0,
-    rare: float = 0.0,
 ) -> tuple[float, float]:
     """Posterior mean square of an effect that may be absent (spike-and-slab prior).
 
@@ -250,8 +280,6 @@ def hidden_square(
         Whether the effect cannot be negative.
     elsewhere : float
         Logarithm of that ratio for other data, which show only whether the effect is present.
-    rare : float
-        Posterior probability that is subtracted, so that a rarer effect does not count.
 
     Returns
     -------
@@ -270,8 +298,6 @@ def hidden_square(
         ratios += math.log(2.0) + log_ndtr(mean / np.sqrt(left))
         mean = np.maximum(mean, 0.0)
     odds = math.log(likely / (1.0 - likely)) + elsewhere + ratios
-    there = softmax(np.append(odds, 0.0))[:-1]
-    present = float(np.sum(there))
-    counts = max(present - rare, 0.0) / max(present, np.finfo(np.float64).tiny)
-    square = float(np.sum(there * (mean**2 + left) * size**2))
-    return counts * square, float(np.logaddexp.reduce(ratios))
+    present = softmax(np.append(odds, 0.0))[:-1]
+    square = float(np.sum(present * (mean**2 + left) * size**2))
+    return square, float(np.logaddexp.reduce(ratios))

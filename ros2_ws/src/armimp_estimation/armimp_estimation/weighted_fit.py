@@ -220,6 +220,36 @@ class WeightedFit:
         The terms, (p, n, m, n_freq), are beside M, B and K, each scaled to its prior standard
         error about `expected`, (p,). The covariance covers the scatter over the elements.
         """
+        elements = self._shown(terms)
+        normal = sum(design.T @ information @ design for design, information, _ in elements)
+        mixed = sum(design.T @ information @ data for design, information, data in elements)
+        found = np.linalg.solve(np.eye(len(terms)) + normal, expected + mixed)
+        left_over = [(one @ found - data, information) for one, information, data in elements]
+        ratio = sum(float(one @ information @ one) for one, information in left_over)
+        scatter = max(1.0, ratio / (len(terms) * max(len(elements) - 1, 1)))
+        covariance = np.linalg.inv(np.eye(len(terms)) + normal / scatter)
+        return covariance @ (expected + mixed / scatter), covariance
+
+    def own_coefficients(self, terms: ComplexArray) -> list[tuple[FloatArray, FloatArray, float]]:
+        """Posterior means and covariance of the coefficients of terms in each element by itself.
+
+        The terms are scaled as for :meth:`common_coefficients`, about 0. Last is the logarithm of
+        the likelihood ratio of their presence to their absence. Elements are row by row.
+        """
+        found = []
+        for design, information, data in self._shown(terms):
+            precision = np.eye(len(terms)) + design.T @ information @ design
+            mixed = design.T @ information @ data
+            mean = np.linalg.solve(precision, mixed)
+            evidence = 0.5 * (mixed @ mean - float(np.linalg.slogdet(precision)[1]))
+            found.append((mean, np.linalg.inv(precision), float(evidence)))
+        return found
+
+    def _shown(self, terms: ComplexArray) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+        """What terms, (p, n, m, n_freq), have beside M, B and K of each element, row by row.
+
+        The data, (p,), are ``design @ coefficients`` and errors whose inverse covariance is given.
+        """
         elements, beside = [], self._beside(terms)
         for i, k in np.ndindex(self.shape):
             term, left, weights = terms[:, i, k], beside[:, i, k], self._weights[i, k]
@@ -231,15 +261,8 @@ class WeightedFit:
             design = (np.conj(functionals) @ term.T).real
             information = np.linalg.pinv(errors, rcond=_SINGULAR, hermitian=True)
             data = (np.conj(functionals) @ self.estimate.Z[i, k]).real
-            elements.append((design, information, data))
-        normal = sum(design.T @ information @ design for design, information, _ in elements)
-        mixed = sum(design.T @ information @ data for design, information, data in elements)
-        found = np.linalg.solve(np.eye(len(terms)) + normal, expected + mixed)
-        left_over = [(one @ found - data, information) for one, information, data in elements]
-        ratio = sum(float(one @ information @ one) for one, information in left_over)
-        scatter = max(1.0, ratio / (len(terms) * max(len(elements) - 1, 1)))
-        covariance = np.linalg.inv(np.eye(len(terms)) + normal / scatter)
-        return covariance @ (expected + mixed / scatter), covariance
+            elements.append((design, np.asarray(information, dtype=np.float64), data))
+        return elements
 
     def roughly_fits(self, values: FloatArray) -> bool:
         """Whether M, B and K, with systematic errors of any shape, explain each element."""

@@ -83,11 +83,11 @@ def test_when_the_subject_pushes_expect_bias_of_the_direct_estimator_alone() -> 
 
 
 def test_standard_errors_of_the_direct_estimator_cover_the_bias_of_the_loop() -> None:
-    found = DIRECT.estimate(synthetic_trials(dataclasses.replace(LOOP, voluntary=3.0)))
+    found = DIRECT.estimate(synthetic_trials(dataclasses.replace(LOOP, voluntary=6.0)))
     noisy = dataclasses.replace(found, systematics=())
     for estimate, held in ((found, True), (noisy, False)):
         fit = fit_mbk(estimate)
-        off = np.abs(fit.mbk.B - TWO_JOINT_ARM.B) / fit.errors[1]
+        off = np.abs(fit.mbk.M - TWO_JOINT_ARM.M) / fit.errors[0]
         assert bool(off[0, 0] < 1.96) is held
 
 
