@@ -579,6 +579,9 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         for length in (5.0, 20.0):
             long: dict[str, Any] = {"reflex": 0.1, "reflex_length": length, "voluntary": hiding}
             add(MUST, "reflex by angle", (f"{length:g}, {hiding:g} N·m", long))
+        hurried: dict[str, Any] = {"reflex": 0.1, "reflex_length": 5.0, "reflex_delay": 0.03}
+        hurried |= {"cutoff": 6.0, "voluntary": hiding}
+        add(MUST, "reflex beside slow noise", (f"{hiding:g} N·m", hurried))
     for stiff in (1e5, 3e4, 1e4, 3e3, 1e3):
         add(MUST, "cuff", (f"{stiff / 1e3:g} kN·m/rad", {"cuff": stiff}))
     for hiding in (0.0, 0.3):
