@@ -157,12 +157,12 @@ class Backend:
         except lost as error:
             raise DataError(f"a worker died: {error}") from None
         finally:
-            for future in futures:
-                future.cancel()
             if self.end is None:
+                for future in futures:
+                    future.cancel()
                 self.pool.shutdown(wait=False)
             else:
-                self.end()
+                self.end()  # a pool without its workers ends the futures itself
 
 
 def processes(workers: int | None = None) -> Backend:
