@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from write_generated import generated
+from write_generated import _with_tables, generated
 
 from armimp_bringup.config import ExperimentConfig, load_config
 from armimp_bringup.parameters import node_parameters
@@ -24,3 +24,9 @@ def test_the_example_of_an_experiment_holds_the_defaults() -> None:
     default_parameters = node_parameters(ExperimentConfig(), None)
     assert example_parameters.simulator == default_parameters.simulator
     assert example_parameters.controller == default_parameters.controller
+
+
+def test_a_section_with_another_number_of_tables_is_refused_in_words() -> None:
+    for tables in (1, 3):
+        with pytest.raises(SystemExit, match="2 tables under '## Keys'"):
+            _with_tables("\n## Keys\n|a|\n\n|b|\n", "## Keys", ["|new|\n"] * tables)

@@ -22,10 +22,8 @@ def test_a_process_lives_until_it_ends_even_if_it_is_stopped_or_not_waited_for()
     process.send_signal(signal.SIGSTOP)
     os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WNOWAIT)
     assert state_of(told) in STOPPED
-
     process.kill()
     os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)  # It ended, and is still listed.
-
     assert state_of(told) == ""
     process.wait()
     assert state_of(told) == ""
