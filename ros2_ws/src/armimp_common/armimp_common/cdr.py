@@ -48,17 +48,14 @@ class CdrReader:
 
     Parameters
     ----------
-    data
-        The whole message, encapsulation header included.
-    what
-        Name of the message type, for error messages.
+    data : the whole message, encapsulation header included
+    what : name of the message type, for error messages
 
     Attributes
     ----------
-    constants
-        Spans of everything read through `count` and `string`: what two messages must have in
-        common to share a layout. Padding and surplus are not among them, as senders leave
-        arbitrary bytes there.
+    constants : spans of everything read through `count` and `string`: what two messages must have
+        in common to share a layout; padding and surplus are not among them, as senders leave
+        arbitrary bytes there
 
     Raises
     ------
@@ -313,12 +310,9 @@ class JointStateDecoder(_Decoder):
 
     Parameters
     ----------
-    names
-        The joints that every message must have; further ones are refused unless `others` is set.
-    field
-        The array that carries the numbers; the other arrays may be filled and are ignored.
-    others
-        Whether messages may have further joints, which are ignored.
+    names : the joints that every message must have; further ones are refused unless `others` is set
+    field : the array that carries the numbers; the other arrays may be filled and are ignored
+    others : whether messages may have further joints, which are ignored
 
     Raises
     ------
@@ -405,8 +399,7 @@ class CommandEncoder:
 
     Parameters
     ----------
-    n
-        Number of joints.
+    n : number of joints
     """
 
     def __init__(self, n: int) -> None:
@@ -452,8 +445,7 @@ class CommandDecoder(_Decoder):
 
     Parameters
     ----------
-    n
-        Number of joints, and so of torques in every message.
+    n : number of joints, and so of torques in every message
     """
 
     @staticmethod

@@ -9,10 +9,8 @@ class ArmimpError(Exception):
 
     Parameters
     ----------
-    message
-        One line.
-    code
-        Code of the problem that this error causes in a result; empty for the caller's default.
+    message : one line
+    code : code of the problem that this error causes in a result; empty for the caller's default
     """
 
     def __init__(self, message: str, code: str = "") -> None:

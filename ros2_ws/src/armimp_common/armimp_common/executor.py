@@ -80,14 +80,10 @@ def steady_timer(
 
     Parameters
     ----------
-    node
-        Owner of the timer: its executor calls back, and ``node.destroy_timer`` ends the timer.
-    period
-        Time between two calls (s).
-    callback
-        Called each time.
-    autostart
-        Whether the timer runs at once; otherwise it runs from ``reset()`` on.
+    node : owner of the timer: its executor calls back, and ``node.destroy_timer`` ends the timer
+    period : time between two calls (s)
+    callback : called each time
+    autostart : whether the timer runs at once; otherwise it runs from ``reset()`` on
     """
     clock = Clock(clock_type=ClockType.STEADY_TIME)
     return node.create_timer(period, callback, clock=clock, autostart=autostart)
@@ -116,8 +112,7 @@ class Spinner:
 
     Parameters
     ----------
-    nodes
-        Nodes of one context to execute, at least one; more can be added.
+    nodes : nodes of one context to execute, at least one; more can be added
     """
 
     def __init__(self, nodes: Sequence[Node]) -> None:
@@ -158,8 +153,7 @@ class Spinner:
 
         Parameters
         ----------
-        should_stop
-            Asked every `period` (s); it need not be cheap.
+        should_stop : asked every `period` (s); it need not be cheap
 
         Raises
         ------
@@ -230,10 +224,8 @@ def run_node(factory: Callable[..., Node], args: Sequence[str] | None = None) ->
 
     Parameters
     ----------
-    factory
-        Makes the node, usually its class; called with ``context=``.
-    args
-        Command line with the program name first, ``sys.argv`` by default.
+    factory : makes the node, usually its class; called with ``context=``
+    args : command line with the program name first, ``sys.argv`` by default
 
     Returns
     -------

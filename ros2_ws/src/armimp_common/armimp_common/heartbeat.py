@@ -62,10 +62,9 @@ class Presence(Enum):
 
         Parameters
         ----------
-        alive, silent
-            Numbers of publishers whose lease is renewed, and of those whose lease has run out.
-        process_lives
-            Whether the process of the node exists; None if that is not known.
+        alive, silent : numbers of publishers whose lease is renewed, and of those whose lease has
+            run out
+        process_lives : whether the process of the node exists; None if that is not known
         """
         if alive or silent:
             if process_lives is False:
@@ -84,10 +83,8 @@ def offer_heartbeat(node: Node, name: str) -> Publisher:
 
     Parameters
     ----------
-    node
-        Holds the publisher; its namespace applies.
-    name
-        Name within the topic, which remapping of the node's own name does not change.
+    node : holds the publisher; its namespace applies
+    name : name within the topic, which remapping of the node's own name does not change
     """
     publisher = node.create_publisher(String, topics.alive(name), qos.ALIVE)
     publisher.publish(String(data=identity()))
@@ -99,19 +96,14 @@ class HeartbeatMonitor:
 
     Parameters
     ----------
-    node
-        The node that listens; callbacks run in its executor.
-    name
-        Name of the other node, as for `offer_heartbeat`.
-    on_change
-        Called with the monitor when `presence` has changed.
+    node : the node that listens; callbacks run in its executor
+    name : name of the other node, as for `offer_heartbeat`
+    on_change : called with the monitor when `presence` has changed
 
     Attributes
     ----------
-    presence : Presence
-        Latest known presence. It stays UNKNOWN for a node that offers no heartbeat.
-    checked : float
-        When the process was last looked up (monotonic, s).
+    presence : latest known presence; it stays UNKNOWN for a node that offers no heartbeat
+    checked : when the process was last looked up (monotonic, s)
     """
 
     def __init__(

@@ -42,19 +42,13 @@ class ServiceClients:
 
     Parameters
     ----------
-    node
-        The node that holds the clients; it must be spun by `spinner`.
-    names
-        Names of the nodes, absolute or relative to the namespace of `node`.
-    kinds
-        Types of the services by name.
-    spinner
-        Spins during each wait; if the nodes are in the same process, it must spin them too.
-    timeout
-        Longest wait for each service to appear, and for each answer (s).
-    check
-        Called often during each wait, which ends with any exception that it raises. Meant for
-        what makes waiting futile, like the death of a process.
+    node : the node that holds the clients; it must be spun by `spinner`
+    names : names of the nodes, absolute or relative to the namespace of `node`
+    kinds : types of the services by name
+    spinner : spins during each wait; if the nodes are in the same process, it must spin them too
+    timeout : longest wait for each service to appear, and for each answer (s)
+    check : called often during each wait, which ends with any exception that it raises; meant for
+        what makes waiting futile, like the death of a process
     """
 
     def __init__(
@@ -123,8 +117,8 @@ class LifecycleManager(ServiceClients):
 
     Parameters
     ----------
-    node, names, options
-        As for :class:`ServiceClients`; the timeout has to cover discovery and slow transitions.
+    node, names, options : as for :class:`ServiceClients`; the timeout has to cover discovery and
+        slow transitions
     """
 
     def __init__(self, node: Node, names: Sequence[str], **options: Any) -> None:

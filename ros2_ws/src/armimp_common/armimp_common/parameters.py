@@ -32,14 +32,10 @@ class ParameterSet(Generic[ModelT]):
 
     Parameters
     ----------
-    node
-        The node; a node has one schema.
-    model
-        The schema.
-    default
-        Values to use instead of the defaults of the schema.
-    locked
-        Returns why nothing may be changed now, or None if changes are welcome.
+    node : the node; a node has one schema
+    model : the schema
+    default : values to use instead of the defaults of the schema
+    locked : returns why nothing may be changed now, or None if changes are welcome
 
     Raises
     ------

@@ -93,8 +93,7 @@ class ParentWatchdog:
 
     Attributes
     ----------
-    child_end : int
-        File descriptor to be inherited by children, by ``pass_fds`` of `subprocess.Popen`.
+    child_end : file descriptor to be inherited by children, by ``pass_fds`` of `subprocess.Popen`
     """
 
     def __init__(self) -> None:

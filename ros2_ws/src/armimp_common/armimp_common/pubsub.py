@@ -32,16 +32,13 @@ class RawPublisher:
 
     Parameters
     ----------
-    node, topic, profile
-        Where to publish, and with which quality of service.
-    message_type
-        Message class of the topic.
+    node, topic, profile : where to publish, and with which quality of service
+    message_type : message class of the topic
 
     Attributes
     ----------
-    send
-        Publishes bytes. `Publisher.publish` takes twice the time, since it also checks the type of
-        its argument and guards the publisher against destruction by another thread.
+    send : publishes bytes; `Publisher.publish` takes twice the time, since it also checks the type
+        of its argument and guards the publisher against destruction by another thread
     """
 
     def __init__(
@@ -116,15 +113,11 @@ def subscribe_decoded(
 
     Parameters
     ----------
-    node, topic
-        Where to listen.
-    decoder
-        Decodes one message after the other.
-    callback
-        Called with the values, after the stamp (ns) of a JointState or the number of a command;
-        NaN and infinities are passed on.
-    on_malformed
-        Called instead for a message that cannot be decoded.
+    node, topic : where to listen
+    decoder : decodes one message after the other
+    callback : called with the values, after the stamp (ns) of a JointState or the number of a
+        command; NaN and infinities are passed on
+    on_malformed : called instead for a message that cannot be decoded
     """
 
     def on_message(data: bytes) -> None:
@@ -219,15 +212,13 @@ def wait_for_partners(
 
     Parameters
     ----------
-    node
-        The node; call this in one of its callbacks, or while it is not spun.
-    publishers, subscriptions
-        Those that must have a peer.
-    monitors
-        Monitors of nodes that must know all subscriptions that `node` has created so far. A node
-        without a heartbeat, as a third-party driver may be, is not waited for; nor is one whose
-        heartbeat has not been discovered yet. A node creates its heartbeat first, so that is known
-        once any other publisher of the node is: `subscriptions` should hold one to each such node.
+    node : the node; call this in one of its callbacks, or while it is not spun
+    publishers, subscriptions : those that must have a peer
+    monitors : monitors of nodes that must know all subscriptions that `node` has created so far. A
+        node without a heartbeat, as a third-party driver may be, is not waited for; nor is one
+        whose heartbeat has not been discovered yet. A node creates its heartbeat first, so that is
+        known once any other publisher of the node is: `subscriptions` should hold one to each such
+        node.
 
     Raises
     ------

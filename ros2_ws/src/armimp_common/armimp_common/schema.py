@@ -317,8 +317,7 @@ def to_params_yaml(models: Mapping[str, BaseModel]) -> str:
 
     Parameters
     ----------
-    models
-        Values by the name of the node, with its namespace if it has one.
+    models : values by the name of the node, with its namespace if it has one
     """
     content = {
         node: {"ros__parameters": model.model_dump(mode="json")} for node, model in models.items()
@@ -332,13 +331,10 @@ def load_yaml(text: str, loader: Any = Loader, *, aliases: bool = False) -> Any:
 
     Parameters
     ----------
-    text : str
-        The document.
-    loader : type
-        A loader of PyYAML.
-    aliases : bool
-        Whether aliases are allowed. With them, a few lines may unfold to more than any memory
-        holds, in a loader that merges mappings or for code that walks through the result.
+    text : the document
+    loader : a loader of PyYAML
+    aliases : whether aliases are allowed; with them, a few lines may unfold to more than any memory
+        holds, in a loader that merges mappings or for code that walks through the result
 
     Raises
     ------

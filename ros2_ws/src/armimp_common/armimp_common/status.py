@@ -388,12 +388,9 @@ def make_status(
 
     Parameters
     ----------
-    name
-        ``node: what``, as the convention of diagnostics has it.
-    level, message
-        Severity, and the state in words.
-    values
-        Key-values, kept in their order.
+    name : ``node: what``, as the convention of diagnostics has it
+    level, message : severity, and the state in words
+    values : key-values, kept in their order
     """
     # Imported here so that what needs no ROS in this module can be used without it.
     from diagnostic_msgs.msg import DiagnosticStatus, KeyValue

@@ -105,8 +105,7 @@ def clock_step(before_ns: int, stamp_ns: int) -> str:
 
     Parameters
     ----------
-    before_ns, stamp_ns
-        Stamps of two samples, one after the other (ns).
+    before_ns, stamp_ns : stamps of two samples, one after the other (ns)
     """
     ahead_ns = stamp_ns - before_ns
     if abs(ahead_ns) < NS_PER_S:
