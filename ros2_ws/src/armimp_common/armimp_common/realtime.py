@@ -167,21 +167,19 @@ class SchedulingParameters(Schema):
     """SCHED_FIFO priority of the process in mode realtime; 0: ordinary scheduling."""
 
 
-class RealtimeScheduling:
-    """Gives a whole process real-time priority, from :meth:`take` until :meth:`give_back`.
+@contextmanager
+def realtime_scheduling(priority: int) -> Iterator[None]:
+    """Give the whole process a SCHED_FIFO priority (none with 0); its threads switch sooner.
 
     Python's garbage collector is off meanwhile: a collection at a bad moment takes milliseconds.
     All threads are included, also those of the middleware, since each of them passes messages on.
+
+    Raises
+    ------
+    GraphError
+        If the system does not permit the priority.
     """
-
-    def __init__(self) -> None:
-        self._undo = ExitStack()
-
-    def take(self, priority: int) -> None:
-        """Take a SCHED_FIFO priority (none with 0), stop garbage collection, switch threads sooner.
-
-        Raises a GraphError if the system does not permit the priority.
-        """
+    with ExitStack() as undo:
         for task in Path("/proc/self/task").iterdir() if priority else ():
             thread = int(task.name)
             with suppress(ProcessLookupError):  # ended just now
@@ -189,24 +187,20 @@ class RealtimeScheduling:
                 try:
                     os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
                 except PermissionError:
-                    self.give_back()
                     text = f"parameter 'realtime.priority' = {priority}: {_REFUSAL}"
                     raise GraphError(text) from None
-                self._undo.callback(_reschedule, thread, *before)
+                undo.callback(_reschedule, thread, *before)
         # The first message that rclpy logs looks up the file of each module, which takes 0.1 s.
         inspect.getmodule(inspect.currentframe())
         gc.collect()
         gc.freeze()
-        self._undo.callback(gc.unfreeze)
+        undo.callback(gc.unfreeze)
         if gc.isenabled():
             gc.disable()
-            self._undo.callback(gc.enable)
-        self._undo.callback(sys.setswitchinterval, sys.getswitchinterval())
+            undo.callback(gc.enable)
+        undo.callback(sys.setswitchinterval, sys.getswitchinterval())
         sys.setswitchinterval(_SWITCH_INTERVAL)
-
-    def give_back(self) -> None:
-        """Restore the scheduling that the process had before; harmless if it took nothing."""
-        self._undo.close()
+        yield
 
 
 def _reschedule(thread: int, policy: int, param: os.sched_param) -> None:
@@ -222,12 +216,11 @@ def require_precedence(priority: int) -> None:
     ConfigurationError
         If it does not.
     """
-    scheduling = RealtimeScheduling()
     try:
-        scheduling.take(priority)
+        with realtime_scheduling(priority):
+            pass
     except GraphError:
         raise ConfigurationError(f"priority = {priority}: {_REFUSAL}") from None
-    scheduling.give_back()
 
 
 @contextmanager

@@ -18,8 +18,8 @@ from armimp_common.realtime import (
     LATE_NS,
     Durations,
     Pacer,
-    RealtimeScheduling,
     TimingMeter,
+    realtime_scheduling,
     require_precedence,
 )
 
@@ -133,12 +133,10 @@ def another_thread() -> Iterator[threading.Thread]:
 
 def test_garbage_is_not_collected_until_precedence_is_given_back() -> None:
     before = state()
-    taken = RealtimeScheduling()
-    taken.take(0)
-    assert not gc.isenabled()
-    assert gc.get_freeze_count() > 0
-    assert sys.getswitchinterval() < before[1]
-    taken.give_back()
+    with realtime_scheduling(0):
+        assert not gc.isenabled()
+        assert gc.get_freeze_count() > 0
+        assert sys.getswitchinterval() < before[1]
     assert state() == before
     assert gc.get_freeze_count() == 0
 
@@ -152,14 +150,14 @@ def test_every_thread_gets_the_priority_where_that_is_permitted(
         "sched_setscheduler",
         lambda thread, policy, param: asked.append((thread, policy, param.sched_priority)),
     )
-    taken = RealtimeScheduling()
-    taken.take(40)
-    fifo = {
-        thread for thread, policy, priority in asked if (policy, priority) == (os.SCHED_FIFO, 40)
-    }
-    assert {os.getpid(), another_thread.native_id} <= fifo
-    asked.clear()
-    taken.give_back()
+    with realtime_scheduling(40):
+        fifo = {
+            thread
+            for thread, policy, priority in asked
+            if (policy, priority) == (os.SCHED_FIFO, 40)
+        }
+        assert {os.getpid(), another_thread.native_id} <= fifo
+        asked.clear()
     assert {thread for thread, policy, _ in asked if policy == os.SCHED_OTHER} == fifo
 
 
@@ -172,8 +170,9 @@ def test_a_priority_that_is_not_permitted_is_refused_beforehand_and_nothing_chan
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     before = state()
-    with pytest.raises(GraphError, match=r"'realtime\.priority' = 40: the system does not permit"):
-        RealtimeScheduling().take(40)
+    refusal = r"'realtime\.priority' = 40: the system does not permit"
+    with pytest.raises(GraphError, match=refusal), realtime_scheduling(40):
+        pass
     assert state() == before
     require_precedence(0)
     with pytest.raises(ConfigurationError, match="priority = 40: the system does not permit"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from contextlib import ExitStack
 from functools import partial
 from typing import Any
 
@@ -27,7 +28,7 @@ from armimp_common.pubsub import (
     subscribe_decoded,
     wait_for_partners,
 )
-from armimp_common.realtime import RealtimeScheduling
+from armimp_common.realtime import realtime_scheduling
 from armimp_common.status import (
     LIMITER_STATUS,
     Cause,
@@ -75,7 +76,7 @@ class ImbicControllerNode(ManagedNode):
         self._supervisor = HeartbeatMonitor(self, topics.SUPERVISOR_NODE, self._on_supervisor)
         self._recorded = False
         self._fault = ""
-        self._scheduling = RealtimeScheduling()
+        self._scheduling = ExitStack()
         self._reported_clips = 0
         self._stamp_ns = 0
         self._diagnostics: Publisher | None = None
@@ -134,7 +135,7 @@ class ImbicControllerNode(ManagedNode):
         self._watchdog = Watchdog(self._settings.safety, slowest_tick=self._settings.slowest_tick)
         self._lockstep = self._settings.mode == "lockstep"
         if not self._lockstep:
-            self._scheduling.take(self._settings.realtime.priority)
+            self._scheduling.enter_context(realtime_scheduling(self._settings.realtime.priority))
         self._active = True
         self._timer.reset()
         return super().on_activate(state)
@@ -182,7 +183,7 @@ class ImbicControllerNode(ManagedNode):
         self._active = self._lockstep = False
         self._timer.cancel()
         self._ramp.cancel()
-        self._scheduling.give_back()
+        self._scheduling.close()
         if sequencer is not None and not sequencer.at_rest:
             self._abort(sequencer, Cause.NODE_ENDED, reason)
         # Once the publishers are gone, what was lost on its way is not sent again.

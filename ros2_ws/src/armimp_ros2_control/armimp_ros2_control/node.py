@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
+from contextlib import ExitStack
 from typing import Any
 
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
@@ -15,7 +16,7 @@ from armimp_common.errors import MalformedMessageError
 from armimp_common.executor import run_node, steady_timer
 from armimp_common.protection import Protection
 from armimp_common.pubsub import CommandPublisher, subscribe_raw, take_all
-from armimp_common.realtime import RealtimeScheduling
+from armimp_common.realtime import realtime_scheduling
 from armimp_ros2_control.parameters import BridgeParameters
 from armimp_ros2_control.readings import Readings, Stamps
 
@@ -32,7 +33,7 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
     """Splits joint states into angles and torques, and passes commands through its protection."""
 
     def __init__(self, **kwargs: Any) -> None:
-        self._scheduling = RealtimeScheduling()
+        self._scheduling = ExitStack()
         super().__init__(BridgeParameters(), "the drives are on", **kwargs)
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -51,7 +52,7 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
         """Begin to pass on samples and commands, once both sides are there."""
         self.declared.require_unchanged()
         self.wait_for_controller([self._efforts], [self._states])
-        self._scheduling.take(self._settings.realtime.priority)
+        self._scheduling.enter_context(realtime_scheduling(self._settings.realtime.priority))
         self._stamps = Stamps()
         self._heard = self._heard_before = 0
         # Last, as robots always publish: what queued up meanwhile would come as one burst.
@@ -113,7 +114,7 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
         self.limiter.rest()
         if self.context.ok():
             self.torque_was_taken()
-        self._scheduling.give_back()
+        self._scheduling.close()
 
 
 def main() -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import ExitStack
 from typing import Any
 
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
@@ -14,7 +15,7 @@ from armimp_common.errors import ArmimpError
 from armimp_common.executor import run_node
 from armimp_common.heartbeat import HeartbeatMonitor
 from armimp_common.pubsub import subscribe_counts, wait_for_partners
-from armimp_common.realtime import Pacer, RealtimeScheduling
+from armimp_common.realtime import Pacer, realtime_scheduling
 from armimp_common.status import make_array, status_message, to_time
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.simulator import RealtimeSimulator, SimulatedRig
@@ -30,7 +31,7 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
 
     def __init__(self, **kwargs: Any) -> None:
         self._simulator: RealtimeSimulator | None = None
-        self._scheduling = RealtimeScheduling()
+        self._scheduling = ExitStack()
         self._holding = False
         self._told_timing = 0
         self._flow = FlowControl()
@@ -59,7 +60,7 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
         )
         realtime = self._settings.mode == "realtime"
         if realtime:
-            self._scheduling.take(self._settings.realtime.priority)
+            self._scheduling.enter_context(realtime_scheduling(self._settings.realtime.priority))
         self.active = True
         self._holding = False
         if self.limiter.fault:
@@ -88,7 +89,7 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
             if self.context.ok():
                 self._report_timing(self._simulator)
             self._simulator = None
-        self._scheduling.give_back()
+        self._scheduling.close()
         if active:
             self.limiter.rest()
             self.report()

@@ -34,7 +34,7 @@ from armimp_common.arrays import FloatArray
 from armimp_common.errors import GraphError
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.process import stop_on_signals
-from armimp_common.realtime import RealtimeScheduling
+from armimp_common.realtime import realtime_scheduling
 from armimp_common.topics import JOINT_STATES
 
 _PATIENCE, _LONG = 10.0, 60.0
@@ -80,13 +80,11 @@ def probe(options: CheckOptions, domain_id: int | None) -> Record:
     """
     with GraphContext(domain_id) as graph, stop_on_signals() as stopped:
         node = Conversation(graph, options.joints, options.namespace, stopped)
-        scheduling = RealtimeScheduling()
-        # Garbage collection at the wrong moment would delay commands.
-        scheduling.take(0)
         try:
-            return Checker(node, options).record()
+            # Garbage collection at the wrong moment would delay commands.
+            with realtime_scheduling(0):
+                return Checker(node, options).record()
         finally:
-            scheduling.give_back()
             node.close()
 
 
