@@ -55,17 +55,15 @@ class JointStatePublisher(RawPublisher):
         super().__init__(node, topic, JointState)
         self._encode = cdr.JointStateEncoder(names, topics.VALUE_FIELD[topic]).encode
 
-    def publish(self, stamp_ns: int, values: Sequence[float] | FloatArray) -> bytes:
-        """Publish (n,) values with this stamp (ns), and return the bytes sent.
+    def publish(self, stamp_ns: int, values: Sequence[float] | FloatArray) -> None:
+        """Publish (n,) values with this stamp (ns).
 
         Raises
         ------
         MalformedMessageError
             If the number of values is wrong.
         """
-        data = self._encode(stamp_ns, values)
-        self.send(data)
-        return data
+        self.send(self._encode(stamp_ns, values))
 
 
 class CommandPublisher(RawPublisher):
@@ -76,8 +74,8 @@ class CommandPublisher(RawPublisher):
         self._encode = cdr.CommandEncoder(n).encode
         self._number = 0
 
-    def publish(self, values: Sequence[float] | FloatArray) -> bytes:
-        """Publish (n,) torques (N·m), and return the bytes sent.
+    def publish(self, values: Sequence[float] | FloatArray) -> None:
+        """Publish (n,) torques (N·m).
 
         Raises
         ------
@@ -88,7 +86,6 @@ class CommandPublisher(RawPublisher):
         data = self._encode(values, number)
         self._number = number
         self.send(data)
-        return data
 
 
 def subscribe_raw(

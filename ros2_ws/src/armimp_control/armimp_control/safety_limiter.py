@@ -39,7 +39,7 @@ import numpy as np
 from pydantic import Field
 
 from armimp_common.arrays import FloatArray
-from armimp_common.compiled import compiled, compiled_entry
+from armimp_common.compiled import compiled
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import PositiveVector, Schema, each
 from armimp_common.status import Cause
@@ -414,7 +414,7 @@ def limit_command(command: FloatArray, limiter: Limiter) -> int:
     return clipped
 
 
-@compiled_entry
+@compiled
 def stop_commands(ticks: int, limiter: Limiter) -> None:
     """Let no command through any more, for a reason that the caller knows.
 
@@ -425,7 +425,7 @@ def stop_commands(ticks: int, limiter: Limiter) -> None:
         limiter.memory[SENT] = 0.0
 
 
-@compiled_entry
+@compiled
 def continue_ramp(ticks: int, command: FloatArray, limiter: Limiter) -> None:
     """Advance the ramp after a stop, while no samples come and the last velocity counts.
 

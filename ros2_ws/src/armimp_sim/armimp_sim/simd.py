@@ -63,12 +63,7 @@ def _constant(kind: Any, element: Any, value: int) -> Any:
     return ir.Constant(shape, [value] * kind.width if isinstance(kind, _Packed) else value)
 
 
-class _Model(models.PrimitiveModel):
-    def __init__(self, manager: Any, kind: Any) -> None:
-        super().__init__(manager, kind, _vector(kind))
-
-
-register_model(_Packed)(_Model)
+register_model(_Packed)(lambda manager, kind: models.PrimitiveModel(manager, kind, _vector(kind)))
 
 
 def _common(kinds: Sequence[Any]) -> Any:
@@ -114,10 +109,6 @@ def _define_sign(function: Callable[..., Any], lowered: Callable[..., Any]) -> N
     lower_builtin(function, _Packed)(lowered)
 
 
-def _negative(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
-    return builder.fneg(args[0])
-
-
 def _absolute(_context: Any, builder: Any, signature: Any, args: Any) -> Any:
     shape = args[0].type
     name = f"llvm.fabs.v{signature.return_type.width}f64"
@@ -127,7 +118,7 @@ def _absolute(_context: Any, builder: Any, signature: Any, args: Any) -> Any:
 
 for _function, _instruction in _OPERATIONS.items():
     _define_operation(_function, _instruction)
-_define_sign(operator.neg, _negative)
+_define_sign(operator.neg, lambda _context, builder, _signature, args: builder.fneg(args[0]))
 _define_sign(abs, _absolute)
 
 

@@ -225,8 +225,5 @@ class Controller:
 
 
 def compile_law(law: Law, safety: SafetyParameters) -> None:
-    """Compile everything that a controller calls, before time matters."""
-    spare = Controller(law, safety=safety)
-    spare.compute()
-    spare.stop()
-    spare.continue_ramp(1)
+    """Compile what a controller calls in each tick, before time matters."""
+    Controller(law, safety=safety).compute()
