@@ -72,19 +72,15 @@ class SimulatorParameters(Schema):
         With ``rig="realistic"`` it also has what a good real rig has beyond that, see
         :func:`armimp_sim.presets.realistic`.
         """
-        sensors = presets.sensors(resolution)
-        real = presets.realistic(joints) if rig == "realistic" else {}
-        if real:
-            noisy = sensors.torque.model_copy(update={"noise": presets.TRANSDUCER_NOISE})
-            sensors = sensors.model_copy(update={"torque": noisy})
+        realistic = rig == "realistic"
         return cls(
             joints=presets.JOINT_NAMES[joints],
             seed=seed,
             arm=presets.human_arm(joints),
             robot=presets.robot(joints),
             friction=presets.friction(friction, joints),
-            sensors=sensors,
-            **real,
+            sensors=presets.sensors(resolution, presets.TRANSDUCER_NOISE if realistic else 0.0),
+            **(presets.realistic(joints) if realistic else {}),
         )
 
     @property

@@ -113,12 +113,15 @@ def friction(level: int, joints: int) -> LuGre:
     return law.scaled([1.0 if name in _PAPER_JOINTS else size for name, size in named])
 
 
-def sensors(level: int) -> SensorParameters:
-    """Return encoder and torque resolution at a level from 0 (unquantised) to 3 (Table II)."""
+def sensors(level: int, noise: float = 0.0) -> SensorParameters:
+    """Return sensors with resolutions of a level from 0 (unquantised) to 3 (Table II).
+
+    Noise is that of the torque transducers, N·m.
+    """
     counts = _ENCODER_COUNTS[level]
     return SensorParameters(
         position=ReadingParameters(resolution=2.0 * np.pi / counts if counts else 0.0),
-        torque=ReadingParameters(resolution=_TORQUE_RESOLUTION[level]),
+        torque=ReadingParameters(resolution=_TORQUE_RESOLUTION[level], noise=noise),
     )
 
 
