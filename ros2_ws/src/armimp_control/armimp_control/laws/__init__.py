@@ -26,11 +26,13 @@ COMMAND = 9
 MEMORY_ROWS = COMMAND + 1 + MOST_DELAY
 
 SENSED, INERTIA, DAMPING, STIFFNESS, APPROACH, DITHER, DITHER_ANGLE, TARE, LATE = range(9)
+POSTURE, GAMMA = 9, 10
 """Rows of the role in a trial: share of τ_h' that is sensed; target inertia, damping and stiffness;
 share of the distance of the target from θ_rd that a tick leaves; amplitude (rad) and angle per tick
 (rad) of the dither in the target; what the torque transducer reads at rest (N·m), which the law
-subtracts from τ_h'; and periods by which the observer takes commands to act late."""
-ROLE_ROWS = 9
+subtracts from τ_h'; periods by which the observer takes commands to act late; θ_rd (rad); and Γ
+(rad/s), the same for all joints."""
+ROLE_ROWS = 11
 
 INERTIA_MODEL, INVERSE, ANGLE_GAIN, VELOCITY_GAIN, DISTURBANCE_GAIN = range(5)
 """Matrices (n, n) of the internal model in a trial: M̄ (kg·m²), and for the observer M̄⁻¹ and the
@@ -51,16 +53,12 @@ class LawArrays(NamedTuple):
     """(3, n) of this tick: θ of the encoders (rad), τ_h of the transducers and τ_Δ (N·m)."""
     command: FloatArray
     """(n,) N·m, written: before the safety limiter, which changes it to what is sent."""
-    target: FloatArray
-    """(n,) θ_rd, rad."""
     role: FloatArray
     """(ROLE_ROWS, n) from :meth:`Law.role`."""
     memory: FloatArray
     """(MEMORY_ROWS, n), updated; zeros before the first tick; COMMAND holds what was sent."""
     model: FloatArray
     """(MODEL_ROWS, n, n) from :meth:`Law.model`."""
-    gamma: FloatArray
-    """(1,) Γ, rad/s."""
 
 
 SECOND_TONE = 1.55

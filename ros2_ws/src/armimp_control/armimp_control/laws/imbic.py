@@ -58,6 +58,7 @@ from armimp_control.laws import (
     DISTURBANCE_GAIN,
     DITHER,
     DITHER_ANGLE,
+    GAMMA,
     IDEAL_VELOCITY,
     IMBIC,
     IMBIC_OBSERVER,
@@ -66,6 +67,7 @@ from armimp_control.laws import (
     INVERSE,
     LATE,
     OFFSET,
+    POSTURE,
     ROLE_ROWS,
     SECOND_TONE,
     SENSED,
@@ -146,7 +148,8 @@ class Imbic(Law):
 
         Rows: share of τ_h' sensed (1 or 0), M_rd (kg·m²), B_rd (N·m·s/rad), K_rd (N·m/rad), what a
         tick leaves of the distance from target to θ_rd (a factor), amplitude (rad) and angle per
-        tick (rad) of the target's dither, tare (N·m; 0), periods by which commands act late.
+        tick (rad) of the target's dither, tare (N·m; 0), periods by which commands act late, θ_rd
+        (rad), Γ (rad/s).
         """
         locked = self.locked(perturbed)
         target, rows = self.target, np.empty((ROLE_ROWS, self.joints))
@@ -168,6 +171,7 @@ class Imbic(Law):
         rows[DITHER] = np.where(locked, target.lock_dither * attenuation, 0.0)
         rows[DITHER_ANGLE] = turning * PERIOD
         rows[TARE] = 0.0
+        rows[POSTURE], rows[GAMMA] = target.posture, self.law.gamma
         rows[LATE] = self.known.command_delay if self.kind == IMBIC_OBSERVER else 0.0
         return rows
 
@@ -202,8 +206,7 @@ def imbic(observer: bool, arrays: LawArrays) -> None:
     """Compute the command of one tick, by the observer or by time-delay estimation."""
     theta, tau_h, tau_delta = arrays.sample[0], arrays.sample[1], arrays.sample[2]
     role, model, memory, command = arrays.role, arrays.model, arrays.memory, arrays.command
-    target, gamma = arrays.target, arrays.gamma[0]
-    n = theta.size
+    n, gamma = theta.size, role[GAMMA, 0]
     ticks = memory[TICKS, 0]
     if ticks == 0.0:
         for i in range(n):
@@ -212,10 +215,10 @@ def imbic(observer: bool, arrays: LawArrays) -> None:
         _observe(arrays)
     memory[TICKS, 0] = ticks + 1.0
     for i in range(n):
-        goal = target[i]
+        goal = role[POSTURE, i]
         if role[SENSED, i] == 0.0:
             if ticks == 0.0 or memory[SENSED_BEFORE, i] != 0.0:
-                memory[OFFSET, i] = theta[i] - target[i]
+                memory[OFFSET, i] = theta[i] - role[POSTURE, i]
             else:
                 memory[OFFSET, i] *= role[APPROACH, i]
             angle = role[DITHER_ANGLE, i] * ticks

@@ -53,30 +53,26 @@ LAWS: Final[Mapping[str, type[Law]]] = {"imbic": Imbic, "pd": Pd}
 @compiled
 def _unpacked(w: FloatArray, n: int) -> tuple[LawArrays, Limiter]:
     """Return the parts of the array `w` on which a controller works."""
-    a = 3 * n
-    b = a + 2 * n
-    c = b + ROLE_ROWS * n
-    d = c + RULE_ROWS * n
-    e = d + MEMORY_ROWS * n
+    a = 4 * n
+    b = a + ROLE_ROWS * n
+    c = b + MEMORY_ROWS * n
+    d = c + MODEL_ROWS * n * n
+    e = d + RULE_ROWS * n
     f = e + LIMITER_ROWS * n
-    g = f + MODEL_ROWS * n * n
-    h = g + JOURNAL
     law = LawArrays(
-        w[:a].reshape((3, n)),
-        w[a : a + n],
-        w[a + n : b],
-        w[b:c].reshape((ROLE_ROWS, n)),
-        w[d:e].reshape((MEMORY_ROWS, n)),
-        w[f:g].reshape((MODEL_ROWS, n, n)),
-        w[h:],
+        w[: 3 * n].reshape((3, n)),
+        w[3 * n : a],
+        w[a:b].reshape((ROLE_ROWS, n)),
+        w[b:c].reshape((MEMORY_ROWS, n)),
+        w[c:d].reshape((MODEL_ROWS, n, n)),
     )
-    return law, Limiter(w[c:d].reshape((RULE_ROWS, n)), w[e:f].reshape((LIMITER_ROWS, n)), w[g:h])
+    return law, Limiter(w[d:e].reshape((RULE_ROWS, n)), w[e:f].reshape((LIMITER_ROWS, n)), w[f:])
 
 
 def packed_size(n: int) -> int:
     """Return the length of the array on which a controller of n joints works."""
-    rows = 5 + ROLE_ROWS + RULE_ROWS + MEMORY_ROWS + LIMITER_ROWS + MODEL_ROWS * n
-    return rows * n + JOURNAL + 1
+    rows = 4 + ROLE_ROWS + RULE_ROWS + MEMORY_ROWS + LIMITER_ROWS + MODEL_ROWS * n
+    return rows * n + JOURNAL
 
 
 @compiled
@@ -147,8 +143,6 @@ class Controller:
         self._all = np.zeros(packed_size(n)) if storage is None else storage
         self._arrays, self._limiter = _unpacked(self._all, n)
         self.sample, self.command = self._arrays.sample, self._arrays.command
-        self._arrays.target[:] = law.target_posture
-        self._arrays.gamma[:] = law.law.gamma
         self._limiter.rules[:] = safety.rules(law.target_posture)
         self._tare = np.zeros(n)
         # Models are computed and kept now, as there is no time for that between two samples.

@@ -28,6 +28,7 @@ from armimp_control.laws import (
     DAMPING,
     INERTIA,
     PD,
+    POSTURE,
     ROLE_ROWS,
     STIFFNESS,
     THETA_1,
@@ -47,7 +48,7 @@ class Pd(Law):
         locked, target, omega = self.locked(perturbed), self.target, self.law.pd_frequency
         inertia = np.diag(matrix("known.robot_inertia", self.known.robot_inertia, self.joints))
         rows = np.zeros((ROLE_ROWS, self.joints))
-        rows[INERTIA] = inertia
+        rows[POSTURE], rows[INERTIA] = target.posture, inertia
         gain = 2.0 * self.law.pd_damping_ratio * omega * inertia
         rows[DAMPING] = np.where(locked, gain, target.damping)
         rows[STIFFNESS] = np.where(locked, omega**2 * inertia, target.stiffness)
@@ -57,7 +58,7 @@ class Pd(Law):
 @compiled
 def pd(arrays: LawArrays) -> None:
     """Compute the command of one tick."""
-    theta, tau_delta, target = arrays.sample[0], arrays.sample[2], arrays.target
+    theta, tau_delta = arrays.sample[0], arrays.sample[2]
     role, memory, command = arrays.role, arrays.memory, arrays.command
     n = theta.size
     if memory[TICKS, 0] == 0.0:
@@ -67,6 +68,5 @@ def pd(arrays: LawArrays) -> None:
     for i in range(n):
         velocity = (theta[i] - memory[THETA_1, i]) / PERIOD
         memory[THETA_1, i] = theta[i]
-        command[i] = (
-            tau_delta[i] - role[DAMPING, i] * velocity - role[STIFFNESS, i] * (theta[i] - target[i])
-        )
+        away = theta[i] - role[POSTURE, i]
+        command[i] = tau_delta[i] - role[DAMPING, i] * velocity - role[STIFFNESS, i] * away
