@@ -10,13 +10,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import psutil
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
 from armimp_bringup.terminal import Display, say
 from armimp_common.errors import DataError
+from armimp_common.process import age
 from armimp_common.status import Phase
 from armimp_estimation.arm_models import ModelFit
 from armimp_estimation.mbk import UNITS
@@ -45,7 +45,7 @@ class Stopwatch:
     """
 
     def __init__(self) -> None:
-        self._began = time.monotonic() - (time.time() - psutil.Process().create_time())
+        self._began = time.monotonic() - age()
         self._first = self._last = self._shown = math.nan
         self._perturbing = False
 

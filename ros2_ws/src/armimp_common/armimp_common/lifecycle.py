@@ -14,10 +14,7 @@ from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
 from rclpy.client import Client
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
-from rclpy.publisher import Publisher
-from rclpy.subscription import Subscription
 from rclpy.task import Future
-from rclpy.timer import Timer
 from std_srvs.srv import Trigger
 
 from armimp_common.errors import ArmimpError, GraphError
@@ -185,7 +182,7 @@ class ManagedNode(LifecycleNode):
 
     def __init__(self, name: str, **kwargs: Any) -> None:
         self.transition_error = ""
-        self._configured: set[Publisher | Subscription | Timer] = set()
+        self._configured: dict[Any, Callable[[Any], object]] = {}
         for transition in get_args(TransitionName):
             called = f"on_{transition}"
             setattr(self, called, partial(self._change, called, getattr(self, called)))
@@ -212,13 +209,21 @@ class ManagedNode(LifecycleNode):
             return TransitionCallbackReturn.ERROR
         finally:
             if called == "on_configure":
-                self._configured |= self._made() - before
+                made = self._made()
+                self._configured |= {one: made[one] for one in made.keys() - before.keys()}
             elif called == "on_cleanup":
-                self._destroy_configured()
+                for one, destroy in self._configured.items():
+                    destroy(one)
+                self._configured.clear()
 
-    def _made(self) -> set[Publisher | Subscription | Timer]:
-        # Not `self.subscriptions`, from which a subclass may hide some.
-        return {*self.publishers, *super().subscriptions, *self.timers}
+    def _made(self) -> dict[Any, Callable[[Any], object]]:
+        """Return publishers, subscriptions and timers, with what destroys them."""
+        return {
+            **dict.fromkeys(self.publishers, self.destroy_publisher),
+            # Not `self.subscriptions`, from which a subclass may hide some.
+            **dict.fromkeys(super().subscriptions, self.destroy_subscription),
+            **dict.fromkeys(self.timers, self.destroy_timer),
+        }
 
     def offer_trigger(self, name: str, act: Callable[[], tuple[bool, str]]) -> None:
         """Offer a ``std_srvs/Trigger`` service; `act` returns its success and its message."""
@@ -228,16 +233,6 @@ class ManagedNode(LifecycleNode):
             return response
 
         self.create_service(Trigger, name, answer)
-
-    def _destroy_configured(self) -> None:
-        for thing in self._configured:
-            if isinstance(thing, Timer):
-                self.destroy_timer(thing)
-            elif isinstance(thing, Publisher):
-                self.destroy_publisher(thing)
-            else:
-                self.destroy_subscription(thing)
-        self._configured.clear()
 
     def _LifecycleNodeMixin__on_change_state(
         self, request: ChangeState.Request, response: ChangeState.Response

@@ -1,5 +1,6 @@
 """ROS parameters of a node from its schema: declare, load, and guard them against changes."""
 
+import math
 from collections.abc import Callable, Iterable
 from typing import Final, Generic, TypeVar
 
@@ -21,7 +22,6 @@ ModelT = TypeVar("ModelT", bound=BaseModel)
 
 _OWN_OF_ROS: Final = ("use_sim_time", "start_type_description_service")
 _OWN_PREFIX_OF_ROS: Final = "qos_overrides."
-_INT64: Final = (-(2**63), 2**63 - 1)
 
 
 class ParameterSet(Generic[ModelT]):
@@ -136,20 +136,13 @@ def _type(leaf: Leaf) -> Parameter.Type:
 
 def _descriptor(leaf: Leaf) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(description=leaf.description, read_only=False)
-    if leaf.minimum is None and leaf.maximum is None:
+    if math.isinf(leaf.minimum) and math.isinf(leaf.maximum):
         return descriptor
     if leaf.type_name == "double":
         descriptor.floating_point_range = [
-            FloatingPointRange(
-                from_value=-float("inf") if leaf.minimum is None else leaf.minimum,
-                to_value=float("inf") if leaf.maximum is None else leaf.maximum,
-            )
+            FloatingPointRange(from_value=leaf.minimum, to_value=leaf.maximum)
         ]
     if leaf.type_name == "integer":
-        descriptor.integer_range = [
-            IntegerRange(
-                from_value=_INT64[0] if leaf.minimum is None else int(leaf.minimum),
-                to_value=_INT64[1] if leaf.maximum is None else int(leaf.maximum),
-            )
-        ]
+        first, last = max(leaf.minimum, -(2**63)), min(leaf.maximum, 2**63 - 1)
+        descriptor.integer_range = [IntegerRange(from_value=int(first), to_value=int(last))]
     return descriptor

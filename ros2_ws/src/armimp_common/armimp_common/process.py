@@ -1,5 +1,6 @@
 """Processes of this machine: which are alive, how children follow a parent."""
 
+import math
 import os
 import signal
 import threading
@@ -54,6 +55,15 @@ def state_of(process: str) -> str | None:
     except OSError:
         return ""
     return "" if started != start or state in ("Z", "X") else state
+
+
+def age() -> float:
+    """Return the time since this process was started (s), to some 10 ms; NaN if not known."""
+    try:
+        started = int(_state("self")[1]) / os.sysconf("SC_CLK_TCK")
+        return time.clock_gettime(time.CLOCK_BOOTTIME) - started
+    except (OSError, AttributeError):
+        return math.nan
 
 
 @cache

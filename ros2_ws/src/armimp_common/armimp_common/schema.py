@@ -20,6 +20,7 @@ import functools
 import itertools
 import json
 import linecache
+import math
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -52,7 +53,6 @@ TextLoader: Final[Any] = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
 
 _TYPES: Final = {"boolean": "bool", "integer": "integer", "number": "double", "string": "string"}
 """Types of ROS parameters by those of JSON schemas."""
-_ENDS: Final = ("minimum", "maximum")
 
 
 class Schema(BaseModel):
@@ -73,9 +73,9 @@ class Leaf:
     """The type as ROS names it: ``double``, ``string array``..."""
     description: str
     """Meaning of the parameter."""
-    minimum: float | None
-    maximum: float | None
-    """Bounds of the allowed numbers, which may or may not include them; None: no bound."""
+    minimum: float
+    maximum: float
+    """Bounds of the allowed numbers, which may or may not include them; infinite: no bound."""
 
     @property
     def array(self) -> bool:
@@ -113,13 +113,14 @@ def _leaves(
             raise TypeError(
                 f"{model.__name__}.{key}: ROS parameters cannot have type {field.annotation}"
             )
-        low, high = (spec.get(end, spec.get(f"exclusive{end.title()}")) for end in _ENDS)
+        low = spec.get("minimum", spec.get("exclusiveMinimum", -math.inf))
+        high = spec.get("maximum", spec.get("exclusiveMaximum", math.inf))
         yield Leaf(
             name=f"{prefix}{key}",
             type_name=_TYPES[item] + (" array" if array else ""),
             description=described[key],
-            minimum=None if low is None else float(low),
-            maximum=None if high is None else float(high),
+            minimum=float(low),
+            maximum=float(high),
         )
 
 

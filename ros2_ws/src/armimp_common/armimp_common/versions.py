@@ -4,6 +4,7 @@ import functools
 import platform
 import subprocess
 from collections.abc import Mapping
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final
@@ -22,9 +23,8 @@ def software() -> Mapping[str, Any]:
     ``versions`` are those of Python and of all packages that can influence a result, ``"unknown"``
     for what is not installed; ``git_revision`` is that of the sources.
     """
-    found = {name: _version(_OTHER_NAMES.get(name, name)) for name in _PACKAGES}
-    missing = {name: _version(name) for name, known in found.items() if known == UNKNOWN}
-    versions = {"python": platform.python_version(), **found, **missing}
+    found = {name: _version(_OTHER_NAMES.get(name, name), name) for name in _PACKAGES}
+    versions = {"python": platform.python_version(), **found}
     return {"versions": versions, "git_revision": git_revision()}
 
 
@@ -45,11 +45,11 @@ def git_revision() -> str:
     return f"{commit}+dirty" if changes else commit
 
 
-def _version(distribution: str) -> str:
-    try:
-        return version(distribution)
-    except PackageNotFoundError:
-        return UNKNOWN
+def _version(*distributions: str) -> str:
+    for distribution in distributions:
+        with suppress(PackageNotFoundError):
+            return version(distribution)
+    return UNKNOWN
 
 
 def _git(*arguments: str) -> str | None:
