@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -111,8 +112,6 @@ class Segment:
 
     phase: Phase
     """SETTLE, PERTURB or REST."""
-    trial: int
-    """1-based."""
     joint: int
     """Perturbed joint, 0-based."""
     first: int
@@ -120,6 +119,11 @@ class Segment:
     """First tick of the segment, and how many there are."""
     tare: bool = False
     """Whether all joints are held, for the tare."""
+
+    @property
+    def trial(self) -> int:
+        """Number of the trial: each joint has one."""
+        return self.joint + 1
 
     @property
     def end(self) -> int:
@@ -146,18 +150,8 @@ def timetable(
     ]
     segments: list[Segment] = []
     first = 0
-    for joint in range(joints):
-        for phase, ticks, held in lengths:
-            if ticks:
-                segments.append(
-                    Segment(
-                        phase=phase,
-                        trial=joint + 1,
-                        joint=joint,
-                        first=first,
-                        ticks=ticks,
-                        tare=held,
-                    )
-                )
-                first += ticks
+    for joint, (phase, ticks, held) in itertools.product(range(joints), lengths):
+        if ticks:
+            segments.append(Segment(phase=phase, joint=joint, first=first, ticks=ticks, tare=held))
+            first += ticks
     return tuple(segments)

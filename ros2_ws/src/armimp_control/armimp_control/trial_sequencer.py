@@ -21,7 +21,7 @@ from armimp_control.sequence import Segment, Tare, timetable
 
 Reading = tuple[float, ...]
 _MOST_WAITING = 10_000
-"""Most readings of one kind that may wait for their partners."""
+"""Most readings that may wait for their partners."""
 
 
 class TrialSequencer:
@@ -262,22 +262,22 @@ class SamplePairs:
     """Pairs by stamp the two readings of a sample, which come as separate messages."""
 
     def __init__(self) -> None:
-        self._waiting: tuple[dict[int, Reading], dict[int, Reading]] = ({}, {})
+        self._waiting: dict[int, tuple[int, Reading]] = {}
 
     def other(self, kind: int, stamp_ns: int, values: Reading) -> Reading | None:
         """Take a position (kind 0) or torque (1); return the other of that stamp (ns), or None."""
-        own, others = self._waiting[kind], self._waiting[1 - kind]
-        other = others.pop(stamp_ns, None)
-        if other is None:
-            own[stamp_ns] = values
-            if len(own) > _MOST_WAITING:  # the others do not come at all
-                del own[next(iter(own))]
-        elif others or own:
+        waiting = self._waiting
+        other = waiting.pop(stamp_ns, None)
+        if other is None or other[0] == kind:
+            waiting[stamp_ns] = kind, values
+            if len(waiting) > _MOST_WAITING:  # the others do not come at all
+                del waiting[next(iter(waiting))]
+            return None
+        if waiting:
             # Older readings without a partner are lost samples, which the sequencer counts.
-            for readings in self._waiting:
-                for old in [stamp for stamp in readings if stamp < stamp_ns]:
-                    del readings[old]
-        return other
+            for old in [stamp for stamp in waiting if stamp < stamp_ns]:
+                del waiting[old]
+        return other[1]
 
 
 class Watchdog:
