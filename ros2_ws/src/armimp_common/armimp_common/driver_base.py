@@ -132,9 +132,8 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         self.active = self.configured = self._stopped = False
         self.limiter: LimiterT
         self._sequence = CommandSequence()
-        self._accused = False
         self._commanders = 0
-        self._names: list[str] = []
+        self._names: list[str] | None = None  # of publishers of commands, if they are accused
         self.controller = HeartbeatMonitor(self, topics.CONTROLLER_NODE, self._on_controller)
         self.offer_trigger(topics.SIM_STOP_SERVICE, self._on_stop)
         self.offer_trigger(topics.SIM_RESET_SERVICE, self._on_reset)
@@ -221,9 +220,8 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         when = self.stamp_ns() / topics.NS_PER_S
         accusation = f"{topics.COMMANDS}: {reason} at {when:.3f} s"
         self.latch(accusation)
-        self._names.clear()
         self._commanders = 0
-        self._accused = self.limiter.fault == accusation
+        self._names = [] if self.limiter.fault == accusation else None
         self._name_publishers()
         self.report_news()
 
@@ -232,12 +230,11 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
 
         Torque is gone already; the middleware may learn only later which node owns a publisher.
         """
-        if not self._accused:
+        if self._names is None:
             return
-        topic = self.commands.topic_name
         known = [
             f"{one.node_namespace.rstrip('/')}/{one.node_name}"
-            for one in self.get_publishers_info_by_topic(topic)
+            for one in self.get_publishers_info_by_topic(self.commands.topic_name)
             if "UNKNOWN" not in one.node_name
         ]
         self._commanders = max(self._commanders, len(known))
@@ -247,7 +244,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
     def _conclude_accusation(self) -> None:
         """Wait a moment for names of publishers yet to be discovered: nothing else is due now."""
         end = time.monotonic() + _NAMES_PATIENCE
-        while self._accused and self._commanders < 2 and time.monotonic() < end:
+        while self._names is not None and self._commanders < 2 and time.monotonic() < end:
             self._name_publishers()
             time.sleep(_CHECK_PERIOD)
         self._name_publishers(last=True)
@@ -274,8 +271,9 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
     @property
     def fault(self) -> str:
         """Why torque was taken away, with the publishers of commands if they are accused of it."""
-        named = self._accused and self._names
-        return self.limiter.fault + (f"; published by {', '.join(self._names)}" if named else "")
+        return self.limiter.fault + (
+            f"; published by {', '.join(self._names)}" if self._names else ""
+        )
 
     def report(self) -> None:
         """Publish the state of the rig on ``/diagnostics``."""
@@ -321,7 +319,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
             self.obey_again()
         except GraphError as error:
             return False, str(error)
-        self._stopped = self._accused = False
+        self._stopped, self._names = False, None
         self._sequence.restart()
         self.report()
         return True, "commands are obeyed"
@@ -337,7 +335,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Forget the rig, so that new parameters can be used; an emergency stop stays in force."""
-        self.configured = self._accused = False
+        self.configured, self._names = False, None
         return TransitionCallbackReturn.SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
