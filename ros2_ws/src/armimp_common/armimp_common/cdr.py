@@ -43,24 +43,13 @@ _NUMBERS: Final = struct.Struct("<4x2I")
 """Number of dimensions, and data offset, of a command."""
 
 
-class CdrReader:
-    """Parser of plain little-endian CDR (XCDR1), which never reads past the end.
+class _Reader:
+    """Parser of plain little-endian CDR (XCDR1), which never reads past the end of a message.
 
-    Parameters
-    ----------
-    data : the whole message, encapsulation header included
-    what : name of the message type, for error messages
-
-    Attributes
-    ----------
-    constants : spans of everything read through `count` and `string`: what two messages must have
-        in common to share a layout; padding and surplus are not among them, as senders leave
-        arbitrary bytes there
-
-    Raises
-    ------
-    MalformedMessageError
-        From every method, when the bytes are not what they should be.
+    All methods raise a MalformedMessageError when the bytes are not what they should be. In
+    ``constants`` are the spans of everything read through `count` and `string`: what two messages
+    must have in common to share a layout. Padding and surplus are not among them, as senders leave
+    arbitrary bytes there.
     """
 
     def __init__(self, data: Buffer, what: str) -> None:
@@ -155,9 +144,7 @@ class _Layout:
     index among the doubles.
     """
 
-    def __init__(
-        self, data: Buffer, parsed: CdrReader, numbers: Span, order: Sequence[int]
-    ) -> None:
+    def __init__(self, data: Buffer, parsed: _Reader, numbers: Span, order: Sequence[int]) -> None:
         self._length, self._order = len(data), list(order)
         mask = bytearray(self._length)
         for start, end in parsed.constants:
@@ -178,12 +165,10 @@ class _Layout:
         self.unpack: Callable[[Buffer], tuple[Any, ...]] = struct.Struct(
             f"<4xiI{start - 12}x{count}d{self._length - end}x"
         ).unpack
-        places = [2 + index for index in order]
-        picked = slice(places[0], places[0] + len(places))
-        if places != list(range(picked.start, picked.stop)):
-            self.values: Callable[[tuple[Any, ...]], tuple[float, ...]] = itemgetter(*places)
-        else:  # with a single index itemgetter would not return a tuple
-            self.values = itemgetter(picked)
+        places: list[Any] = [2 + index for index in order]
+        if places == list(range(places[0], places[-1] + 1)):  # a single index would give no tuple
+            places = [slice(places[0], places[-1] + 1)]
+        self.values: Callable[[tuple[Any, ...]], tuple[float, ...]] = itemgetter(*places)
 
     def matches(self, data: Buffer) -> bool:
         """Tell whether a message has this layout."""
@@ -339,7 +324,7 @@ class JointStateDecoder(_Decoder):
             raise reader.error(f"has {count} {self._field} values for {len(names)} joints")
         return _Layout(data, reader, numbers, order)
 
-    def _order(self, names: Sequence[bytes], reader: CdrReader) -> list[int]:
+    def _order(self, names: Sequence[bytes], reader: _Reader) -> list[int]:
         index = {name: place for place, name in enumerate(names)}
         if len(index) != len(names):
             raise reader.error(f"has a joint twice: {_joined(names)}")
@@ -376,8 +361,7 @@ def joint_names_of(data: Buffer) -> tuple[str, ...]:
 
     Raises as `decode_joint_state`.
     """
-    reader, _, names, *_ = _joint_state(data)
-    return _texts(reader, names)
+    return decode_joint_state(data)[1]
 
 
 def stamp_of(data: Buffer) -> int:
@@ -388,7 +372,7 @@ def stamp_of(data: Buffer) -> int:
     MalformedMessageError
         If the bytes are too few or not CDR.
     """
-    return CdrReader(data, "message").stamp_ns()
+    return _Reader(data, "message").stamp_ns()
 
 
 class CommandEncoder:
@@ -453,7 +437,7 @@ class CommandDecoder(_Decoder):
         return second * (first == 0)
 
     def _parse(self, data: Buffer) -> _Layout:
-        reader = CdrReader(data, "Float64MultiArray")
+        reader = _Reader(data, "Float64MultiArray")
         for _ in range(reader.count(12)):
             reader.string()
             reader.uint32()
@@ -475,7 +459,7 @@ def decode_trial_status(data: bytes) -> TrialStatus:
     MalformedMessageError
         If the bytes are not such a message.
     """
-    reader = CdrReader(data, "DiagnosticStatus")
+    reader = _Reader(data, "DiagnosticStatus")
     reader.uint32()  # the level, one byte, and the padding before the first string
     name = reader.string()
     reader.string()
@@ -518,9 +502,9 @@ def encode_trial_status(status: TrialStatus) -> bytes:
     return _LITTLE + data[: len(data) - padding]
 
 
-def _joint_state(data: Buffer) -> tuple[CdrReader, int, list[bytes], Span, Span]:
+def _joint_state(data: Buffer) -> tuple[_Reader, int, list[bytes], Span, Span]:
     """Parse a JointState: reader, stamp (ns), joint names, and spans of positions and efforts."""
-    reader = CdrReader(data, "JointState")
+    reader = _Reader(data, "JointState")
     stamp_ns = reader.stamp_ns()
     reader.string()
     names = [reader.string() for _ in range(reader.count(4))]
@@ -529,7 +513,7 @@ def _joint_state(data: Buffer) -> tuple[CdrReader, int, list[bytes], Span, Span]
     return reader, stamp_ns, names, position, effort
 
 
-def _texts(reader: CdrReader, names: Sequence[bytes]) -> tuple[str, ...]:
+def _texts(reader: _Reader, names: Sequence[bytes]) -> tuple[str, ...]:
     try:
         return tuple(name.decode() for name in names)
     except UnicodeDecodeError:
