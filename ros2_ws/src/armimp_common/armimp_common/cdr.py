@@ -26,8 +26,8 @@ from armimp_common.status import TrialStatus
 from armimp_common.topics import NS_PER_S, ValueField
 
 Buffer: TypeAlias = bytes | bytearray | memoryview
-Span: TypeAlias = tuple[int, int]
-"""Start and end of some bytes of a message, counted from its first byte."""
+_Numbers: TypeAlias = tuple[int, int]
+"""Place of the first number of a sequence of doubles in a message, and their count."""
 _Columns: TypeAlias = tuple[IntArray, IntArray, FloatArray]
 """The two head numbers (N,) and the values (n, N) of many messages."""
 
@@ -58,7 +58,7 @@ class _Reader:
             raise self.error(f"has {len(data)} bytes, too few for a header")
         if data[:2] != _LITTLE[:2]:
             raise self.error(f"is not plain little-endian CDR: header {bytes(data[:4]).hex()}")
-        self.constants: list[Span] = [(0, 2)]
+        self.constants = [(0, 2)]
 
     def error(self, reason: str) -> MalformedMessageError:
         """Return the error that says why this message is not acceptable."""
@@ -94,12 +94,10 @@ class _Reader:
         self.constants.append((start, start + size))
         return text[:-1]
 
-    def float64s(self) -> Span:
-        """Read a sequence of doubles and return the span of its numbers."""
+    def float64s(self) -> _Numbers:
+        """Read a sequence of doubles."""
         count = self.count(8)
-        if count == 0:
-            return self._position, self._position
-        return self._take(8 * count, 8), self._position
+        return self._take(8 * count, 8) if count else self._position, count
 
     def finish(self) -> None:
         """Check that no more follows than a few surplus bytes."""
@@ -144,7 +142,9 @@ class _Layout:
     index among the doubles.
     """
 
-    def __init__(self, data: Buffer, parsed: _Reader, numbers: Span, order: Sequence[int]) -> None:
+    def __init__(
+        self, data: Buffer, parsed: _Reader, numbers: _Numbers, order: Sequence[int]
+    ) -> None:
         self._length, self._order = len(data), list(order)
         mask = bytearray(self._length)
         for start, end in parsed.constants:
@@ -152,8 +152,7 @@ class _Layout:
         self._masks = np.frombuffer(mask, np.uint8)
         self._mask = int.from_bytes(mask, "little")
         self._constant = int.from_bytes(data, "little") & self._mask
-        start, end = numbers
-        count = (end - start) // 8
+        start, count = numbers
         self._dtype = np.dtype(
             {
                 "names": ["first", "second", "values"],
@@ -163,7 +162,7 @@ class _Layout:
             }
         )
         self.unpack: Callable[[Buffer], tuple[Any, ...]] = struct.Struct(
-            f"<4xiI{start - 12}x{count}d{self._length - end}x"
+            f"<4xiI{start - 12}x{count}d{self._length - start - 8 * count}x"
         ).unpack
         places: list[Any] = [2 + index for index in order]
         if places == list(range(places[0], places[-1] + 1)):  # a single index would give no tuple
@@ -319,8 +318,7 @@ class JointStateDecoder(_Decoder):
         reader, _, names, position, effort = _joint_state(data)
         order = self._order(names, reader)
         numbers = position if self._field == "position" else effort
-        count = (numbers[1] - numbers[0]) // 8
-        if count != len(names):
+        if (count := numbers[1]) != len(names):
             raise reader.error(f"has {count} {self._field} values for {len(names)} joints")
         return _Layout(data, reader, numbers, order)
 
@@ -349,10 +347,8 @@ def decode_joint_state(
     MalformedMessageError
         If the bytes are not a JointState message.
     """
-    reader, stamp_ns, names, *spans = _joint_state(data)
-    position, effort = (
-        struct.unpack_from(f"<{(end - start) // 8}d", data, start) for start, end in spans
-    )
+    reader, stamp_ns, names, *fields = _joint_state(data)
+    position, effort = (struct.unpack_from(f"<{count}d", data, start) for start, count in fields)
     return stamp_ns, _texts(reader, names), position, effort
 
 
@@ -445,8 +441,7 @@ class CommandDecoder(_Decoder):
         reader.uint32()
         numbers = reader.float64s()
         reader.finish()
-        count = (numbers[1] - numbers[0]) // 8
-        if count != self._count:
+        if (count := numbers[1]) != self._count:
             raise reader.error(f"has {count} values for {self._count} joints")
         return _Layout(data, reader, numbers, range(count))
 
@@ -502,8 +497,8 @@ def encode_trial_status(status: TrialStatus) -> bytes:
     return _LITTLE + data[: len(data) - padding]
 
 
-def _joint_state(data: Buffer) -> tuple[_Reader, int, list[bytes], Span, Span]:
-    """Parse a JointState: reader, stamp (ns), joint names, and spans of positions and efforts."""
+def _joint_state(data: Buffer) -> tuple[_Reader, int, list[bytes], _Numbers, _Numbers]:
+    """Parse a JointState: reader, stamp (ns), joint names, and places of positions and efforts."""
     reader = _Reader(data, "JointState")
     stamp_ns = reader.stamp_ns()
     reader.string()
