@@ -56,11 +56,11 @@ class TrialSequencer:
         self._parameters, self._announce = parameters, announce
         n = len(parameters.joints)
         self.controller = Controller(parameters.control_law(), safety=parameters.safety)
-        self._segments = timetable(parameters.sequence, joints=n, tare=parameters.tare)
+        segments = timetable(parameters.sequence, joints=n, tare=parameters.tare)
+        self._segment, self._ahead = segments[0], iter(segments)
         self._planned = round(parameters.sequence.duration / PERIOD)
         self._ticks = self._planned
-        self._next_segment = self._until = 0
-        self._segment = self._segments[0]
+        self._until = 0
         self._due: int | None = None
         self._start_ns: int | None = None
         self._next_ns: int | None = None  # stamp that is expected
@@ -172,15 +172,15 @@ class TrialSequencer:
     def _advance(self, stamp_ns: int) -> None:
         """Enter the next phase, as its first tick has come."""
         self._due = None
-        if self._next_segment == len(self._segments):
+        following = next(self._ahead, None)
+        if following is None:
             self.finished = True
             self.controller.release()
             self._tell(Phase.DONE)
             return
         before = self._segment
         # If a trial has ended early, everything that follows is brought forward.
-        segment = self._enter(replace(self._segments[self._next_segment], first=self.tick))
-        self._next_segment += 1
+        segment = self._enter(replace(following, first=self.tick))
         self.tau_delta[:] = 0.0
         if self.tick and before.tare:
             self._tare = self._parameters.tare.of(self._at_rest)
@@ -239,7 +239,7 @@ class TrialSequencer:
             TrialStatus(
                 phase=phase,
                 trial=segment.trial,
-                trials=self._segments[-1].trial,
+                trials=len(self._parameters.joints),
                 joint=segment.joint,
                 joint_name=self._parameters.joints[segment.joint],
                 tick=self.tick,

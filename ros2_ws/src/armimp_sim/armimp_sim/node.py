@@ -103,22 +103,17 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
             if self.limiter.tick - self._told_timing >= _TIMING_TICKS:
                 # Now, since nothing else is due until the next sample.
                 self._report_timing(self._simulator)
-            return
-        self._step(command)
-
-    def _step(self, command: tuple[float, ...]) -> None:
-        """Take the step that a command triggers, in lockstep."""
-        if self._holding:
+        elif self._holding:
             # The sample that the next command is to answer has not even been sent.
             if any(command):
                 self.accuse("a command that answers no sample")
-            return
-        self.limiter.step(command)
-        if self.limiter.fault:
-            self.report_news()
-        self._holding = self._flow.full
-        if not self._holding:
-            self._publish()
+        else:
+            self.limiter.step(command)
+            if self.limiter.fault:
+                self.report_news()
+            self._holding = self._flow.full
+            if not self._holding:
+                self._publish()
 
     def on_malformed(self, error: ArmimpError) -> None:
         """Latch a fault, and go on without torque."""
