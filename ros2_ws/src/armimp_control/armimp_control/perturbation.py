@@ -129,43 +129,28 @@ def perturbation(
         signal = coloured / np.max(np.abs(coloured)) * peak
     else:
         lines, period = multisine_lines(parameters, ticks=ticks, seed=seed)
+        f = np.asarray(lines * (RATE / period), dtype=np.float64)
         power = np.full(lines.size, (peak / CREST_OF_NOISE) ** 2 / lines.size)
         if parameters.kind == "multisine":
             signal = multisine(lines, power, period, random)
         else:
-            f = np.asarray(lines * (RATE / period), dtype=np.float64)
             limit = limit or prior.rms_angle(f, power)
-            cutoff = parameters.disturbance_cutoff
-            signal = _optimal(lines, period, random, prior, peak=peak, angle=limit, cutoff=cutoff)
+            torque, cutoff = peak / _EXPECTED_CREST, parameters.disturbance_cutoff
+            # A few lines beat with each other: if the crest factor is high, more need power.
+            for spread in _SPREADS:
+                power = optimal_power(
+                    f, prior, torque=torque, angle=limit, cutoff=cutoff, spread=spread
+                )
+                signal = multisine(lines, power, period, random)
+                if crest_factor(signal) < CREST:
+                    break
+            signal *= peak / np.max(np.abs(signal))
     if limit:
         f = np.asarray(np.fft.rfftfreq(signal.size, 1.0 / RATE), dtype=np.float64)
         power = 2.0 * np.abs(np.fft.rfft(signal) / signal.size) ** 2
         signal *= min(1.0, limit / prior.rms_angle(f, power))
     repeated: FloatArray = np.resize(signal, ticks)
     return repeated
-
-
-def _optimal(
-    lines: NDArray[np.intp],
-    period: int,
-    random: np.random.Generator,
-    prior: JointPrior,
-    *,
-    peak: float,
-    angle: float,
-    cutoff: float,
-) -> FloatArray:
-    """Return a period of the multisine most informative about the prior arm, scaled to its peak."""
-    f = np.asarray(lines * (RATE / period), dtype=np.float64)
-    torque = peak / _EXPECTED_CREST
-    # A few lines beat with each other: if the crest factor is high, more of them need power.
-    for spread in _SPREADS:
-        power = optimal_power(f, prior, torque=torque, angle=angle, cutoff=cutoff, spread=spread)
-        signal = multisine(lines, power, period, random)
-        if crest_factor(signal) < CREST:
-            break
-    signal *= peak / np.max(np.abs(signal))
-    return signal
 
 
 def disturbance(f: FloatArray, cutoff: float) -> FloatArray:
