@@ -90,7 +90,19 @@ def human_arm(joints: int) -> HumanArm:
     Assumptions: for three joints a wrist is added; four to seven are a chain of equal links, see
     :func:`_rods`.
     """
-    return _ARMS[joints] if joints in _ARMS else _even_arm(joints)
+    if joints in _ARMS:
+        return _ARMS[joints]
+    posture = _posture(joints)
+    size = np.array(JOINT_SIZES[joints])
+    mean_size = np.sqrt(np.outer(size, size))
+    distance = np.arange(joints) - np.arange(joints)[:, None]
+    coupling = np.where(distance > 0, *_STIFFNESS_COUPLING)
+    return HumanArm(
+        posture=row_by_row(posture),
+        inertia=row_by_row(_rods(joints).mass_matrix(posture)),
+        damping=row_by_row(_DAMPING * mean_size * _DAMPING_COUPLING ** np.abs(distance)),
+        stiffness=row_by_row(_STIFFNESS * mean_size * coupling ** np.abs(distance)),
+    )
 
 
 def robot(joints: int) -> PlanarChain:
@@ -98,7 +110,19 @@ def robot(joints: int) -> PlanarChain:
 
     A single joint is the second of two; four to seven joints have equal links, see :func:`_rods`.
     """
-    return _ROBOTS[joints] if joints in _ROBOTS else _even_robot(joints)
+    if joints in _ROBOTS:
+        return _ROBOTS[joints]
+    rods = _rods(joints)
+    inertia = np.diag(rods.mass_matrix(_posture(joints)))
+    links = _LINK_SHARE * _ROBOT_SHARE
+    # The inertia at a joint includes the drives outwards of it: its own is the difference.
+    drives = (_ROBOT_SHARE - links) * (inertia - np.append(inertia[1:], 0.0))
+    return PlanarChain(
+        lengths=rods.lengths,
+        moments=row_by_row(links * np.array(rods.moments) + drives),
+        masses=tuple(links * mass for mass in rods.masses),
+        centres=rods.centres,
+    )
 
 
 def friction(level: int, joints: int) -> LuGre:
@@ -140,36 +164,6 @@ def realistic(joints: int) -> dict[str, Any]:
         # 0.35 m of the elbow's inertia.
         "voluntary": VoluntaryParameters(rms=0.3 * size, tremor=0.02 * size),
     }
-
-
-def _even_arm(joints: int) -> HumanArm:
-    """Return the arm with 4 to 7 joints."""
-    posture = _posture(joints)
-    size = np.array(JOINT_SIZES[joints])
-    mean_size = np.sqrt(np.outer(size, size))
-    distance = np.arange(joints) - np.arange(joints)[:, None]
-    coupling = np.where(distance > 0, *_STIFFNESS_COUPLING)
-    return HumanArm(
-        posture=row_by_row(posture),
-        inertia=row_by_row(_rods(joints).mass_matrix(posture)),
-        damping=row_by_row(_DAMPING * mean_size * _DAMPING_COUPLING ** np.abs(distance)),
-        stiffness=row_by_row(_STIFFNESS * mean_size * coupling ** np.abs(distance)),
-    )
-
-
-def _even_robot(joints: int) -> PlanarChain:
-    """Return the robot with 4 to 7 joints."""
-    rods = _rods(joints)
-    inertia = np.diag(rods.mass_matrix(_posture(joints)))
-    links = _LINK_SHARE * _ROBOT_SHARE
-    # The inertia at a joint includes the drives outwards of it: its own is the difference.
-    drives = (_ROBOT_SHARE - links) * (inertia - np.append(inertia[1:], 0.0))
-    return PlanarChain(
-        lengths=rods.lengths,
-        moments=row_by_row(links * np.array(rods.moments) + drives),
-        masses=tuple(links * mass for mass in rods.masses),
-        centres=rods.centres,
-    )
 
 
 def _posture(joints: int) -> FloatArray:

@@ -413,9 +413,13 @@ def read(batch: Batch, rig: RealRig, count: int, noise: FloatArray) -> None:
         for kind in range(2):
             hum, speed, band, limit, resolution = rig.chain[lane, kind]
             hum *= np.sin(speed * seconds)
+            averaged = count if kind == TORQUE else 1
             for i in range(rows.shape[1]):
-                late = int(rows[lane, i, _CHANNELS + kind * _CHANNEL + _LATE])
-                signals[i] = _mean(past[lane, i, kind], now - late, count if kind == TORQUE else 1)
+                newest = now - int(rows[lane, i, _CHANNELS + kind * _CHANNEL + _LATE])
+                signals[i] = 0.0
+                for back in range(averaged):
+                    signals[i] += past[lane, i, kind, (newest - back) % past.shape[3]]
+                signals[i] /= averaged
             for i in range(rows.shape[1]):
                 value = 0.0
                 for j in range(rows.shape[1]):
@@ -431,12 +435,3 @@ def read(batch: Batch, rig: RealRig, count: int, noise: FloatArray) -> None:
                     batch.position[lane, i] = reading
                 else:
                     batch.torque[lane, i] = reading
-
-
-@compiled
-def _mean(past: FloatArray, newest: int, count: int) -> float:
-    """Return the mean of `count` values of a channel, up to the one at `newest`."""
-    total = 0.0
-    for back in range(count):
-        total += past[(newest - back) % past.shape[0]]
-    return total / count

@@ -263,16 +263,6 @@ def exp_minus(y: float) -> float:
 
 
 @compiled
-def _reduced(x: float) -> tuple[float, float]:
-    """Return (r, q): x = q·π/2 + r with |r| ≤ π/4, and q modulo 4, that is 0, 1, 2 or 3."""
-    k = (x * _TWO_OVER_PI + _ROUNDER) - _ROUNDER
-    r = ((x - k * _PIO2_1) - k * _PIO2_2) - k * _PIO2_3
-    # k modulo 4 by the same rounding trick: k/4 − 3/8 rounds to floor(k/4).
-    quarter = ((k * 0.25 - 0.375) + _ROUNDER) - _ROUNDER
-    return r, k - 4.0 * quarter
-
-
-@compiled
 def sine_cosine(x: float) -> tuple[float, float]:
     """Compute sine and cosine at once.
 
@@ -286,7 +276,11 @@ def sine_cosine(x: float) -> tuple[float, float]:
     tuple of float
         (sin x, cos x), each to about two units in the last place, also near its zeros.
     """
-    r, q = _reduced(x)
+    # x = k·π/2 + r with |r| ≤ π/4
+    k = (x * _TWO_OVER_PI + _ROUNDER) - _ROUNDER
+    r = ((x - k * _PIO2_1) - k * _PIO2_2) - k * _PIO2_3
+    # The quadrant, k modulo 4, by the same rounding trick: k/4 − 3/8 rounds to floor(k/4).
+    q = k - 4.0 * (((k * 0.25 - 0.375) + _ROUNDER) - _ROUNDER)
     s = r * r
     sine = r + r * s * _series(s, _SINE)
     cosine = 1.0 - (0.5 * s - s * s * _series(s, _COSINE))
