@@ -64,14 +64,7 @@ def format_value(value: Value | None) -> str:
     return " ".join(repr(float(item)) for item in value)
 
 
-def _none_if_empty(value: object) -> object:
-    return None if value == "" else value
-
-
-def _split(value: object) -> object:
-    return value.split() if isinstance(value, str) else value
-
-
+_NONE_IF_EMPTY: Final = BeforeValidator(lambda value: None if value == "" else value)
 _Count: TypeAlias = Annotated[int, Field(ge=0)]
 _Number: TypeAlias = Annotated[int, Field(ge=1)]
 _Believed: TypeAlias = Annotated[_Count, Field(lt=_MOST)]
@@ -84,9 +77,12 @@ _Joint: TypeAlias = Annotated[
 ]
 _Duration: TypeAlias = Annotated[float, BeforeValidator(lambda s: math.nan if s is None else s)]
 """NaN where nothing was measured; JSON has null for it."""
-_Numbers: TypeAlias = Annotated[tuple[float, ...], BeforeValidator(_split)]
-_MaybeCount: TypeAlias = Annotated[int | None, BeforeValidator(_none_if_empty)]
-_MaybeNumber: TypeAlias = Annotated[float | None, BeforeValidator(_none_if_empty)]
+_Numbers: TypeAlias = Annotated[
+    tuple[float, ...],
+    BeforeValidator(lambda value: value.split() if isinstance(value, str) else value),
+]
+_MaybeCount: TypeAlias = Annotated[int | None, _NONE_IF_EMPTY]
+_MaybeNumber: TypeAlias = Annotated[float | None, _NONE_IF_EMPTY]
 
 
 class Record(BaseModel):

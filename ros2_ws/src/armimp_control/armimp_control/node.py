@@ -254,19 +254,16 @@ class ImbicControllerNode(ManagedNode):
         self, sequencer: TrialSequencer, stamp_ns: int, theta: Reading, tau_h: Reading
     ) -> None:
         sequencer.answer(stamp_ns, theta, tau_h)
-        if time.monotonic() - self._supervisor.checked > _UNCHECKED and self._lost(sequencer):
-            return
+        if time.monotonic() - self._supervisor.checked > _UNCHECKED:
+            before = sequencer.at_rest
+            for monitor in (*self._partners, self._supervisor):
+                monitor.check()
+            if sequencer.at_rest and not before:
+                return  # another node was lost, which has ended the experiment
         self._commands.publish(sequencer.command)
         self._perturbation.publish(stamp_ns, sequencer.tau_delta)
         if sequencer.tick % _DIAGNOSTICS_TICKS == 0:
             self._report()
-
-    def _lost(self, sequencer: TrialSequencer) -> bool:
-        """Check the other nodes; return whether that ends the experiment, as one was lost."""
-        before = sequencer.at_rest
-        for monitor in (*self._partners, self._supervisor):
-            monitor.check()
-        return sequencer.at_rest and not before
 
     def _on_watchdog(self) -> None:
         sequencer, now = self._sequencer, time.monotonic()
