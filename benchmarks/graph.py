@@ -275,11 +275,12 @@ class _ComposedBare(NodeGroup):
             self._nodes.append(node)
             spinner.add_node(node)
 
-    def close(self) -> None:
+    def close(self) -> Sequence[str]:
         """Destroy the nodes."""
         for node in self._nodes:
             self._spinner.remove_node(node)
             node.destroy_node()
+        return ()
 
 
 def _bare_nodes(

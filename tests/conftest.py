@@ -124,7 +124,7 @@ def host(driver_domain: int) -> Iterator[Callable[..., None]]:
 def check(driver_domain: int, monkeypatch: pytest.MonkeyPatch) -> Callable[..., dict[str, Finding]]:
     """Judge the running driver; return its findings by the name of each check."""
     # How quickly a service answers or a fault is reported depends on the machine as well.
-    for limit in ("_ANSWER", "_TOLD"):
+    for limit in ("_ANSWER", "_REPORT"):
         monkeypatch.setattr(f"armimp_bringup.driver_check.rules.{limit}", PATIENCE)
 
     def run(**options: Any) -> dict[str, Finding]:

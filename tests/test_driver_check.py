@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from armimp_bringup.config import CheckOptions
-from armimp_bringup.driver_check import Finding, Outcome, with_outcome
+from armimp_bringup.driver_check import Finding, Outcome
 from armimp_bringup.driver_check.command import ask
 from armimp_common import topics
 from armimp_common.cdr import JointStateEncoder
@@ -55,7 +55,7 @@ CONTRACT = {
 
 
 def names(findings: dict[str, Finding], outcome: Outcome = Outcome.FAIL) -> list[str]:
-    return with_outcome(findings.values(), outcome)
+    return [name for name, one in findings.items() if one.outcome is outcome]
 
 
 @pytest.mark.slow

@@ -39,8 +39,8 @@ _PORTS: Final = 250
 _CLAIM: Final = 2
 
 
-class DomainClaim(AbstractContextManager["DomainClaim"]):
-    """A domain id held by this process until `release`, or until the process ends.
+class DomainClaim(socket.socket):
+    """A domain id held by this process until it is closed, or until the process ends.
 
     The claim is a UDP port of the domain that the middleware leaves free, bound on the loopback
     interface. So it is exclusive between all users, leaves nothing behind after a crash, and needs
@@ -68,19 +68,22 @@ class DomainClaim(AbstractContextManager["DomainClaim"]):
     """
 
     def __init__(self, domain_id: int | None = None) -> None:
-        self._socket: socket.socket | None = None
-        if domain_id is not None:
-            if not 0 <= domain_id <= HIGHEST:
-                raise ConfigurationError(f"domain id is not within 0..{HIGHEST}: {domain_id}")
-            if not self._bind(domain_id):
-                raise GraphError(f"domain id {domain_id} is taken by another experiment")
-            return
+        if domain_id is not None and not 0 <= domain_id <= HIGHEST:
+            raise ConfigurationError(f"domain id is not within 0..{HIGHEST}: {domain_id}")
+        super().__init__(socket.AF_INET, socket.SOCK_DGRAM)
+        if domain_id is None:
+            self._take_any()
+        elif not self._take(domain_id):
+            self.close()
+            raise GraphError(f"domain id {domain_id} is taken by another experiment")
+
+    def _take_any(self) -> None:
         candidates = list(range(LOWEST, HIGHEST + 1))
         # Not the seeded generator of an experiment: two equal experiments must differ here.
         random.SystemRandom().shuffle(candidates)
         occupied = _occupied()
         everybody = set().union(*occupied.values())
-        if any(self._bind(one) for one in candidates if one not in everybody):
+        if any(self._take(one) for one in candidates if one not in everybody):
             return
         kept = set[int]().union(
             *(
@@ -91,29 +94,18 @@ class DomainClaim(AbstractContextManager["DomainClaim"]):
         )
         hoarded = [one for one in candidates if one not in kept]
         if not hoarded:
+            self.close()
             raise GraphError(f"no domain id is free within {LOWEST}..{HIGHEST}")
         # Any of them, even if its port is taken.
-        any(self._bind(one) for one in hoarded)
+        any(self._take(one) for one in hoarded)
 
-    def _bind(self, domain_id: int) -> bool:
+    def _take(self, domain_id: int) -> bool:
         self.domain_id = domain_id
-        claim = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            claim.bind(("127.0.0.1", _FIRST_PORT + _PORTS * domain_id + _CLAIM))
+            self.bind(("127.0.0.1", _FIRST_PORT + _PORTS * domain_id + _CLAIM))
         except OSError:
-            claim.close()
             return False
-        self._socket = claim
         return True
-
-    def release(self) -> None:
-        """Give the domain id back; calling it again does nothing."""
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
-
-    def __exit__(self, *_: object) -> None:
-        self.release()
 
 
 def _occupied() -> dict[int, set[int]]:
@@ -201,7 +193,7 @@ class GraphContext(AbstractContextManager["GraphContext"]):
         # long as its services are there, which only the garbage collector finds.
         gc.collect()
         self.context.try_shutdown()
-        self.claim.release()
+        self.claim.close()
         _set_variables(self._before)
 
     def __exit__(self, *_: object) -> None:

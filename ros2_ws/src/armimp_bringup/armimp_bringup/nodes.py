@@ -140,11 +140,8 @@ class NodeGroup:
         """Result of an estimator in this process; None if it is elsewhere and its files have it."""
         return None
 
-    def close(self) -> None:
-        """Take the nodes down."""
-
-    def crashed(self) -> Sequence[str]:
-        """Say, once they are closed, which nodes did not end as they should."""
+    def close(self) -> Sequence[str]:
+        """Take the nodes down; return a sentence for each that did not end as it should."""
         return ()
 
 
@@ -176,26 +173,25 @@ class ComposedNodes(NodeGroup):
         }
         arguments = ["--ros-args", "--params-file", str(parameters)]
         self.names, self._spinner = names, spinner
-        self._nodes: list[Node] = []
+        self._nodes: dict[str, Any] = {}
         for name in reversed(names):
             node = classes[name](context=context, cli_args=arguments, use_global_arguments=False)
-            self._nodes.append(node)
+            self._nodes[name] = node
             spinner.add_node(node)
 
     @property
     def result(self) -> Result | None:
         """Result of the estimator."""
-        from armimp_estimation.node import ImpedanceEstimatorNode
+        found: Result | None = self._nodes[ESTIMATOR_NODE].result
+        return found
 
-        found = (one.result for one in self._nodes if isinstance(one, ImpedanceEstimatorNode))
-        return next(found, None)
-
-    def close(self) -> None:
+    def close(self) -> Sequence[str]:
         """Destroy the nodes."""
-        for node in self._nodes:
+        for node in self._nodes.values():
             self._spinner.remove_node(node)
             node.destroy_node()
         self._nodes.clear()
+        return ()
 
 
 class SeparateNodes(NodeGroup):
@@ -221,7 +217,6 @@ class SeparateNodes(NodeGroup):
     ) -> None:
         self._logs = {name: log_directory / f"{name}.log" for name in modules}
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
-        self._forced: set[str] = set()
         self._watchdog = ParentWatchdog()
         environment = self._watchdog.environment()
         try:
@@ -271,27 +266,18 @@ class SeparateNodes(NodeGroup):
             # Where each session is a scheduling group, the niceness above counts only within it.
             Path(f"/proc/{number}/autogroup").write_text(str(niceness), encoding="ascii")
 
-    def crashed(self) -> list[str]:
-        """Say which nodes were killed by a signal that was not ours, or are still there."""
-        ours = -signal.SIGINT
-        return [
-            sentence
-            for name, sentence in self.dead().items()
-            if ours != self.processes[name].returncode < 0 and name not in self._forced
-        ] + [
-            f"node {name} could not be ended (process {process.pid})"
-            for name, process in self.processes.items()
-            if process.returncode is None
-        ]
+    def close(self) -> Sequence[str]:
+        """End the processes by SIGINT and, if that fails, by SIGKILL.
 
-    def close(self) -> None:
-        """End the processes: by SIGINT and, if that fails, by SIGKILL."""
+        Return a sentence for each that another signal killed, or that is still there.
+        """
+        forced: set[str] = set()
         for signal_number in (signal.SIGINT, signal.SIGKILL):
             for name, process in self.processes.items():
                 if process.poll() is None:
                     process.send_signal(signal_number)
                     if signal_number == signal.SIGKILL:
-                        self._forced.add(name)
+                        forced.add(name)
             deadline = time.monotonic() + _TO_END
             for process in self.processes.values():
                 try:
@@ -299,6 +285,15 @@ class SeparateNodes(NodeGroup):
                 except subprocess.TimeoutExpired:
                     continue
         self._watchdog.close()
+        return [
+            sentence
+            for name, sentence in self.dead().items()
+            if -signal.SIGINT != self.processes[name].returncode < 0 and name not in forced
+        ] + [
+            f"node {name} could not be ended (process {process.pid})"
+            for name, process in self.processes.items()
+            if process.returncode is None
+        ]
 
 
 class ExternalNodes(NodeGroup):

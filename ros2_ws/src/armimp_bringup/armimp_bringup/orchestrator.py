@@ -272,11 +272,10 @@ class Course:
             self.shutdown()
             result = self._nodes.result
         finally:
-            self._nodes.close()
+            crashed = self._nodes.close()
             self._spinner.remove_node(self._supervisor)
             self._supervisor.destroy_node()
-        reasons = self._nodes.crashed()
-        crashes = [problem(ProblemCode.NODE_FAILED, reason=how) for how in reasons]
+        crashes = [problem(ProblemCode.NODE_FAILED, reason=how) for how in crashed]
         self._problems += [crash for crash in crashes if crash not in self._problems]
         return self._problems, result
 

@@ -148,7 +148,7 @@ def test_when_a_program_of_another_kind_is_in_a_domain_expect_it_avoided() -> No
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other, DomainClaim() as first:
         free = first.domain_id
         other.bind(("0.0.0.0", 7400 + 250 * free + 10))
-        first.release()
+        first.close()
         assert free in set().union(*domain._occupied().values())
 
 
@@ -158,11 +158,11 @@ def test_when_one_user_holds_every_domain_expect_no_other_kept_out(
     me = os.getuid()
     everything = set(range(domain.LOWEST, domain.HIGHEST + 1))
     theirs, rest = everything - {7}, {7}
-    monkeypatch.setattr(DomainClaim, "_bind", _taken)
+    monkeypatch.setattr(DomainClaim, "_take", _taken)
     monkeypatch.setattr(domain, "_occupied", lambda: {me + 1: theirs, me + 2: rest})
     with DomainClaim() as claim:
         assert claim.domain_id in theirs
-    monkeypatch.setattr(DomainClaim, "_bind", lambda claim, one: _taken(claim, one) or one == 50)
+    monkeypatch.setattr(DomainClaim, "_take", lambda claim, one: _taken(claim, one) or one == 50)
     with DomainClaim() as claim:
         assert claim.domain_id == 50, "its port is free"
 
@@ -241,6 +241,5 @@ def test_a_process_that_cannot_be_ended_is_named_and_raises_nothing() -> None:
     immortal.poll.return_value = None
     immortal.wait.side_effect = subprocess.TimeoutExpired("rig", 1.0)
     nodes = object.__new__(SeparateNodes)
-    nodes._forced, nodes._watchdog, nodes.processes = set(), ParentWatchdog(), {"rig": immortal}
-    nodes.close()
-    assert nodes.crashed() == ["node rig could not be ended (process 7)"]
+    nodes._watchdog, nodes.processes = ParentWatchdog(), {"rig": immortal}
+    assert nodes.close() == ["node rig could not be ended (process 7)"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Literal, NamedTuple
@@ -42,11 +42,6 @@ class Finding:
     outcome: Outcome
     figure: str  # what was found, or why nothing could be found
     limit: str  # what is required
-
-
-def with_outcome(findings: Iterable[Finding], outcome: Outcome) -> list[str]:
-    """Return the names of the checks with this outcome, in their order."""
-    return [finding.check for finding in findings if finding.outcome is outcome]
 
 
 class Message(NamedTuple):
@@ -93,7 +88,7 @@ class Push(NamedTuple):
 class Ending(NamedTuple):
     """Response of a driver to a fault."""
 
-    told: float | None = None  # s, from the last command, or the stop, to an ERROR; None: never
+    reported: float | None = None  # s, from the last command, or the stop, to an ERROR; None: never
     ended: Push | None = None  # the push that the fault ended
     again: Push | None = None  # a push commanded before the reset, which must have no effect
     stop: Call | None = None
@@ -108,8 +103,7 @@ class Moves:
     stale: Ending | None = None  # commands that stopped under torque
     stop: Ending | None = None  # the emergency stop
     second: Ending | None = None  # a second publisher of commands
-    asked: bool = True  # whether the user requested torque
-    missing: str = ""  # why the tests, or the rest of them, were not made
+    missing: str = ""  # why the tests that were requested, or the rest of them, were not made
     astray: bool = False  # whether the reason is motion beyond its limit, or unreadable angles
     fault: str = ""  # message of the driver when it stopped although commands came
     gap: float = 0.0  # s, longest time between two commands

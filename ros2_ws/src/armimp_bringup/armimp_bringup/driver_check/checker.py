@@ -59,7 +59,7 @@ _LEAVING = 0.3
 _STILL = 4e-4
 """An arm that moves less than this during 200 samples has settled, rad."""
 _LONGEST_SETTLING = 80  # steps of settling before a push, at most
-_TOLD = 2.0  # s, longest wait for the report of a fault or the answer of a service
+_ANSWER = 2.0  # s, longest wait for the report of a fault or the answer of a service
 
 _T = TypeVar("_T")
 
@@ -137,8 +137,7 @@ class Checker:
                     self._leave(state)
             else:
                 moves = self._stop_at_rest()
-                moves.asked = options.move
-                moves.missing = trouble if options.move else "not without --move"
+                moves.missing = trouble if options.move else ""
             endpoints, services = node.endpoints(), node.safety_services()
         return Record(
             joints=options.joints,
@@ -251,14 +250,14 @@ class Checker:
         node.guard = guard
         try:
             for joint, name in enumerate(self._joints):
-                say(f"pushing {name}")
-                moves.pushes.append(self._watched(moves, partial(self._push, joint)))
-            say(f"keeping silent while {self._joints[0]} is pushed")
-            moves.stale = self._watched(moves, self._keep_silent)
-            say(f"calling the emergency stop while {self._joints[0]} is pushed")
-            moves.stop = self._watched(moves, self._stop_under_torque)
-            say("commanding zero torque as a second publisher")
-            moves.second = self._watched(moves, self._intrude)
+                push = self._watched(moves, f"pushing {name}", partial(self._push, joint))
+                moves.pushes.append(push)
+            pushed = f"while {self._joints[0]} is pushed"
+            moves.stale = self._watched(moves, f"keeping silent {pushed}", self._keep_silent)
+            what = f"calling the emergency stop {pushed}"
+            moves.stop = self._watched(moves, what, self._stop_under_torque)
+            what = "commanding zero torque as a second publisher"
+            moves.second = self._watched(moves, what, self._intrude)
         except _GivenUpError as error:
             moves.missing, moves.astray = str(error), bool(guard.objection)
         finally:
@@ -267,7 +266,7 @@ class Checker:
             node.guard = None
         if guard.objection:
             # Zero torque may not be enough for a driver that does not do what it is commanded.
-            node.call(topics.SIM_STOP_SERVICE, _TOLD)
+            node.call(topics.SIM_STOP_SERVICE, _ANSWER)
         elif moves.missing:
             self._reset()
         moves.moved = guard.largest
@@ -279,15 +278,19 @@ class Checker:
             return Moves()
         say("calling the emergency stop")
         since = self._node.now()
-        stop = self._node.call(topics.SIM_STOP_SERVICE, _TOLD, since)
-        return Moves(stop=Ending(told=self._time_to_fault(since), stop=stop, reset=self._reset()))
+        stop = self._node.call(topics.SIM_STOP_SERVICE, _ANSWER, since)
+        reported = self._time_to_fault(since)
+        return Moves(stop=Ending(reported=reported, stop=stop, reset=self._reset()))
 
-    def _watched(self, moves: Moves, act: Callable[[], tuple[_T, float]]) -> _T:
-        """Make a test, and give up if the driver reported a fault that the test did not cause.
+    def _watched(self, moves: Moves, what: str, act: Callable[[], tuple[_T, float]]) -> _T:
+        """Make a test once the arm has settled.
 
-        `act` returns its result, and until when (monotonic, s) the driver had no reason to stop.
+        `act` returns its result, and until when (monotonic, s) the driver had no reason to stop;
+        if it reported a fault before that, nothing more is tested.
         """
+        say(what)
         node, seen = self._node, len(self._node.errors)
+        self._settle()
         found, until = act()
         for one in node.errors[seen:]:
             if one.name not in self._known and one.when <= until:
@@ -296,8 +299,6 @@ class Checker:
         return found
 
     def _push(self, joint: int) -> tuple[Push, float]:
-        """Push a joint once the arm has settled."""
-        self._settle()
         return self._pushed(joint, _HOLD, (_SETTLE, self._node.zero)), math.inf
 
     def _pushed(self, joint: int, held: int, *then: Step) -> Push:
@@ -313,25 +314,23 @@ class Checker:
         are left out.
         """
         angles, torques = (
-            np.hstack([self._whole(topic, start, end), self._whole(topic, after, after + _SETTLE)])
+            np.hstack([self._read(topic, start, end), self._read(topic, after, after + _SETTLE)])
             for topic in SENSOR_TOPICS
         )
         return measure(joint, self._amount, angles, torques, _REST, end - start)
 
     def _keep_silent(self) -> tuple[Ending, float]:
         """Stop sending commands while torque acts; command torque again; reset."""
-        self._settle()
         ended = self._pushed(0, _HOLD, (_SILENT, None))
         since = self._node.silent_since
-        told = self._time_to_fault(since)
+        reported = self._time_to_fault(since)
         # This torque must have no effect, as no reset was granted yet.
         again = self._pushed(0, _AGAIN, (_SETTLE, self._node.zero))
-        return Ending(told=told, ended=ended, again=again, reset=self._reset()), since
+        return Ending(reported=reported, ended=ended, again=again, reset=self._reset()), since
 
     def _stop_under_torque(self) -> tuple[Ending, float]:
         """Call the emergency stop while torque is still commanded; reset."""
         node, torque = self._node, self._torque(0)
-        self._settle()
         # Torque is commanded for a limited time, in case the stop does not work.
         start = node.samples
         node.play([(_REST, node.zero), (_HOLD, torque), (_STOPPING, torque)])
@@ -339,29 +338,29 @@ class Checker:
         self._wait(lambda: node.samples > end or bool(self._guard.objection))
         self._require_calm()
         since, end = node.now(), node.samples
-        stop = node.call(topics.SIM_STOP_SERVICE, _TOLD, since)
+        stop = node.call(topics.SIM_STOP_SERVICE, _ANSWER, since)
         # Torque has to go with the answer. A fault that is reported later may be another one, such
         # as that of a watchdog, since commands can be delayed.
         after = node.samples
-        told = self._time_to_fault(since)
+        reported = self._time_to_fault(since)
         self._wait(lambda: not node.playing and node.samples >= after + _SETTLE)
         self._require_calm()
         ended = self._measured(0, start, end, after)
         again = self._pushed(0, _AGAIN, (_SETTLE, node.zero))
-        return Ending(told=told, ended=ended, again=again, stop=stop, reset=self._reset()), since
+        reset = self._reset()
+        return Ending(reported=reported, ended=ended, again=again, stop=stop, reset=reset), since
 
     def _intrude(self) -> tuple[Ending, float]:
         """Have a second publisher command zero torque, too; reset."""
-        self._settle()
         since = self._node.now()
-        with self._node.intruder(_TOLD):
-            told = self._time_to_fault(since)
+        with self._node.intruder(_ANSWER):
+            reported = self._time_to_fault(since)
         # Until the driver knows that the second publisher has left.
         self._node.wait(lambda: False, _LEAVING)
-        return Ending(told=told, reset=self._reset()), since
+        return Ending(reported=reported, reset=self._reset()), since
 
     def _reset(self) -> Call:
-        return self._node.call(topics.SIM_RESET_SERVICE, _TOLD)
+        return self._node.call(topics.SIM_RESET_SERVICE, _ANSWER)
 
     def _torque(self, joint: int) -> Torque:
         return tuple(self._amount if i == joint else 0.0 for i in range(len(self._joints)))
@@ -370,11 +369,11 @@ class Checker:
         for _ in range(_LONGEST_SETTLING):
             self._play([(_SETTLE, self._node.zero)])
             last = len(self._node.kept[JOINT_STATES])
-            angles = self._whole(JOINT_STATES, max(last - 2 * _SETTLE, 0), last)
+            angles = self._read(JOINT_STATES, max(last - 2 * _SETTLE, 0), last)
             if angles.shape[1] == 2 * _SETTLE and np.max(np.ptp(angles, axis=1)) < _STILL:
                 return
 
-    def _whole(self, topic: str, first: int, end: int) -> FloatArray:
+    def _read(self, topic: str, first: int, end: int) -> FloatArray:
         """Return the readings (n, N) of these samples; all their messages have to be complete."""
         part = self._node.kept[topic][first:end]
         values = readings(self._joints, topic, part)
@@ -415,7 +414,7 @@ class Checker:
                 if one.when >= since and one.name not in self._known
             ]
 
-        node.wait(lambda: bool(after()), _TOLD)
+        node.wait(lambda: bool(after()), _ANSWER)
         return min(after(), default=None)
 
 

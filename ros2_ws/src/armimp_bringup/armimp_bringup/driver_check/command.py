@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
@@ -14,7 +15,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from armimp_bringup.config import CheckOptions
-from armimp_bringup.driver_check import Finding, Outcome, Record, with_outcome
+from armimp_bringup.driver_check import Finding, Outcome, Record
 from armimp_bringup.driver_check.checker import probe
 from armimp_bringup.driver_check.rules import judge
 from armimp_bringup.graph import external_domain
@@ -43,12 +44,12 @@ def check_driver(options: CheckOptions, *, domain_id: int | None, yes: bool, as_
         ask(options, domain)
     record = probe(options, domain)
     findings = judge(record)
-    told = report(findings, record, options, domain)
+    content = report(findings, record, options, domain)
     if as_json:
-        print(json.dumps(told))
+        print(json.dumps(content))
     else:
-        print_findings(findings, told)
-    return 0 if told["passed"] else 1
+        print_findings(findings, content)
+    return 0 if content["passed"] else 1
 
 
 def ask(options: CheckOptions, domain: int) -> None:
@@ -80,7 +81,8 @@ def report(
     findings: Sequence[Finding], record: Record, options: CheckOptions, domain: int
 ) -> dict[str, Any]:
     """Return what ``--json`` prints."""
-    count = {one.name.lower(): len(with_outcome(findings, one)) for one in Outcome}
+    outcomes = Counter(finding.outcome for finding in findings)
+    count = {one.name.lower(): outcomes[one] for one in Outcome}
     return {
         "schema": 1,
         "passed": not count["fail"] and not count["inconclusive"],
@@ -92,8 +94,8 @@ def report(
     }
 
 
-def print_findings(findings: Sequence[Finding], told: Mapping[str, Any]) -> None:
-    """Print a table of all findings, and the outcome with the counts of the report `told`."""
+def print_findings(findings: Sequence[Finding], count: Mapping[str, Any]) -> None:
+    """Print a table of all findings, and how many had each outcome."""
     out = Console(soft_wrap=True)
     table = Table(box=SIMPLE_HEAD)
     for column in ("check", "", "found", "limit"):
@@ -104,9 +106,9 @@ def print_findings(findings: Sequence[Finding], told: Mapping[str, Any]) -> None
         cells = (escape(text) for text in (finding.figure, finding.limit))
         table.add_row(escape(finding.check), f"[{colour}]{finding.outcome.value}[/]", *cells)
     out.print(table)
-    failed, unsure = told["fail"], told["inconclusive"]
+    failed, unsure = count["fail"], count["inconclusive"]
     words = f"{failed} of {len(findings)} checks failed" if failed else "no check failed"
     words = f"[bold{' red' if failed else ''}]{words}[/]"
     if unsure:
         words += f", [yellow]{unsure} inconclusive[/]"
-    out.print(f"{words}; {told['not_checked']} not made")
+    out.print(f"{words}; {count['not_checked']} not made")

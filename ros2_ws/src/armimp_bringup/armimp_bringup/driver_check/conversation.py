@@ -87,19 +87,9 @@ class Answering:
     Parameters
     ----------
     joints : names, in the order of commands
-    publish : sends a command
-    now_ns, sleep : a monotonic clock, ns, and the function that waits by it, s
     """
 
-    def __init__(
-        self,
-        joints: Sequence[str],
-        publish: Callable[[Torque], None],
-        *,
-        now_ns: Callable[[], int] = time.monotonic_ns,
-        sleep: Callable[[float], object] = time.sleep,
-    ) -> None:
-        self._publish, self.now_ns, self._sleep = publish, now_ns, sleep
+    def __init__(self, joints: Sequence[str]) -> None:
         self.guard: MotionGuard | None = None  # when it objects, zero torque is the answer
         self.zero: Torque = (0.0,) * len(joints)
         self.torque: Torque | None = None  # answer to each sample outside of a script
@@ -109,6 +99,14 @@ class Answering:
         self.gap = 0.0  # s, longest time between two commands, without intended silences
         self.kept: dict[str, list[Message | None]] = {topic: [] for topic in SENSOR_TOPICS}
         self._script: deque[Step] = deque()
+
+    def command(self, torque: Torque) -> None:
+        """Send a command."""
+        raise NotImplementedError
+
+    def now_ns(self) -> int:
+        """Return the time of a monotonic clock, ns."""
+        return time.monotonic_ns()
 
     def now(self) -> float:
         """Return the time of the clock, s."""
@@ -136,7 +134,7 @@ class Answering:
             return
         if self.guard is not None and self.guard.objection:
             torque = self.zero
-        self._publish(torque)
+        self.command(torque)
         now = self.now()
         if self.last_sent:
             self.gap = max(self.gap, now - self.last_sent)
@@ -146,8 +144,8 @@ class Answering:
         """Drop the script, and command zero torque now, several times."""
         self._script.clear()
         for _ in range(_FAREWELLS):
-            self._publish(self.zero)
-            self._sleep(0.005)
+            self.command(self.zero)
+            time.sleep(0.005)
 
     def hear(self, topic: str, data: bytes) -> None:
         """Take a message of a sensor stream; answer if it makes a sample complete."""
@@ -169,7 +167,7 @@ class Answering:
 class Conversation(Node, Answering):
     """The node that talks with a driver.
 
-    ``joints`` are in the order of commands; ``interrupted`` tells whether the user wants to end.
+    ``joints`` are in the order of commands; ``interrupted`` returns whether the user wants to end.
     """
 
     def __init__(
@@ -182,7 +180,7 @@ class Conversation(Node, Answering):
         super().__init__(
             _NODE, namespace=namespace, context=graph.context, use_global_arguments=False
         )
-        Answering.__init__(self, joints, self._command)
+        Answering.__init__(self, joints)
         self._interrupted: Callable[[], bool] | None = interrupted
         self.errors: list[Error] = []
         self._sensors: list[Subscription] = []
@@ -266,7 +264,7 @@ class Conversation(Node, Answering):
         return Call(bool(answer.success), str(answer.message), self.now() - begin)
 
     def wait(self, condition: Callable[[], bool], patience: float) -> bool:
-        """Spin until a condition is met or a time (s) is over, and tell whether it is met."""
+        """Spin until a condition is met or a time (s) is over; return whether it is met."""
         end = time.monotonic() + patience
 
         def over() -> bool:
@@ -293,7 +291,8 @@ class Conversation(Node, Answering):
         self.spinner.close()
         self.destroy_node()
 
-    def _command(self, torque: Torque) -> None:
+    def command(self, torque: Torque) -> None:
+        """Command torques of the joints (n,), N·m."""
         self._commands.publish(torque)
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:

@@ -35,7 +35,7 @@ _USUAL = 0.35  # tolerance when motion is compared with the usual one, as a shar
 _REACTION = 3  # periods from a command to its first effect: chosen
 _REGULAR = 0.004  # s between commands that give no driver a reason to stop: 5 periods would
 _ANSWER = 0.5  # s; for the answer of a service: chosen
-_TOLD = 1.5  # s; until a fault is on /diagnostics, where it is repeated every second
+_REPORT = 1.5  # s; until a fault is on /diagnostics, where it is repeated every second
 _LARGER = "try a larger --torque"
 _WAYS_LIMIT = "each joint turns the way of its torque"
 _SIGN_LIMIT = "the reading of torque goes the way of the joint"
@@ -136,7 +136,7 @@ def _judge_values(record: Record, topic: str, messages: Sequence[Message]) -> It
     yield _judged(f"{topic}: finite", bad == 0, figure, "no NaN, no infinity")
     limit = f"|value| ≤ {bound:.4g} {unit}"
     if not still.size:
-        yield Finding(f"{topic}: range", Outcome.NOT_CHECKED, "no whole message", limit)
+        yield Finding(f"{topic}: range", Outcome.NOT_CHECKED, "no complete message", limit)
         return
     parts = [np.where(np.isfinite(part), part, 0.0) for part in (still, moving)]
     largest = float(max(np.max(np.abs(part), initial=0.0) for part in parts))
@@ -247,10 +247,9 @@ def _judge_moves(record: Record) -> Iterator[Finding]:
 
 def _missing(record: Record, check: str, limit: str) -> Finding:
     """Return the finding for a test that was not done: inconclusive if torque was requested."""
-    moves = record.moves
-    in_vain = moves.asked and moves.missing
-    outcome = Outcome.INCONCLUSIVE if in_vain else Outcome.NOT_CHECKED
-    return Finding(check, outcome, moves.missing or "not tried", limit)
+    missing = record.moves.missing
+    outcome = Outcome.INCONCLUSIVE if missing else Outcome.NOT_CHECKED
+    return Finding(check, outcome, missing or "not without --move", limit)
 
 
 def _judge_pushes(record: Record) -> Iterator[Finding]:
@@ -265,14 +264,14 @@ def _judge_pushes(record: Record) -> Iterator[Finding]:
         for name, way in zip(names, ways, strict=True)
         if way < 0.0
     ]
-    told = (
+    motions = (
         f"{name} {push.moved[push.joint]:+.3g} rad at {push.torque:+g} N·m"
         for name, push in zip(names, pushes, strict=True)
     )
     wrong = "; ".join(mixed or turned)
     idle = f"{' and '.join(still)} did not move: {_LARGER}" if still else ""
     good = False if wrong else None if idle else True
-    yield _judged("torque: joint and sign", good, wrong or idle or ", ".join(told), _WAYS_LIMIT)
+    yield _judged("torque: joint and sign", good, wrong or idle or ", ".join(motions), _WAYS_LIMIT)
     delays = [push.delay for push in pushes if push.delay is not None]
     why = (
         "torque acts on another joint" if mixed else f"readings of torque do not answer: {_LARGER}"
@@ -284,8 +283,8 @@ def _judge_pushes(record: Record) -> Iterator[Finding]:
     good, figure = None, why
     if not mixed and len(delays) == len(pushes):
         good = min(changes) > 0.0
-        told = (f"{name} {change:+.3g} N·m" for name, change in zip(names, changes, strict=True))
-        figure = ", ".join(told)
+        signed = (f"{name} {change:+.3g} N·m" for name, change in zip(names, changes, strict=True))
+        figure = ", ".join(signed)
     yield _judged("torque_sensors: sign", good, figure, _SIGN_LIMIT)
     good, figure = None, why
     if not mixed and delays:
@@ -330,14 +329,15 @@ def _judge_answer(ending: Ending) -> Finding:
 
 def _judge_ending(record: Record, of: str, ending: Ending | None) -> Iterator[Finding]:
     """Judge whether a fault was reported, latched and reset."""
-    check, limit = f"{of}: told", f"status ERROR on {topics.DIAGNOSTICS} within {_TOLD:g} s"
+    check, limit = f"{of}: reported", f"status ERROR on {topics.DIAGNOSTICS} within {_REPORT:g} s"
     if ending is None:
         yield _missing(record, check, limit)
         return
     if ending.stop is not None and not ending.stop.success:
         return
-    if ending.told is not None:
-        yield _judged(check, ending.told <= _TOLD, f"after {ending.told:.3f} s", limit)
+    if ending.reported is not None:
+        good = ending.reported <= _REPORT
+        yield _judged(check, good, f"after {ending.reported:.3f} s", limit)
     elif record.faults:
         # Statuses that were in ERROR before do not count, so this fault may be among them.
         yield _judged(check, None, f"there was a fault before: {record.faults[0]}", limit)
