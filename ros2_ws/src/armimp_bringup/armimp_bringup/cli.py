@@ -271,7 +271,6 @@ def replay(
                 out,
                 allow_gaps=allow_gaps,
                 domain_id=domain_id,
-                on_progress=display.show,
                 interrupted=stopped,
             )
             display.close()

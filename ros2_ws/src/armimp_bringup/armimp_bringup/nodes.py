@@ -280,10 +280,8 @@ class SeparateNodes(NodeGroup):
                         forced.add(name)
             deadline = time.monotonic() + _TO_END
             for process in self.processes.values():
-                try:
+                with suppress(subprocess.TimeoutExpired):
                     process.wait(max(deadline - time.monotonic(), 0.01))
-                except subprocess.TimeoutExpired:
-                    continue
         self._watchdog.close()
         return [
             sentence

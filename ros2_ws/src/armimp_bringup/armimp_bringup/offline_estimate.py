@@ -58,10 +58,10 @@ def estimate_bags(
     """
     contents = read_bags(bags, namespace=namespace, allow_gaps=allow_gaps)
     metadata = latest_metadata([content.metadata for content in contents])
-    told = (declared or Declared()).model_dump(by_alias=True, exclude_none=True)
-    if "torque_timing" in told:
-        told["torque_timing"] = _TIMINGS[told["torque_timing"]].value
-    metadata |= {key: json.dumps(value) for key, value in told.items()}
+    values = (declared or Declared()).model_dump(by_alias=True, exclude_none=True)
+    if "torque_timing" in values:
+        values["torque_timing"] = _TIMINGS[values["torque_timing"]].value
+    metadata |= {key: json.dumps(value) for key, value in values.items()}
     result = conclude(
         [trial for content in contents for trial in content.trials],
         metadata=metadata,

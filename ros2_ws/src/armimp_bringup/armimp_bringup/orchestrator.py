@@ -107,8 +107,8 @@ def run_experiment(
     with GraphContext(external_domain(domain_id) if external else domain_id) as graph:
         # Made only once the domain is claimed, so that a failed claim leaves nothing behind.
         file = _prepare(directory, parameters)
-        supervisor = Supervisor(graph, on_progress, on_phase=on_phase)
-        supervisor.realtime = config.mode == "realtime"
+        realtime = config.mode == "realtime"
+        supervisor = Supervisor(graph, on_progress, on_phase=on_phase, realtime=realtime)
         with Spinner([supervisor]) as spinner:
             asked = AskedParameters(supervisor, spinner, parameters.by_node(), file)
             nodes: NodeGroup
@@ -118,7 +118,7 @@ def run_experiment(
                 nodes = ComposedNodes(graph.context, spinner, file)
             else:
                 nodes = SeparateNodes(file, directory / LOGS)
-                if config.mode == "realtime":
+                if realtime:
                     nodes.renice(topics.ESTIMATOR_NODE, _NICE[config.priority > 0])
             course = Course(
                 supervisor, spinner, nodes, interrupted=interrupted, confirm=asked.differences
@@ -139,7 +139,10 @@ def _prepare(directory: Path, parameters: NodeParameters) -> Path:
 
 
 class Supervisor(Node):
-    """Listens to what the nodes report of the experiment."""
+    """Listens to what the nodes report of the experiment.
+
+    In real time a fault ends the experiment, and is ignored after the last trial.
+    """
 
     def __init__(
         self,
@@ -147,16 +150,14 @@ class Supervisor(Node):
         on_progress: Callable[[Progress], None],
         *,
         on_phase: Callable[[Phase], None] = lambda _: None,
+        realtime: bool = False,
     ) -> None:
         super().__init__(topics.SUPERVISOR_NODE, context=graph.context, use_global_arguments=False)
-        self._on_progress = on_progress
-        self._on_phase = on_phase
+        self._on_progress, self._on_phase, self.realtime = on_progress, on_phase, realtime
         self.faults: list[Problem] = []
         """Faults that nodes reported on ``/diagnostics``."""
         self.concluded = self.finished = False
         """Whether there is a result, and whether all trials have ended, in good order or not."""
-        self.realtime = False
-        """True in real time: a fault ends the experiment, and is ignored after the last trial."""
         self._done = False
         self._answered: str | None = None
         self.last_news = time.monotonic()
@@ -267,7 +268,8 @@ class Course:
             except ArmimpError as error:
                 # From the graph itself or, where nodes live in this process, from a callback.
                 interrupted = isinstance(error, InterruptionError)
-                cause = _INTERRUPTED if interrupted else _failure(error)
+                failure = Problem.of(error, ProblemCode.NODE_FAILED)
+                cause = _INTERRUPTED if interrupted else failure
                 self._problems += self._deaths() or [cause]
             self.shutdown()
             result = self._nodes.result
@@ -325,7 +327,8 @@ class Course:
             try:
                 self._nodes.retire(self._manager, name)
             except ArmimpError as error:
-                self._problems += self._deaths() or [_failure(error)]
+                failure = Problem.of(error, ProblemCode.NODE_FAILED)
+                self._problems += self._deaths() or [failure]
         self._problems += self._deaths()
 
     def _deaths(self) -> list[Problem]:
@@ -344,10 +347,6 @@ class Course:
         dead = self._nodes.dead()
         if dead if self._awaited is None else self._awaited in dead:
             raise GraphError("a node died")
-
-
-def _failure(error: ArmimpError) -> Problem:
-    return Problem.of(error, ProblemCode.NODE_FAILED)
 
 
 def settle(

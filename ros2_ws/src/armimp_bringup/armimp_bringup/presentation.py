@@ -286,8 +286,9 @@ def _shown(value: float, spec: str) -> str:
 
 def _without_precision(summary: Summary) -> list[str]:
     """Name the trials that lasted as planned because their errors did not reach the target."""
-    experiment = summary.config.get("experiment")
-    bound = experiment.get("target_error") if isinstance(experiment, dict) else None
+    from armimp_estimation.report.formats import setting
+
+    bound = setting(summary.config, "experiment", "target_error")
     if not isinstance(bound, float) or not bound:
         return []
     return [

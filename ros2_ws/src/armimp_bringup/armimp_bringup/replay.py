@@ -28,7 +28,7 @@ from armimp_common.errors import GraphError
 from armimp_common.executor import Spinner
 from armimp_common.pubsub import subscribe_raw
 from armimp_common.schema import to_params_yaml
-from armimp_common.status import Phase, Progress, TrialStatus
+from armimp_common.status import Phase, TrialStatus
 from armimp_estimation.alignment.trial_windows import TrialWindow
 from armimp_estimation.bags.reader import BagContent
 from armimp_estimation.metadata import latest_metadata
@@ -154,7 +154,6 @@ def replay_bags(
     *,
     allow_gaps: bool = False,
     domain_id: int | None = None,
-    on_progress: Callable[[Progress], None] = lambda _: None,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> Result:
     """Play bags into an estimator node and return its result.
@@ -165,7 +164,7 @@ def replay_bags(
     estimators : names; empty for the defaults
     directory : new directory for the results; None keeps no files
     allow_gaps : use the intact parts of trials that lost samples
-    domain_id, on_progress, interrupted : as for :func:`armimp_bringup.orchestrator.run_experiment`
+    domain_id, interrupted : as for :func:`armimp_bringup.orchestrator.run_experiment`
 
     Raises
     ------
@@ -195,7 +194,7 @@ def replay_bags(
             parameter_file.write_text(
                 to_params_yaml({topics.ESTIMATOR_NODE: parameters}), encoding="utf-8"
             )
-            supervisor = Supervisor(graph, on_progress)
+            supervisor = Supervisor(graph, display().show)
             with Spinner([supervisor]) as spinner:
                 player = BagPlayer(graph, spinner)
                 spinner.add_node(player)

@@ -11,7 +11,6 @@ import os
 import shutil
 import sys
 import textwrap
-import threading
 import time
 from contextlib import suppress
 
@@ -81,11 +80,11 @@ class Display:
 
     def __init__(self, console: Console | None = None) -> None:
         self._console = console if console is not None else Console(stderr=True)
-        self._lock = threading.Lock()
-        self._phase = ""
-        self._phase_began = self._progress_began = time.monotonic()
+        # The thread that refreshes reads these; each is replaced as a whole.
+        self._phase: tuple[str, float] | None = None
         self._bar: tuple[str, int, int, str] | None = None
         self._lines: list[str] = []
+        self._progress_began = 0.0
         self._announced: int | None = None
         self._live = Live(
             console=self._console,
@@ -98,8 +97,7 @@ class Display:
 
     def phase(self, text: str) -> None:
         """Name the current activity, below the bar if there is one."""
-        with self._lock:
-            self._phase, self._phase_began = text, time.monotonic()
+        self._phase = (text, time.monotonic()) if text else None
         self._refresh()
 
     def progress(self, done: int, total: int, *, things: str) -> None:
@@ -110,11 +108,10 @@ class Display:
         done, total : things that are done, and all of them
         things : what they are, in the plural
         """
-        with self._lock:
-            if self._bar is None:
-                self._progress_began = time.monotonic()
-            text = describe(done, total, time.monotonic() - self._progress_began, things=things)
-            self._bar, self._phase = ("", done, total, text), ""
+        if self._bar is None:
+            self._progress_began = time.monotonic()
+        text = describe(done, total, time.monotonic() - self._progress_began, things=things)
+        self._bar, self._phase = ("", done, total, text), None
         if not self._console.is_terminal:
             self._console.print(text, highlight=False)
         self._refresh()
@@ -125,27 +122,23 @@ class Display:
             return
         label = f"trial {snapshot.trial}/{snapshot.trials}  joint {snapshot.joint}"
         text = describe_trial(snapshot)
-        with self._lock:
-            # The planned number falls when a trial is to end early.
-            self._bar = label, snapshot.samples, snapshot.planned, text
-            self._lines = [describe_coherence(snapshot), *describe_column(snapshot)]
-            self._phase = ""
+        # The planned number falls when a trial is to end early.
+        self._bar = label, snapshot.samples, snapshot.planned, text
+        self._lines, self._phase = describe_estimates(snapshot), None
         if not self._console.is_terminal and self._announced != snapshot.trial:
             self._announced = snapshot.trial
             self._console.print(f"{label}: {text}", highlight=False)
 
     def complete(self, text: str) -> None:
         """Fill the bar, and name the activity that follows."""
-        with self._lock:
-            if self._bar is not None:
-                label, _, total, _ = self._bar
-                self._bar = label, total, total, f"{total / RATE:.1f} s"
+        if self._bar is not None:
+            label, _, total, _ = self._bar
+            self._bar = label, total, total, f"{total / RATE:.1f} s"
         self.phase(text)
 
     def close(self) -> None:
         """Remove the display from the terminal, so that results can be printed."""
-        if self._console.is_terminal:
-            self._live.stop()
+        self._live.stop()
         if Display.present is self:
             Display.present = None
 
@@ -154,23 +147,23 @@ class Display:
             self._live.refresh()
 
     def _content(self) -> RenderableType:
-        with self._lock:
-            parts: list[RenderableType] = []
-            if self._bar is not None:
-                label, done, total, text = self._bar
-                row = Table.grid(padding=(0, 1))
-                if label:
-                    row.add_column(no_wrap=True)
-                row.add_column(width=_BAR_WIDTH)
+        parts: list[RenderableType] = []
+        bar, phase = self._bar, self._phase
+        if bar is not None:
+            label, done, total, text = bar
+            row = Table.grid(padding=(0, 1))
+            if label:
                 row.add_column(no_wrap=True)
-                bar = ProgressBar(total=max(total, 1), completed=done, width=_BAR_WIDTH)
-                row.add_row(*([label] if label else []), bar, text)
-                parts.append(row)
-            parts += [Text(line, no_wrap=True, overflow="ellipsis") for line in self._lines if line]
-            if self._phase:
-                took = time.monotonic() - self._phase_began
-                parts.append(Text(f"{self._phase}, {took:.0f} s", no_wrap=True))
-            return Group(*parts)
+            row.add_column(width=_BAR_WIDTH)
+            row.add_column(no_wrap=True)
+            filled = ProgressBar(total=max(total, 1), completed=done, width=_BAR_WIDTH)
+            row.add_row(*([label] if label else []), filled, text)
+            parts.append(row)
+        parts += [Text(line, no_wrap=True, overflow="ellipsis") for line in self._lines]
+        if phase is not None:
+            name, began = phase
+            parts.append(Text(f"{name}, {time.monotonic() - began:.0f} s", no_wrap=True))
+        return Group(*parts)
 
     def __enter__(self) -> Display:
         Display.present = self
@@ -220,19 +213,14 @@ def describe_trial(snapshot: Snapshot) -> str:
     return "  ".join(parts)
 
 
-def describe_coherence(snapshot: Snapshot) -> str:
-    """Describe the coherences of angle and torque so far; empty while there are none."""
-    if snapshot.coherence_motion is None or snapshot.coherence_torque is None:
-        return ""
-    return f"coherence θ {snapshot.coherence_motion:.3f}  τ {snapshot.coherence_torque:.3f}"
-
-
-def describe_column(snapshot: Snapshot) -> list[str]:
-    """Describe M, B and K of the measured column so far, a line for each, and their errors.
+def describe_estimates(snapshot: Snapshot) -> list[str]:
+    """Describe coherences, and M, B and K of the measured column so far, in as many lines.
 
     Standard errors are shown only if the estimates account for the motion of the locked joints.
     """
-    lines = []
+    lines, motion, torque = [], snapshot.coherence_motion, snapshot.coherence_torque
+    if motion is not None and torque is not None:
+        lines.append(f"coherence θ {motion:.3f}  τ {torque:.3f}")
     for (letter, unit), (values, errors) in zip(UNITS.items(), snapshot.column, strict=True):
         elements = [
             f"{letter}{row}{snapshot.joint} "

@@ -182,8 +182,7 @@ def _taken(claim: DomainClaim, domain_id: int) -> bool:
 
 def test_faults_are_heard_after_an_abort_and_one_that_goes_on_replaces_what_it_was() -> None:
     with GraphContext() as graph:
-        supervisor = Supervisor(graph, lambda _: None)
-        supervisor.realtime = True
+        supervisor = Supervisor(graph, lambda _: None, realtime=True)
         rig = Node("rig", context=graph.context, use_global_arguments=False)
         trial = rig.create_publisher(DiagnosticStatus, topics.TRIAL, qos.LATCHED)
         diagnostics = rig.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, qos.DIAGNOSTICS)

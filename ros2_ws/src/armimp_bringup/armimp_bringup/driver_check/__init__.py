@@ -13,7 +13,6 @@ from armimp_common.arrays import FloatArray
 from armimp_common.topics import JOINT_STATES, TORQUE_SENSORS, VALUE_FIELD
 
 SENSOR_TOPICS = (JOINT_STATES, TORQUE_SENSORS)
-Role = Literal["publisher", "subscriber"]
 _BASELINE = 50
 """Samples at rest that a push is compared with."""
 _GOING = 60
@@ -58,7 +57,7 @@ class Endpoint(NamedTuple):
     """A publisher or subscriber, as discovery reports it."""
 
     topic: str
-    role: Role
+    role: Literal["publisher", "subscriber"]
     node: str
     type: str
     reliable: bool = True

@@ -107,11 +107,7 @@ class Checker:
         """Record the driver at rest, then under torque if that is requested and permissible."""
         node, options = self._node, self._options
         self._manager = LifecycleManager(
-            node,
-            [options.node],
-            spinner=node.spinner,
-            timeout=_LONG,
-            check=node.check,
+            node, [options.node], spinner=node.spinner, timeout=_LONG, check=node.check
         )
         with Display() as display:
             display.phase("looking for a driver")
@@ -333,7 +329,7 @@ class Checker:
         node, torque = self._node, self._torque(0)
         # Torque is commanded for a limited time, in case the stop does not work.
         start = node.samples
-        node.play([(_REST, node.zero), (_HOLD, torque), (_STOPPING, torque)])
+        node.script.extend([(_REST, node.zero), (_HOLD, torque), (_STOPPING, torque)])
         end = start + _REST + _HOLD
         self._wait(lambda: node.samples > end or bool(self._guard.objection))
         self._require_calm()
@@ -343,7 +339,7 @@ class Checker:
         # as that of a watchdog, since commands can be delayed.
         after = node.samples
         reported = self._time_to_fault(since)
-        self._wait(lambda: not node.playing and node.samples >= after + _SETTLE)
+        self._wait(lambda: not node.script and node.samples >= after + _SETTLE)
         self._require_calm()
         ended = self._measured(0, start, end, after)
         again = self._pushed(0, _AGAIN, (_SETTLE, node.zero))
@@ -386,8 +382,8 @@ class Checker:
         node = self._node
         self._require_calm()
         start = node.samples
-        node.play(script)
-        self._wait(lambda: not node.playing)
+        node.script.extend(script)
+        self._wait(lambda: not node.script)
         self._require_calm()
         return start
 

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from copy import copy
 from functools import partial
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -22,7 +22,7 @@ from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from armimp_bringup.driver_check import SENSOR_TOPICS, Call, Endpoint, Message, Role, readings
+from armimp_bringup.driver_check import SENSOR_TOPICS, Call, Endpoint, Message, readings
 from armimp_bringup.graph import GraphContext
 from armimp_common import qos, topics
 from armimp_common.arrays import FloatArray
@@ -98,7 +98,7 @@ class Answering:
         self.last_sent = self.silent_since = 0.0
         self.gap = 0.0  # s, longest time between two commands, without intended silences
         self.kept: dict[str, list[Message | None]] = {topic: [] for topic in SENSOR_TOPICS}
-        self._script: deque[Step] = deque()
+        self.script: deque[Step] = deque()  # answers to the next samples
 
     def command(self, torque: Torque) -> None:
         """Send a command."""
@@ -112,22 +112,13 @@ class Answering:
         """Return the time of the clock, s."""
         return self.now_ns() / NS_PER_S
 
-    def play(self, script: Iterable[Step]) -> None:
-        """Answer the next samples as a script says."""
-        self._script.extend(script)
-
-    @property
-    def playing(self) -> bool:
-        """Whether the script is not over."""
-        return bool(self._script)
-
     def answer(self) -> None:
         """Answer the newest sample."""
         torque = self.torque
-        if self._script:
-            count, torque = self._script.popleft()
+        if self.script:
+            count, torque = self.script.popleft()
             if count > 1:
-                self._script.appendleft((count - 1, torque))
+                self.script.appendleft((count - 1, torque))
         if torque is None:
             self.silent_since = self.last_sent or self.silent_since
             self.last_sent = 0.0
@@ -142,7 +133,7 @@ class Answering:
 
     def let_go(self) -> None:
         """Drop the script, and command zero torque now, several times."""
-        self._script.clear()
+        self.script.clear()
         for _ in range(_FAREWELLS):
             self.command(self.zero)
             time.sleep(0.005)
@@ -155,7 +146,7 @@ class Answering:
         self.kept[topic].append(message)
         guard = self.guard
         if guard is not None and topic == JOINT_STATES and not guard.allows(message):
-            self._script.clear()
+            self.script.clear()
         # A sample is complete with the second of its two messages, in either order. Stamps are not
         # used to pair them, as they are still to be judged.
         complete = min(map(len, self.kept.values()))
@@ -198,7 +189,7 @@ class Conversation(Node, Answering):
         # Not earlier: a driver that is in use takes a second publisher for a fault.
         self._commands = CommandPublisher(self, topics.COMMANDS, len(self.zero))
         for topic in SENSOR_TOPICS:
-            offered = self.get_publishers_info_by_topic(str(self.resolve_topic_name(topic)))
+            offered = self.get_publishers_info_by_topic(topic)
             kinds = {info.qos_profile.reliability for info in offered}
             profile = copy(qos.SAMPLE)
             # A subscriber that requests more than is offered receives nothing at all.
@@ -224,23 +215,18 @@ class Conversation(Node, Answering):
         """Return who publishes and listens on the topics of a driver, apart from this node."""
         found: list[Endpoint] = []
         for topic in (*SENSOR_TOPICS, topics.COMMANDS):
-            resolved = str(self.resolve_topic_name(topic))
-            offers: tuple[tuple[Role, list[Any]], ...] = (
-                ("publisher", self.get_publishers_info_by_topic(resolved)),
-                ("subscriber", self.get_subscriptions_info_by_topic(resolved)),
-            )
-            for role, infos in offers:
-                for info in infos:
-                    place, profile = info.node_namespace.rstrip("/"), info.qos_profile
-                    end = Endpoint(
-                        topic,
-                        role,
-                        f"{place}/{info.node_name}",
-                        info.topic_type,
-                        reliable=profile.reliability is not ReliabilityPolicy.BEST_EFFORT,
-                        transient=profile.durability is DurabilityPolicy.TRANSIENT_LOCAL,
-                    )
-                    found += [end] if info.node_name != _NODE else []
+            publishers = self.get_publishers_info_by_topic(topic)
+            for info in (*publishers, *self.get_subscriptions_info_by_topic(topic)):
+                place, profile = info.node_namespace.rstrip("/"), info.qos_profile
+                end = Endpoint(
+                    topic,
+                    "publisher" if info in publishers else "subscriber",
+                    f"{place}/{info.node_name}",
+                    info.topic_type,
+                    reliable=profile.reliability is not ReliabilityPolicy.BEST_EFFORT,
+                    transient=profile.durability is DurabilityPolicy.TRANSIENT_LOCAL,
+                )
+                found += [end] if info.node_name != _NODE else []
         return found
 
     def safety_services(self) -> frozenset[str]:

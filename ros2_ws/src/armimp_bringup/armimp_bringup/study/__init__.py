@@ -48,6 +48,11 @@ class Condition:
         levels = "-".join(f"{factor}{level}" for factor, level in self.levels.items())
         return f"{levels}-seed{self.seed}"
 
+    @property
+    def short(self) -> str:
+        """Levels for tables, as in ``F3 R0 P1``."""
+        return " ".join(f"{factor[0].upper()}{level}" for factor, level in self.levels.items())
+
     def __str__(self) -> str:
         levels = ", ".join(f"{factor} {level}" for factor, level in self.levels.items())
         return f"{levels}, seed {self.seed}"

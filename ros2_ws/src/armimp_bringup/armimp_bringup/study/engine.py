@@ -158,9 +158,7 @@ class Backend:
             raise DataError(f"a worker died: {error}") from None
         finally:
             if self.end is None:
-                for future in futures:
-                    future.cancel()
-                self.pool.shutdown(wait=False)
+                self.pool.shutdown(wait=False, cancel_futures=True)
             else:
                 self.end()  # a pool without its workers ends the futures itself
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -35,7 +35,8 @@ from armimp_estimation.report.plots import (
 from armimp_estimation.summary import ImpedanceCurve
 
 Curves = Callable[[Condition], Mapping[str, ImpedanceCurve]]
-_Drawing = Callable[[Any, Any], Figure]
+_Drawing = tuple[str, str, Callable[[], Figure]]
+"""Name, what it shows, and the function that draws it."""
 
 _LEAST_PANEL: Final = 2.3  # inches, least width; with many joints Figure 2 is a poster
 _WORTH_A_PROCESS: Final = 3
@@ -45,7 +46,6 @@ _TRUE: Final = replace(TRUE, width=2.0)
 _TARGET: Final = Stroke(name="target", colour="--soft", dash="dash", width=1.2)
 _GAP: Final = 0.6
 _SYMBOLS: Final = ("circle", "square", "triangle-up", "diamond", "triangle-down", "cross", "x")
-_SUBSCRIPTS: Final = str.maketrans("0123456789·", "₀₁₂₃₄₅₆₇₈₉.")
 
 
 # --- levels ------------------------------------------------------------------------------------
@@ -57,11 +57,11 @@ def level_marks(table: Table, scores: Sequence[Score]) -> list[Stroke]:
     return [
         *(
             Stroke(
-                name=f"{symbol}{indices.translate(_SUBSCRIPTS)}",
+                name=name,
                 colour=f"--element-{number % len(_SYMBOLS)}",
                 symbol=_SYMBOLS[number % len(_SYMBOLS)],
             )
-            for number, (symbol, indices) in enumerate(subjects)
+            for number, name in enumerate(subjects)
         ),
         _TARGET,
     ]
@@ -91,7 +91,7 @@ def levels_chart(table: Table, scores: Sequence[Score]) -> Chart:
     lines: list[Line] = []
     for row, score in enumerate(scores, 1):
         found = score.subjects(table)
-        for order, ((letter, indices), values) in enumerate(found.items()):
+        for order, (name, values) in enumerate(found.items()):
             groups = [values[of_level] for of_level in members]
             mean, low, high = (
                 np.array([of(group) for group in groups]) for of in (np.mean, np.min, np.max)
@@ -100,7 +100,7 @@ def levels_chart(table: Table, scores: Sequence[Score]) -> Chart:
                 Line(
                     x=np.array([*places.values()]) + 0.7 * ((order + 0.5) / len(found) - 0.5),
                     y=mean,
-                    stroke=strokes[f"{letter}{indices.translate(_SUBSCRIPTS)}"],
+                    stroke=strokes[name],
                     row=row,
                     unit=score.unit.strip(),
                     ends=(low, high),
@@ -213,7 +213,7 @@ def write_figures(
     DataError
         If curves can't be read, or a figure not be written.
     """
-    drawings: list[tuple[str, str, _Drawing, Any, Any]] = []
+    drawings: list[_Drawing] = []
     for of_estimator in np.moveaxis(table, 1, 0):
         name = of_estimator["estimator"].flat[0]
         for level in LEVELS["perturbation"]:
@@ -225,21 +225,21 @@ def write_figures(
             if of_level:
                 where = f"fig2-{name}-perturbation{level}"
                 words = f"impedance in all conditions over the truth, {name}, perturbation {level}"
-                drawings.append((where, words, impedance_figure, of_level, truth))
-        words = f"VAF and R² by level, {name}"
-        drawings.append((f"fig3-{name}", words, levels_figure, of_estimator, FIT_SCORES))
-        words = f"coherences by level, {name}"
-        drawings.append((f"fig4-{name}", words, levels_figure, of_estimator, COHERENCE_SCORES))
+                drawings.append((where, words, partial(impedance_figure, of_level, truth)))
+        draw = partial(levels_figure, of_estimator, FIT_SCORES)
+        drawings.append((f"fig3-{name}", f"VAF and R² by level, {name}", draw))
+        draw = partial(levels_figure, of_estimator, COHERENCE_SCORES)
+        drawings.append((f"fig4-{name}", f"coherences by level, {name}", draw))
     workers = min(available_cores(), len(drawings) // _WORTH_A_PROCESS)
-    draw = partial(_draw, directory)
-    paths = dict(processes(workers).run(draw, drawings) if workers > 1 else map(draw, drawings))
-    return {path.name: words for name, words, *_ in drawings for path in paths[name]}
+    save = partial(_save, directory)
+    paths = dict(processes(workers).run(save, drawings) if workers > 1 else map(save, drawings))
+    return {path.name: words for name, words, _ in drawings for path in paths[name]}
 
 
-def _draw(directory: Path, drawing: tuple[str, str, _Drawing, Any, Any]) -> tuple[str, list[Path]]:
+def _save(directory: Path, drawing: _Drawing) -> tuple[str, list[Path]]:
     """Draw a figure; return its name and its files."""
-    name, _, draw, *arguments = drawing
-    return name, save_figure(draw(*arguments), directory / name)
+    name, _, draw = drawing
+    return name, save_figure(draw(), directory / name)
 
 
 def impedance_figure(curves: Mapping[Condition, ImpedanceCurve], truth: MBK) -> Figure:

@@ -133,7 +133,7 @@ class StudyReport:
         }
 
     def _worst_row(self, one: WorstValue) -> list[object]:
-        place = f"F{one.friction} R{one.resolution} P{one.perturbation}"
+        place = one.condition.short
         return [
             one.quantity,
             one.score.format(one.worst, one.limit),
@@ -147,26 +147,22 @@ class StudyReport:
 
     def _conditions(self) -> Content:
         """The worst value of each score in each combination of levels, over its seeds."""
+        places: dict[str, list[int]] = {}
+        for place, one in enumerate(self.entries):
+            places.setdefault(one.condition.short, []).append(place)
+        places = dict(sorted(places.items()))
         groups = []
         for name in self._estimators:
-            rows: Rows = [["F{} R{} P{}".format(*one)] for one in self._groups()]
+            rows: Rows = [[levels] for levels in places]
             for score in SCORES:
                 limit = score.limit(self.entries[0].joints, name)
                 worst, _ = score.worst(self._of(name), judged=limit is not None)
-                for row, members in zip(rows, self._groups().values(), strict=True):
+                for row, members in zip(rows, places.values(), strict=True):
                     badness = score.badness(worst[members])
                     row.append(score.format(float(worst[members][np.argmax(badness)])))
             groups.append((name, rows))
         names = [score.name for score in SCORES]
         return {"seeds": len(self._seeds), "scores": names, "worst": groups}
-
-    def _groups(self) -> dict[tuple[int, int, int], list[int]]:
-        """Indices of the results of each combination of levels."""
-        groups: dict[tuple[int, int, int], list[int]] = {}
-        for place, one in enumerate(self.entries):
-            key = one.friction, one.resolution, one.perturbation
-            groups.setdefault(key, []).append(place)
-        return dict(sorted(groups.items()))
 
     # --- curves and levels ---------------------------------------------------------------------
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from armimp_bringup.study import Condition, StudyEntry
+from armimp_bringup.study import LEVELS, Condition, StudyEntry
 from armimp_common.arrays import BoolArray, FloatArray
 from armimp_estimation.json_model import JsonModel, Number
 from armimp_estimation.mbk import MBK
@@ -29,9 +29,10 @@ LEAST_COUNTS: Final = 5.0
 """Torque, counts, that an element must exceed to be judged if there are more than three joints."""
 MOST_JOINTS: Final = 3
 """With more joints, figures draw the elements of a row together, to limit the number of marks."""
-_LEVELS: Final = ("friction", "resolution", "perturbation", "seed")
+_LEVELS: Final = (*LEVELS, "seed")
 _SCORES: Final = ("r2", "coherence_derived", "coherence_torque", "coherence_motion")
 _ERRORS: Final = ("", "_se", "_error_percent")
+_SUBSCRIPTS: Final = str.maketrans("0123456789·", "₀₁₂₃₄₅₆₇₈₉.")
 _TYPE: Final = np.dtype(
     [
         *((name, np.int64) for name in _LEVELS),
@@ -207,8 +208,8 @@ class Score:
         letters = ["Z" if self.floor else field[0] for field in self.fields]
         return found, [f"{letters[field]}{i + 1}{k + 1}" for field, i, k in places]
 
-    def subjects(self, table: Table) -> Mapping[tuple[str, str], FloatArray]:
-        """Values, shape (n_conditions, n_elements), by symbol and 1-based indices of their marks.
+    def subjects(self, table: Table) -> Mapping[str, FloatArray]:
+        """Values, shape (n_conditions, n_elements), by the symbols of their marks, such as ``Z₁₂``.
 
         Parameters
         ----------
@@ -216,14 +217,13 @@ class Score:
         """
         values, n = table[self.fields[0]], table.shape[-1]
         if self.fields == ("coherence_motion",):
-            return {("θ", f"{k + 1}"): values[:, 0, k, np.newaxis] for k in range(n)}
-        if n > MOST_JOINTS:
-            return {("Z", f"{i + 1}·"): values[:, i] for i in range(n)}
-        return {
-            ("Z", f"{i + 1}{k + 1}"): values[:, i, k, np.newaxis]
-            for i in range(n)
-            for k in range(n)
-        }
+            found = {f"θ{k + 1}": values[:, 0, k, np.newaxis] for k in range(n)}
+        elif n > MOST_JOINTS:
+            found = {f"Z{i + 1}·": values[:, i] for i in range(n)}
+        else:
+            places = np.ndindex(n, n)
+            found = {f"Z{i + 1}{k + 1}": values[:, i, k, np.newaxis] for i, k in places}
+        return {name.translate(_SUBSCRIPTS): of_mark for name, of_mark in found.items()}
 
 
 def _error(name: str, letters: str, **limits: float) -> Score:
@@ -286,6 +286,11 @@ class WorstValue(JsonModel):
     seed: int
 
     @property
+    def condition(self) -> Condition:
+        """Where the value was found."""
+        return Condition(**self.model_dump(include={*_LEVELS}))
+
+    @property
     def score(self) -> Score:
         """The score of this quantity."""
         return next(one for one in SCORES if one.name == self.quantity)
@@ -298,12 +303,11 @@ class WorstValue(JsonModel):
 
     def __str__(self) -> str:
         """How far the value is from the target, and where that is."""
-        condition = Condition(**self.model_dump(include={*_LEVELS}))
         sign = "<" if self.score.floor else ">"
         limit = math.nan if self.limit is None else self.limit
         return (
             f"{self.estimator}: {self.quantity} {self.score.format(self.worst, limit)} "
-            f"{sign} {self.score.format(limit)} in {self.element} at {condition}"
+            f"{sign} {self.score.format(limit)} in {self.element} at {self.condition}"
         )
 
 

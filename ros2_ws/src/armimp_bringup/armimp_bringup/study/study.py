@@ -179,7 +179,7 @@ def print_verdict(verdict: StudyVerdict, console: Console) -> None:
             one.target,
             {True: "[green]✓[/]", False: "[bold red]✗[/]", None: ""}[one.met],
             one.element,
-            f"F{one.friction} R{one.resolution} P{one.perturbation} seed {one.seed}",
+            f"{one.condition.short} seed {one.seed}",
             end_section=place % len(SCORES) == len(SCORES) - 1,
         )
     wide = Measurement.get(console, console.options.update(max_width=1000), table).maximum
