@@ -243,12 +243,11 @@ def read_bag(*bags: str | Path, rate: float | None = None) -> Recording:
         If the bags don't belong together, or a trial has lost samples or clipped commands.
     """
     from armimp_bringup.offline_estimate import read_bags
-    from armimp_estimation.metadata import latest_metadata
     from armimp_estimation.result import problems_of
 
     if not bags:
         raise DataError("no bag is given")
-    contents = read_bags([Path(bag) for bag in bags])
+    contents, metadata = read_bags([Path(bag) for bag in bags])
     trials = [trial for content in contents for trial in content.trials]
     records = []
     for trial in trials:
@@ -256,7 +255,6 @@ def read_bag(*bags: str | Path, rate: float | None = None) -> Recording:
         if others:
             raise DataError(f"trial {record.trial}: clipped commands divide it: armimp estimate")
         records.append(record)
-    metadata = latest_metadata([content.metadata for content in contents])
     if rate is not None:
         metadata["sampling_rate"] = json.dumps(float(rate))
     known = Metadata.of(metadata)

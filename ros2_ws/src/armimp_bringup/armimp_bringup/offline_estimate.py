@@ -56,8 +56,7 @@ def estimate_bags(
     DataError
         If the bags don't belong together, or a trial can't be estimated.
     """
-    contents = read_bags(bags, namespace=namespace, allow_gaps=allow_gaps)
-    metadata = latest_metadata([content.metadata for content in contents])
+    contents, metadata = read_bags(bags, namespace=namespace, allow_gaps=allow_gaps)
     values = (declared or Declared()).model_dump(by_alias=True, exclude_none=True)
     if "torque_timing" in values:
         values["torque_timing"] = _TIMINGS[values["torque_timing"]].value
@@ -74,12 +73,13 @@ def estimate_bags(
 
 def read_bags(
     bags: Sequence[Path], *, namespace: str | None = None, allow_gaps: bool = False
-) -> list[BagContent]:
-    """Read bags that belong to one experiment; those that a killed recorder left are completed.
+) -> tuple[list[BagContent], dict[str, str]]:
+    """Read bags that belong to one experiment, and the metadata that count for all of them.
 
-    `bags` is as for :func:`armimp_estimation.bags.reader.find_bags`. Raises a BagError if a bag
-    can't be read, or is given twice; a DataError if the joints differ between them, the metadata
-    make no sense, or a trial is refused, as one that lost samples is without `allow_gaps`.
+    Bags that a killed recorder left are completed. `bags` is as for
+    :func:`armimp_estimation.bags.reader.find_bags`. Raises a BagError if a bag can't be read, or is
+    given twice; a DataError if the joints differ between them, the metadata make no sense, or a
+    trial is refused, as one that lost samples is without `allow_gaps`.
     """
     contents = []
     for path in find_bags(bags):
@@ -100,4 +100,4 @@ def read_bags(
     for content in contents:
         for trial in content.trials:
             trial.intact(allow_gaps=allow_gaps)
-    return contents
+    return contents, latest_metadata([content.metadata for content in contents])

@@ -31,7 +31,6 @@ from armimp_common.schema import to_params_yaml
 from armimp_common.status import Phase, TrialStatus
 from armimp_estimation.alignment.trial_windows import TrialWindow
 from armimp_estimation.bags.reader import BagContent
-from armimp_estimation.metadata import latest_metadata
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.result import Result
 
@@ -175,7 +174,7 @@ def replay_bags(
     """
     if directory is not None:
         require_unused(directory)
-    contents = read_bags(bags, allow_gaps=allow_gaps)
+    contents, metadata = read_bags(bags, allow_gaps=allow_gaps)
     with tempfile.TemporaryDirectory() as temporary:
         directory = directory or Path(temporary)
         parameters = EstimatorParameters(
@@ -184,7 +183,7 @@ def replay_bags(
             record=False,
             allow_gaps=allow_gaps,
             directory=str(directory.absolute()),
-            metadata=json.dumps(latest_metadata([content.metadata for content in contents])),
+            metadata=json.dumps(metadata),
         )
         parameters.bag_metadata()
         with GraphContext(domain_id) as graph:

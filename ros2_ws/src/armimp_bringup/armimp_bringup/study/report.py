@@ -156,10 +156,9 @@ class StudyReport:
             rows: Rows = [[levels] for levels in places]
             for score in SCORES:
                 limit = score.limit(self.entries[0].joints, name)
-                worst, _ = score.worst(self._of(name), judged=limit is not None)
                 for row, members in zip(rows, places.values(), strict=True):
-                    badness = score.badness(worst[members])
-                    row.append(score.format(float(worst[members][np.argmax(badness)])))
+                    worst, *_ = score.worst(self._of(name)[members], judged=limit is not None)
+                    row.append(score.format(worst))
             groups.append((name, rows))
         names = [score.name for score in SCORES]
         return {"seeds": len(self._seeds), "scores": names, "worst": groups}

@@ -16,13 +16,12 @@ from pydantic import Field
 from armimp_bringup.study import LEVELS, Condition, StudyEntry
 from armimp_common.arrays import BoolArray, FloatArray
 from armimp_estimation.json_model import JsonModel, Number
-from armimp_estimation.mbk import MBK
+from armimp_estimation.mbk import MBK, UNITS
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.report.formats import NONE, setting
 
 Table: TypeAlias = NDArray[np.void]
 
-LETTERS: Final = ("M", "B", "K")
 FREQUENCIES: Final = np.linspace(0.122, 15.0, 200)
 """The band of the study, Hz."""
 LEAST_COUNTS: Final = 5.0
@@ -42,7 +41,7 @@ _TYPE: Final = np.dtype(
         ("column", np.int64),
         ("resolved", np.bool_),
         *((name, np.float64) for name in ("vaf_percent", *_SCORES, "lock_ratio", "bias_bound")),
-        *((letter + suffix, np.float64) for letter in LETTERS for suffix in _ERRORS),
+        *((letter + suffix, np.float64) for letter in UNITS for suffix in _ERRORS),
     ]
 )
 
@@ -81,7 +80,7 @@ def results_table(entries: Sequence[StudyEntry]) -> Table:
             rows["vaf_percent"] = result.vaf
             for score in _SCORES:
                 rows[score] = getattr(result, score)
-            for letter in LETTERS:
+            for letter in UNITS:
                 rows[letter] = getattr(result, letter)
                 rows[f"{letter}_se"] = getattr(result, f"{letter}_se")
                 true = getattr(entry.arm, letter)
@@ -182,14 +181,11 @@ class Score:
         """Whether a value is good enough; NaN never is."""
         return value >= limit if self.floor else value <= limit
 
-    def badness(self, values: FloatArray) -> FloatArray:
-        """Numbers that increase towards the worst value; NaN is the worst of all."""
-        return np.where(np.isnan(values), np.inf, -values if self.floor else values)
+    def worst(self, table: Table, *, judged: bool) -> tuple[float, int, str]:
+        """The worst value of one estimator, the index of its condition, and its element.
 
-    def worst(self, table: Table, *, judged: bool) -> tuple[FloatArray, list[str]]:
-        """The worst value of one estimator in each condition, and the name of its element.
-
-        Errors are compared as magnitudes; names are such as ``Z12`` or ``M12``.
+        Errors are compared as magnitudes, and NaN is worse than any number; elements are such as
+        ``Z12`` or ``M12``.
 
         Parameters
         ----------
@@ -199,14 +195,12 @@ class Score:
         values = np.stack([table[field] for field in self.fields], axis=1)
         if not self.floor:
             values = np.abs(values)
-        badness = self.badness(values)
+        badness = np.where(np.isnan(values), np.inf, -values if self.floor else values)
         if judged:
             badness = np.where(table["resolved"][:, np.newaxis], badness, -np.inf)
-        flat = badness.reshape(len(table), -1).argmax(axis=1)
-        places = np.stack(np.unravel_index(flat, badness.shape[1:]), axis=1).tolist()
-        found = np.array([one[tuple(place)] for one, place in zip(values, places, strict=True)])
-        letters = ["Z" if self.floor else field[0] for field in self.fields]
-        return found, [f"{letters[field]}{i + 1}{k + 1}" for field, i, k in places]
+        place, field, i, k = map(int, np.unravel_index(badness.argmax(), badness.shape))
+        letter = "Z" if self.floor else self.fields[field][0]
+        return float(values[place, field, i, k]), place, f"{letter}{i + 1}{k + 1}"
 
     def subjects(self, table: Table) -> Mapping[str, FloatArray]:
         """Values, shape (n_conditions, n_elements), by the symbols of their marks, such as ``Z₁₂``.
@@ -364,16 +358,13 @@ def _worst(table: Table, score: Score) -> WorstValue:
     """Return the worst value of a score of one estimator."""
     estimator = str(table["estimator"].flat[0])
     limit = score.limit(table.shape[-1], estimator) if table["resolved"].any() else None
-    values, elements = score.worst(table, judged=limit is not None)
-    unresolved = ~table["resolved"].any(axis=(1, 2)) & (limit is not None)
-    place = int(np.argmax(np.where(unresolved, -np.inf, score.badness(values))))
-    value = float(values[place])
+    value, place, element = score.worst(table, judged=limit is not None)
     return WorstValue(
         estimator=estimator,
         quantity=score.name,
         worst=value,
         limit=limit,
         met=None if limit is None else score.meets(value, limit),
-        element=elements[place],
+        element=element,
         **{name: int(table[name][place, 0, 0]) for name in _LEVELS},
     )

@@ -166,10 +166,8 @@ def print_verdict(verdict: StudyVerdict, console: Console) -> None:
         title_justify="left",
         caption_justify="left",
     )
-    for name, right in (
-        *(("estimator", False), ("quantity", False), ("worst", True), ("target", True)),
-        *(("", False), ("in", False), ("condition", False)),
-    ):
+    for name in ("estimator", "quantity", "worst", "target", "", "in", "condition"):
+        right = name in ("worst", "target")
         table.add_column(name, justify="right" if right else "left", no_wrap=True)
     for place, one in enumerate(verdict.worst):
         table.add_row(
