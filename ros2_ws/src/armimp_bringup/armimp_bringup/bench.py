@@ -49,7 +49,7 @@ Benchmark = Callable[[Tell], list[Measured]]
 """Takes a function that is told what is being measured; returns the figures."""
 
 
-def run_for_bench(tell: Tell = lambda _: None, **options: Any) -> Summary:
+def run_for_bench(tell: Tell, **options: Any) -> Summary:
     """Run an experiment with these options of its configuration, and keep no files.
 
     Raises

@@ -175,20 +175,20 @@ def bag_metadata(
         CONTROLLER_NODE: flatten(controller),
         **software(),
     }
-    truth = {"M": arm.M.tolist(), "B": arm.B.tolist(), "K": arm.K.tolist()}
-    return {
-        "schema": "1",
-        "config": json.dumps(described),
-        "seed": json.dumps(config.seed),
-        "joint_names": json.dumps(list(simulator.joints)),
-        "truth": json.dumps(truth),
-        "torque_timing": json.dumps(simulator.sensors.sampling.value),
-        "torque_uncertainty": "0",
-        **{key: json.dumps(value) for key, value in dynamics.items() if value},
+    metadata: dict[str, Any] = {
+        "schema": 1,
+        "config": described,
+        "seed": config.seed,
+        "joint_names": simulator.joints,
+        "truth": {"M": arm.M.tolist(), "B": arm.B.tolist(), "K": arm.K.tolist()},
+        "torque_timing": simulator.sensors.sampling,
+        "torque_uncertainty": 0,
+        **{key: value for key, value in dynamics.items() if value},
         # Sensors with simulated calibration errors must not be declared exact.
-        **(dict.fromkeys(CALIBRATION_KEYS, "0") if simulator.sensors.torque.calibrated else {}),
-        **({"arm_model": json.dumps("cuff")} if simulator.cuff.stiffness else {}),
+        **(dict.fromkeys(CALIBRATION_KEYS, 0) if simulator.sensors.torque.calibrated else {}),
+        **({"arm_model": "cuff"} if simulator.cuff.stiffness else {}),
     }
+    return {key: json.dumps(value) for key, value in metadata.items()}
 
 
 def _overridden(base: ModelT, node: str, overrides: Overrides) -> ModelT:

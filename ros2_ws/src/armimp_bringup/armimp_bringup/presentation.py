@@ -133,8 +133,8 @@ def complaints(summary: Summary) -> list[str]:
     late = [one for one in faults if one.code in _TOO_BUSY]
     lines = []
     if len(late) > 1:
-        told = "; ".join(one.sentence.removeprefix("real time: ") for one in late)
-        lines.append(f"not valid: the machine was too busy for real time: {told}")
+        causes = "; ".join(one.sentence.removeprefix("real time: ") for one in late)
+        lines.append(f"not valid: the machine was too busy for real time: {causes}")
     for one in summary.problems:
         if one.severity is Severity.NOTE:
             lines.append(f"note: {one}")
@@ -254,7 +254,7 @@ def _trial_table(summary: Summary) -> Table:
         "joint": [str(one.k) for one in trials],
         "samples": [str(one.ticks) for one in trials],
         "lost": [str(one.lost) for one in trials],
-        **{name: told for name, told in counts.items() if {*told} - {"0", "0 %", "0.0", ""}},
+        **{name: found for name, found in counts.items() if {*found} - {"0", "0 %", "0.0", ""}},
         "lock ratio": [
             _shown(max(np.delete(one.lock_ratio, one.k - 1), default=math.nan), ".4f")
             for one in trials

@@ -165,8 +165,8 @@ class Conversation(Node, Answering):
         self,
         graph: GraphContext,
         joints: Sequence[str],
-        namespace: str = "",
-        interrupted: Callable[[], bool] = lambda: False,
+        namespace: str,
+        interrupted: Callable[[], bool],
     ) -> None:
         super().__init__(
             _NODE, namespace=namespace, context=graph.context, use_global_arguments=False

@@ -141,8 +141,9 @@ def present_verdict(verdict: StudyVerdict, directory: Path, *, as_json: bool) ->
     else:
         console = Console(soft_wrap=True)
         print_verdict(verdict, console)
-        told = "[bold]all targets met[/]" if verdict.met else "[bold red]targets missed[/]"
-        console.print(told if any(one.limit is not None for one in verdict.worst) else "no targets")
+        words = "[bold]all targets met[/]" if verdict.met else "[bold red]targets missed[/]"
+        judged = any(one.limit is not None for one in verdict.worst)
+        console.print(words if judged else "no targets")
         console.print(f"study in {directory}", highlight=False)
     failures = verdict.failures()
     for failure in failures[:_MOST_FAILURES]:
