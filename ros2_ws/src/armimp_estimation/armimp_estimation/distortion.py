@@ -8,17 +8,13 @@ harmonics, and that which is odd to the odd harmonics that are left out of the p
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
 
 import numpy as np
 
 from armimp_common.arrays import BoolArray, FloatArray
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
-
-Kind: TypeAlias = Literal["odd", "even"]
 
 _CHANCE = 3.0
 """Number of standard deviations of the mean of ``|E|²`` that chance hardly exceeds."""
@@ -66,8 +62,10 @@ class Distortion:
     """Number of whole periods."""
     lines: Harmonics
     """Measured torque at the lines of the perturbation."""
-    beside: Mapping[Kind, Harmonics]
-    """Residual torque at the other harmonics, ``"odd"`` and ``"even"``."""
+    odd: Harmonics
+    """Residual torque at the other odd harmonics."""
+    even: Harmonics
+    """Residual torque at the other even harmonics."""
     noise: float
     """Rms residual torque between the harmonics, N·m."""
 
@@ -102,16 +100,14 @@ class Distortion:
         def harmonics(which: BoolArray, amplitude: FloatArray) -> Harmonics:
             return Harmonics(f=f[at[which]], amplitude=amplitude[at[which]], noise=level[which])
 
-        kinds: dict[Kind, BoolArray] = {
-            "odd": ~is_line & (orders % 2 == 1),
-            "even": ~is_line & (orders % 2 == 0),
-        }
-        if not all(which.any() for which in kinds.values()) or not (level > 0.0).all():
+        odd, even = ~is_line & (orders % 2 == 1), ~is_line & (orders % 2 == 0)
+        if not (odd.any() and even.any() and (level > 0.0).all()):
             return None
         return cls(
             period=periods.samples / record.rate,
             count=count,
             lines=harmonics(is_line, np.abs(torque)),
-            beside={kind: harmonics(which, left) for kind, which in kinds.items()},
+            odd=harmonics(odd, left),
+            even=harmonics(even, left),
             noise=float(np.sqrt(0.5 * np.sum(left[~harmonic] ** 2))),
         )

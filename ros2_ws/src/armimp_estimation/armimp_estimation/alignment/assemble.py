@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armimp_common.arrays import BoolArray, FloatArray, IntArray
+from armimp_common.arrays import FloatArray, IntArray
 from armimp_common.errors import DataError
 from armimp_common.status import TrialStatus
 from armimp_common.topics import DATA_STREAMS, JOINT_STATES, NS_PER_S, PERTURBATION, TORQUE_SENSORS
@@ -216,7 +216,8 @@ def _assemble(window: TrialWindow, streams: Streams, bag: str | None, period: fl
     for first, last in window.clipped_intervals:
         # A command acts until the next sample, which is the first to show its effect.
         usable[first : last + 2] = False
-    runs = _runs(usable)
+    whole = np.ma.clump_unmasked(np.ma.masked_array(usable, ~usable)) if span else []
+    runs = [run for run in whole if run.stop - run.start > 1]
     segments: tuple[TrialRecord, ...] = ()
     joint = _joint_index(window, names)
     if joint is None:
@@ -299,37 +300,26 @@ def _joint_index(window: TrialWindow, joint_names: Sequence[str]) -> int | None:
     return window.joint if window.joint < len(joint_names) else None
 
 
-def _runs(usable: BoolArray) -> list[tuple[int, int]]:
-    """Start and end of each run of at least two true values."""
-    edges = np.flatnonzero(np.diff(usable.astype(np.int8), prepend=0, append=0)).tolist()
-    return [
-        (start, stop)
-        for start, stop in zip(edges[::2], edges[1::2], strict=True)
-        if stop - start > 1
-    ]
-
-
 def _record(
     window: TrialWindow,
     joint: int,
     joint_names: tuple[str, ...],
     aligned: Mapping[str, AlignedStream],
     commands: FloatArray,
-    run: tuple[int, int],
+    run: slice,
     bag: str | None,
 ) -> TrialRecord:
-    start, stop = run
     leading = aligned[PERTURBATION]
-    command = commands[:, start:stop]
+    command = commands[:, run]
     return TrialRecord(
         trial=window.trial,
         perturbed_joint=joint,
         rate=NS_PER_S / leading.period,
         joint_names=joint_names,
-        perturbation=leading.values[:, start:stop],
-        position=aligned[JOINT_STATES].values[:, start:stop],
-        torque=aligned[TORQUE_SENSORS].values[:, start:stop],
-        start_ns=int(leading.stamps[np.searchsorted(leading.numbers, start)]),
+        perturbation=leading.values[:, run],
+        position=aligned[JOINT_STATES].values[:, run],
+        torque=aligned[TORQUE_SENSORS].values[:, run],
+        start_ns=int(leading.stamps[np.searchsorted(leading.numbers, run.start)]),
         command=command if np.isfinite(command).all() else None,
         bag=bag,
     )

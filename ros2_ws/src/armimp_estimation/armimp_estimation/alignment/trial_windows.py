@@ -31,6 +31,11 @@ _MOST_TRIALS: Final = 1000
 
 LOWEST, HIGHEST = 200.0, 4000.0
 """Sampling rates that are accepted, Hz."""
+_CUSTOMARY: Final = (
+    *(1000.0 * p / q for p in range(1, 6) for q in range(1, 6)),
+    *(2.0**power for power in range(7, 13)),
+)
+"""Customary sampling rates of a rig, Hz."""
 TOLERANCE = 5e-4
 """Largest relative difference from a customary rate: five times that of a poor crystal."""
 _DRIFT = 1e-3
@@ -312,16 +317,6 @@ def sampling_period(streams: Mapping[str, IntArray]) -> float:
     return float(PERIOD_NS) if abs(period / PERIOD_NS - 1.0) <= TOLERANCE else period
 
 
-def is_customary(rate: float) -> bool:
-    """Whether a sampling rate, Hz, is a customary one for a rig.
-
-    Customary are powers of two, 128 to 4096 Hz, and 1 kHz times a ratio of whole numbers up to 5.
-    """
-    ratios = {1000.0 * p / q for p in range(1, 6) for q in range(1, 6)}
-    customary = ratios | {2.0**power for power in range(7, 13)}
-    return any(abs(rate / one - 1.0) <= TOLERANCE for one in customary)
-
-
 def judge_stamps(streams: Mapping[str, IntArray], period: float) -> Iterator[Problem]:
     """Find what is wrong with the stamps of a trial.
 
@@ -333,7 +328,7 @@ def judge_stamps(streams: Mapping[str, IntArray], period: float) -> Iterator[Pro
         Sampling period that is used, ns.
     """
     rate = NS_PER_S / period
-    if not is_customary(rate):
+    if not any(abs(rate / one - 1.0) <= TOLERANCE for one in _CUSTOMARY):
         yield problem(ProblemCode.RATE_UNCUSTOMARY, rate=rate)
     for topic, stamps in streams.items():
         own = _period(stamps)

@@ -445,7 +445,7 @@ def describe_coherence(element: str, chart: Chart) -> str:
 
 def distortion_plot(found: Distortion, trial: int) -> Plot:
     """Plot torque at lines of the perturbation and at other harmonics, and noise at all of them."""
-    odd, even = found.beside["odd"], found.beside["even"]
+    odd, even = found.odd, found.even
     shown = [
         (found.lines, Stroke(name="at lines", colour="--soft", symbol="circle")),
         (odd, Stroke(name="odd harmonics", colour="--element-1", symbol="square")),
