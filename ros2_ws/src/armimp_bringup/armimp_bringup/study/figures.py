@@ -119,8 +119,13 @@ def levels_chart(table: Table, scores: Sequence[Score]) -> Chart:
     )
     rows = [(1.0, Axis(title=title, hoverformat=".5~g")) for title in titles]
     legend = {"orientation": "h", "y": -0.16, "yanchor": "top", "x": 0}
-    layout = {"hovermode": "closest", "legend": legend}
-    return Chart(abscissa=abscissa, rows=rows, lines=lines, layout=layout)
+    return Chart(
+        abscissa=abscissa,
+        rows=rows,
+        lines=lines,
+        description=f"{', '.join(score.name for score in scores)} by the level of each factor.",
+        layout={"hovermode": "closest", "legend": legend},
+    )
 
 
 # --- curves ------------------------------------------------------------------------------------
@@ -163,8 +168,13 @@ def overlay_chart(
     lines.append(Line(x=grid, y=np.abs(true), stroke=_TRUE, unit=IMPEDANCE))
     phase = np.degrees(np.unwrap(np.angle(true)))
     lines.append(Line(x=grid, y=phase, stroke=_TRUE, row=2, unit="°"))
-    closest = {"hovermode": "closest"}  # one box for all lines would cover the plot
-    chart = Chart(abscissa=frequency_axis([grid]), rows=[], lines=lines, layout=closest)
+    chart = Chart(
+        abscissa=frequency_axis([grid]),
+        rows=[],
+        lines=lines,
+        description=f"Estimates of Z {i + 1} {k + 1} in all conditions over the truth.",
+        layout={"hovermode": "closest"},  # one box for all lines would cover the plot
+    )
     sizes, errors = (
         (0.8 * float(values.min()), 1.25 * float(values.max()))
         for values in (chart.values(1), chart.values(3))

@@ -189,7 +189,6 @@ class StudyReport:
                 "overlay",
                 n,
                 lambda i, k: overlay_chart(curves, first.arm, i, k),
-                lambda element, _: f"Estimates of {element} in all conditions over the truth.",
                 470,
             ),
             "joints": n,
@@ -214,7 +213,6 @@ class StudyReport:
         plot = Plot(
             identifier=f"levels-{identifier}",
             caption=title,
-            description=f"{names} by the level of each factor.",
             views=views,
             height=90 + 190 * len(scores),
         )

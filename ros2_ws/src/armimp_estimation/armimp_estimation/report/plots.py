@@ -261,6 +261,8 @@ class Chart:
     """Relative height and ordinate of each row, from the top."""
     lines: Sequence[Line]
     """Lines in the order of drawing."""
+    description: str = ""
+    """Description for readers who can't see it."""
     layout: Options = field(default_factory=dict)
     """Further layout options on a page. With a ``legend``, each name has one entry there."""
 
@@ -289,10 +291,9 @@ class Plot:
     """Identifier of letters, digits and hyphens, unique in the page."""
     caption: object
     """Title, text or HTML."""
-    description: str
-    """Description for readers who can't see it."""
     views: Mapping[str, Chart]
-    """Charts by name; the first is shown, and the reader can choose others."""
+    """Charts by name; the first is shown, and the reader can choose others, which are described as
+    it is."""
     height: int
     """Height in pixels."""
 
@@ -332,20 +333,17 @@ def element_plots(
     kind: str,
     joints: int,
     chart: Callable[[int, int], Chart],
-    describe: Callable[[str, Chart], str],
     height: int,
 ) -> list[Plot]:
     """Plots of all elements of Z, row by row; with many joints, one plot of a selectable element.
 
-    `chart` takes the indices of an element (0-based), `describe` its name and chart; the height is
-    in pixels.
+    `chart` takes the indices of an element (0-based); the height is in pixels.
     """
     charts = {(i + 1, k + 1): chart(i, k) for i, k in np.ndindex(joints, joints)}
     plots = [
         Plot(
             identifier=f"{kind}-{i}-{k}",
             caption=symbol("Z", i, k),
-            description=describe(f"Z {i} {k}", one),
             views={"": one},
             height=height,
         )
@@ -394,7 +392,8 @@ def bode_chart(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, 
         lines.append(Line(x=f, y=np.abs(true), stroke=TRUE, unit=IMPEDANCE))
         lines.append(Line(x=f, y=phase_of(true), stroke=TRUE, row=2, unit="°"))
     chart = Chart(abscissa=frequency_axis(grids), rows=[], lines=lines)
-    magnitudes, phases = range_of(chart.values(), log=True), range_of(chart.values(2))
+    sizes = chart.values()
+    magnitudes, phases = range_of(sizes, log=True), range_of(chart.values(2))
     values = np.concatenate(parted)
     values = values[np.isfinite(values) & (values > 0.0)]
     low, high = np.quantile(values, (0.02, 0.995)) if values.size else (0.01, 60.0)
@@ -404,16 +403,11 @@ def bode_chart(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, 
         (2.0, Axis(title="phase (°)", ends=phases, hoverformat=".1f")),
         (2.4, Axis(title="distance (%)", ends=ends, log=True, hoverformat=".3~g")),
     ]
-    return replace(chart, rows=rows)
-
-
-def describe_bode(element: str, chart: Chart) -> str:
-    """Describe a chart that `bode_chart` made."""
-    sizes = chart.values()
-    return (
-        f"Magnitude and phase of {element} over frequency: from {np.nanmin(sizes):.3g} "
+    description = (
+        f"Magnitude and phase of Z {i + 1} {k + 1} over frequency: from {np.nanmin(sizes):.3g} "
         f"to {np.nanmax(sizes):.3g} N·m/rad, and the distance of the estimates."
     )
+    return replace(chart, rows=rows, description=description)
 
 
 def coherence_chart(
@@ -434,13 +428,11 @@ def coherence_chart(
     lines = [Line(x=common.f, y=values, stroke=stroke) for values, stroke in shown]
     lines.append(Line(x=common.f[[0, -1]], y=np.full(2, level), stroke=UNRELATED))
     ordinate = Axis(title="coherence γ²", ends=(0.0, 1.02), hoverformat=".4f")
-    return Chart(abscissa=frequency_axis([common.f]), rows=[(1.0, ordinate)], lines=lines)
-
-
-def describe_coherence(element: str, chart: Chart) -> str:
-    """Describe a chart that `coherence_chart` made."""
-    lowest = min(float(np.nanmin(one.y)) for one in chart.lines[:-1])
-    return f"Coherences behind {element} over frequency; the lowest is {lowest:.2g}."
+    lowest = min(float(np.nanmin(values)) for values, _ in shown)
+    what = f"Coherences behind Z {i + 1} {k + 1} over frequency; the lowest is {lowest:.2g}."
+    return Chart(
+        abscissa=frequency_axis([common.f]), rows=[(1.0, ordinate)], lines=lines, description=what
+    )
 
 
 def distortion_plot(found: Distortion, trial: int) -> Plot:
@@ -457,17 +449,17 @@ def distortion_plot(found: Distortion, trial: int) -> Plot:
     noise = np.concatenate([one.noise for one, _ in shown])
     floor = Stroke(name="noise between harmonics", colour="--ink", dash="dot", width=1.0)
     lines.append(Line(x=f[order], y=noise[order], stroke=floor, unit="N·m"))
-    ordinate = Axis(title="torque (N·m)", log=True, hoverformat=".3~g")
-    return Plot(
-        identifier=f"distortion-{trial}",
-        caption=f"Trial {trial}",
+    chart = Chart(
+        abscissa=frequency_axis([f]),
+        rows=[(1.0, Axis(title="torque (N·m)", log=True, hoverformat=".3~g"))],
+        lines=lines,
         description=(
             f"Torque at the harmonics of the perturbation: {found.lines.rms:.3g} N·m at its lines, "
             f"{odd.rms:.3g} at odd and {even.rms:.3g} at even ones beside them."
         ),
-        views={"": Chart(abscissa=frequency_axis([f]), rows=[(1.0, ordinate)], lines=lines)},
-        height=280,
     )
+    caption = f"Trial {trial}"
+    return Plot(identifier=f"distortion-{trial}", caption=caption, views={"": chart}, height=280)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -552,7 +544,6 @@ def trace_plot(identifier: str, trial: Trial, buckets: int) -> Plot:
     return Plot(
         identifier=identifier,
         caption="Signals over time",
-        description=f"Perturbation, angles, torques and commands of trial {trial.trial}.",
         views={
             "whole trial": trace_chart(rows, first, 0, span, buckets),
             end: trace_chart(recorded, first, last, span, _EXCERPT),
@@ -580,7 +571,8 @@ def trace_chart(
     title = "time since the perturbation began (s)"
     abscissa = Axis(title=title, ends=ends, hoverformat=".3f", unit="s")
     ordinates = [(1.0, Axis(title=f"{row.title}<br>({row.unit})")) for row in rows]
-    return Chart(abscissa=abscissa, rows=ordinates, lines=lines)
+    what = f"Perturbation, angles, torques and commands of trial {record.trial}."
+    return Chart(abscissa=abscissa, rows=ordinates, lines=lines, description=what)
 
 
 def bands_of(magnitude: FloatArray, phase: FloatArray, radius: FloatArray) -> tuple[Band, Band]:

@@ -35,8 +35,6 @@ from armimp_estimation.report.plots import (
     UNRELATED,
     bode_chart,
     coherence_chart,
-    describe_bode,
-    describe_coherence,
     distortion_plot,
     element_plots,
     joint_strokes,
@@ -224,9 +222,7 @@ def _impedance(result: Result) -> Content | None:
         "switches": switches,
         "reference": reference or "the truth",
         "joints": n,
-        "plots": element_plots(
-            "bode", n, lambda i, k: bode_chart(curves, truth, i, k), describe_bode, 500
-        ),
+        "plots": element_plots("bode", n, lambda i, k: bode_chart(curves, truth, i, k), 500),
     }
 
 
@@ -247,7 +243,6 @@ def _coherence(result: Result) -> Content | None:
             "coherence",
             n,
             lambda i, k: coherence_chart(curves, i, k, result.summary.joint_names, level),
-            describe_coherence,
             250,
         ),
     }
