@@ -98,7 +98,7 @@ def iterate_messages(path: Path, *, namespace: str | None = None) -> Iterator[Me
     raw = read_storage(path)
     if not raw.messages:
         raise BagError(f"{path}: no messages")
-    found = resolve_topics(raw.topics, bag=str(path), namespace=namespace)
+    found = resolve_topics(list(raw.topics), bag=str(path), namespace=namespace)
     names = {index: topic for topic, index in found.items()}
     return (
         (names[index], time, payload) for index, time, payload in raw.messages if index in names

@@ -64,7 +64,7 @@ def test_jitter_is_that_of_runs_in_real_time_whose_priority_is_permitted(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     figures = TimingFigures(ticks=200, late=1, missed=4, period_p50=1e-3, latency_max=3e-3)
-    timing = Timing.of(figures, TimingLimits())
+    timing = Timing(**dict(figures), **dict(TimingLimits()))
 
     def run_experiment(config: ExperimentConfig, _: Path, **__: object) -> SimpleNamespace:
         assert (config.mode, config.joints) == ("realtime", 1)

@@ -64,15 +64,9 @@ def reason_of(error: OSError) -> object:
     return "disk full" if full else error.strerror or error
 
 
-def write_text(path: Path, content: str) -> None:
-    """Write or replace a text file atomically.
-
-    Raises
-    ------
-    DataError
-        If it can't be written.
-    """
-    write_atomically(path, lambda part: part.write_text(content, encoding="utf-8"), anew=True)
+def write_text(path: Path, content: str, *, anew: bool = True) -> None:
+    """Write a text file as `write_atomically` does, by default in place of an existing one."""
+    write_atomically(path, lambda part: part.write_text(content, encoding="utf-8"), anew=anew)
 
 
 def open_regular(path: Path) -> BinaryIO:

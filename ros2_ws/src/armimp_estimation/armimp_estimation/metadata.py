@@ -59,11 +59,6 @@ class Timing(TimingFigures, TimingLimits):
 
     model_config = ConfigDict(allow_inf_nan=True)
 
-    @classmethod
-    def of(cls, figures: TimingFigures, limits: TimingLimits) -> Timing:
-        """Combine the figures since the first sample of a run with the limits of the run."""
-        return cls(**dict(figures), **dict(limits))
-
     @property
     def problems(self) -> list[Problem]:
         """Problems of figures beyond their limits; comparisons are written so that NaN fails."""

@@ -253,7 +253,9 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             for status in deserialize_message(message, DiagnosticArray).status:
                 if status.name == TimingFigures.STATUS_NAME:
                     figures = TimingFigures.from_values(values_of(status))
-                    self._recording.timing = Timing.of(figures, self._settings.realtime)
+                    self._recording.timing = Timing(
+                        **dict(figures), **dict(self._settings.realtime)
+                    )
         except (MalformedMessageError, RuntimeError, ValueError) as error:
             self._refuse(topics.DIAGNOSTICS, error)
 

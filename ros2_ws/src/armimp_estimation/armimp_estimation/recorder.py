@@ -127,7 +127,7 @@ class TrialRecorder:
 
     def _forget(self) -> None:
         self._statuses: list[TrialStatus] = []
-        self._written = 0
+        self._unwritten: list[TrialStatus] = []
         self._streams = Streams(self._joint_names)
         self._start_ns: int | None = None
         self._before = dict.fromkeys(VALUE_FIELD, 0)
@@ -173,6 +173,7 @@ class TrialRecorder:
                 return
             self._open(status)
         self._statuses.append(status)
+        self._unwritten.append(status)
         if status.start_ns is not None and self._start_ns is None:
             self._begin(status, status.start_ns)
         self._write_statuses()
@@ -200,8 +201,8 @@ class TrialRecorder:
         BagError
             If it can't be written.
         """
-        if self._writer is not None and self._written:
-            self._writer.write(topic, message, max(self._log_ns.values()))
+        if self._writer is not None and (time_ns := max(self._log_ns.values())) >= 0:
+            self._writer.write(topic, message, time_ns)
 
     def progress(self) -> Progress | None:
         """Report how far the trial is and what its samples show so far; None between trials."""
@@ -250,17 +251,8 @@ class TrialRecorder:
 
     def decide(self) -> StoppingDecision | None:
         """Decide whether the present trial has lasted long enough, if a decision is due."""
-        status = self.status
-        if not self._target_error or status is None or status.phase is not Phase.PERTURB:
+        if self._rule is None or self._statuses[-1].phase is not Phase.PERTURB:
             return None
-        if self._rule is None:
-            self._rule = StoppingRule(
-                self._target_error,
-                self._least_duration,
-                trial=status.trial,
-                planned=status.ticks,
-                rate=RATE,
-            )
         return self._rule.decide(
             self.samples,
             lambda samples: self._fit(record_so_far(self._streams, self._statuses, samples)),
@@ -305,6 +297,14 @@ class TrialRecorder:
         """Begin with the samples of a trial, and record the messages kept from before it."""
         self._start_ns, self._began = start_ns, time.monotonic()
         self._look_at = self._began + _SEEN_EVERY
+        if self._target_error:
+            self._rule = StoppingRule(
+                self._target_error,
+                self._least_duration,
+                trial=status.trial,
+                planned=status.ticks,
+                rate=RATE,
+            )
         stamps = np.array([_stamp(message) for message in self._between[PERTURBATION]])
         first = _last_step_back(stamps, start_ns)
         waiting = {topic: list(raws)[first:] for topic, raws in self._between.items()}
@@ -372,10 +372,9 @@ class TrialRecorder:
     def _write_statuses(self, time_ns: int | None = None) -> None:
         """Write new statuses; they have no stamp and get that of the latest sample, if any."""
         time_ns = max(self._log_ns.values()) if time_ns is None else time_ns
-        if time_ns < 0 or self._written == len(self._statuses):
+        if time_ns < 0:
             return
-        new = self._statuses[self._written :]
-        self._written = len(self._statuses)
+        new, self._unwritten = self._unwritten, []
         if self._writer is not None:
             for status in new:
                 self._writer.write(TRIAL, encode_trial_status(status), time_ns)

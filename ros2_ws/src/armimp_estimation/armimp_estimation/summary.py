@@ -18,7 +18,7 @@ from typing_extensions import Self
 from armimp_common.errors import DataError
 from armimp_estimation.alignment.stream_statistics import StreamStatistics
 from armimp_estimation.arm_models import ModelFit, supported
-from armimp_estimation.atomic_write import write_atomically
+from armimp_estimation.atomic_write import write_atomically, write_text
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import CommonDelay
 from armimp_estimation.identify import EstimatorResult, Identification, TrialScores
@@ -255,8 +255,7 @@ def write_summary(path: Path, summary: Summary, *, anew: bool = False) -> None:
     DataError
         If the file cannot be written, or exists already and `anew` is false.
     """
-    text = summary.model_dump_json(indent=1, by_alias=True) + "\n"
-    write_atomically(path, lambda part: part.write_text(text, encoding="utf-8"), anew=anew)
+    write_text(path, summary.model_dump_json(indent=1, by_alias=True) + "\n", anew=anew)
 
 
 def read_summary(path: Path) -> Summary:

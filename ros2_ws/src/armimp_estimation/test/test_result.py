@@ -225,7 +225,7 @@ BAD = changed(GOOD, missed=100)
 
 
 def timing(figures: TimingFigures = GOOD, **changes: Any) -> Timing:
-    return Timing.of(changed(figures, **changes), TimingLimits())
+    return Timing(**{**dict(figures), **changes}, **dict(TimingLimits()))
 
 
 def stored(*timings: Timing) -> list[dict[str, str]]:

@@ -146,8 +146,8 @@ class Stream:
         return stamps, order, contradicted
 
 
-class Streams:
-    """The four streams of a trial or of a recording.
+class Streams(dict[str, Stream]):
+    """The four streams of a trial or of a recording, by topic of the contract.
 
     All streams must begin with the same control period, as commands have no stamps.
 
@@ -158,19 +158,16 @@ class Streams:
     """
 
     def __init__(self, joint_names: Sequence[str]) -> None:
+        super().__init__({topic: Stream(topic, joint_names) for topic in DATA_STREAMS})
         self.joint_names = tuple(joint_names)
-        self.stamped = {topic: Stream(topic, joint_names) for topic in VALUE_FIELD}
-        """Positions (rad), torque readings and perturbation (N·m), by topic of the contract."""
-        self.commands = Stream(COMMANDS, joint_names)
+        self.stamped = {topic: self[topic] for topic in VALUE_FIELD}
+        """Positions (rad), torque readings and perturbation (N·m)."""
+        self.commands = self[COMMANDS]
         """Commands (N·m), in the order of the joints."""
-        self._streams = {**self.stamped, COMMANDS: self.commands}
-
-    def __getitem__(self, topic: str) -> Stream:
-        return self._streams[topic]
 
     def decode(self) -> Streams:
         """Decode all pending messages."""
-        for stream in self._streams.values():
+        for stream in self.values():
             stream.decode()
         return self
 
@@ -184,8 +181,8 @@ def decode_streams(joint_names: Sequence[str], messages: Mapping[str, Sequence[b
         If a stream has no message that can be decoded.
     """
     streams = Streams(joint_names)
-    for topic in (*VALUE_FIELD, COMMANDS):
-        streams[topic].add(messages.get(topic, ()))
+    for topic, stream in streams.items():
+        stream.add(messages.get(topic, ()))
     for topic, stream in streams.decode().stamped.items():
         if not stream.count:
             raise DataError(

@@ -61,10 +61,9 @@ class RawMessages:
         self._left = _FREE + _RATIO * size
         # Made once, as that takes longer than the decompression of a chunk.
         self._zstd = zstandard.ZstdDecompressor()
-        self._indices: dict[tuple[str, str], int] = {}
-        self.topics: list[tuple[str, str]] = []
-        """Name and message type of each recorded topic; the type is empty if the file does not
-        state it."""
+        self.topics: dict[tuple[str, str], int] = {}
+        """Index of each recorded topic, by its name and message type; the type is empty if the file
+        does not state it."""
         self.messages: list[RawMessage] = []
         self.metadata: dict[str, str] = {}
         """Metadata of the recording."""
@@ -153,8 +152,7 @@ class RawMessages:
             If the topic is wanted, but its messages are not CDR.
         """
         entry = (one_line(name), one_line(message_type) if message_type else "")
-        if (index := self._indices.setdefault(entry, len(self.topics))) == len(self.topics):
-            self.topics.append(entry)
+        index = self.topics.setdefault(entry, len(self.topics))
         if all(namespace_of(name, topic) is None for topic in MESSAGE_TYPES):
             return None
         if encoding != "cdr":

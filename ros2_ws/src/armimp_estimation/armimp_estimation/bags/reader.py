@@ -86,7 +86,8 @@ def read_bag(path: Path, *, namespace: str | None = None) -> BagContent:
     if not raw.messages:
         raise BagError(f"{path}: no messages of an experiment in it{cut}")
     by_index = raw.by_topic()
-    found = resolve_topics(raw.topics, bag=str(path), namespace=namespace)
+    recorded = list(raw.topics)
+    found = resolve_topics(recorded, bag=str(path), namespace=namespace)
     found = {topic: index for topic, index in found.items() if by_index[index]}
     messages = {topic: by_index[index] for topic, index in found.items()}
     for topic, content in _NEEDED.items():
@@ -123,7 +124,7 @@ def read_bag(path: Path, *, namespace: str | None = None) -> BagContent:
         metadata=raw.metadata,
         joint_names=joint_names,
         trials=trials,
-        topics={topic: raw.topics[index][0] for topic, index in found.items()},
+        topics={topic: recorded[index][0] for topic, index in found.items()},
         notes=tuple(notes),
         _raw=raw,
         _contract_names={index: topic for topic, index in found.items()},

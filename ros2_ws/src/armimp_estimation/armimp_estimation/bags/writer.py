@@ -419,11 +419,9 @@ def require_free_space(path: Path, ticks: int, joints: int) -> None:
         If there is too little space, or the free space cannot be determined.
     """
     needed = _HEAD_BYTES + ticks * len(DATA_STREAMS) * (_MESSAGE_BYTES + _JOINT_BYTES * joints)
-    place = path.absolute()
-    while not place.exists() and place != place.parent:
-        place = place.parent
+    whole = path.absolute()
     try:
-        free = shutil.disk_usage(place).free
+        free = shutil.disk_usage(next(one for one in (whole, *whole.parents) if one.exists())).free
     except OSError as error:
         raise BagError(f"{path}: free space cannot be determined: {error.strerror}") from None
     if free < needed:
@@ -466,11 +464,11 @@ def finish_bags(directory: Path) -> list[str]:
 def _write_anew(path: Path, messages: RawMessages) -> None:
     """Replace the storage file of a bag by a finished one with the same messages."""
     names = {absolute(topic): topic for topic in RECORDED}
+    recorded = [names.get(name, name) for name, _ in messages.topics]
     with tempfile.TemporaryDirectory(prefix=".finishing.", dir=path) as work:
         copy = Path(work) / path.name
         with BagWriter(copy, metadata=messages.metadata) as writer:
             for index, log_time_ns, payload in messages.messages:
-                name, _ = messages.topics[index]
-                writer.write(names.get(name, name), payload, log_time_ns)
+                writer.write(recorded[index], payload, log_time_ns)
         for file in (storage_name(path), FILE_NAME):
             (copy / file).replace(path / file)

@@ -16,27 +16,12 @@ from jinja2 import Environment, PackageLoader, PrefixLoader, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
-from armimp_estimation.report.formats import (
-    NONE,
-    code,
-    difference,
-    digits,
-    mark,
-    number,
-    percent,
-    plain,
-    setting,
-    symbol,
-    uncertain,
-    written,
-)
+from armimp_estimation.report import formats
 from armimp_estimation.report.plots import style_rule
 
 Content = dict[str, Any]
 Rows = list[list[object]]
 """Rows of a table; the first cell of each row is its header."""
-_FUNCTIONS = (symbol, code, setting, mark, digits, uncertain, difference, written)
-"""Functions that all templates can call."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +38,7 @@ class Section:
 
 
 def _shown(value: object) -> object:
-    return value if isinstance(value, Markup) else "" if value is None else plain(value)
+    return value if isinstance(value, Markup) else "" if value is None else formats.plain(value)
 
 
 def render_page(
@@ -85,8 +70,8 @@ def render_page(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.globals |= {one.__name__: one for one in _FUNCTIONS} | {"NONE": NONE}
-    environment.filters |= {one.__name__: one for one in (number, percent)}
+    environment.globals |= vars(formats)
+    environment.filters |= {"number": formats.number, "percent": formats.percent}
     compact = {"ensure_ascii": True, "allow_nan": False, "separators": (",", ":")}
     environment.policies["json.dumps_kwargs"] = compact
     scripts = [str(get_plotlyjs()), _resource("plots.js")]
