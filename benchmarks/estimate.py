@@ -12,6 +12,7 @@ from armimp_common.cdr import decode_trial_status
 from armimp_common.topics import TRIAL as TRIAL_TOPIC
 from armimp_estimation.bags.reader import read_bag
 from armimp_estimation.bags.writer import BagWriter
+from armimp_estimation.metadata import Metadata
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.result import conclude
 from benchmarks.shortest import shortest
@@ -44,7 +45,7 @@ def time_estimate(tell: Callable[[str], None]) -> list[Measured]:
     def estimate(estimators: Sequence[str]) -> float:
         joints = contents[0].joint_names
         return shortest(
-            lambda: conclude(trials, metadata={}, joint_names=joints, estimators=estimators),
+            lambda: conclude(trials, known=Metadata(), joint_names=joints, estimators=estimators),
             _REPEATS,
         ) / len(joints)
 

@@ -51,9 +51,7 @@ class _Loop:
         self.statuses: list[TrialStatus] = []
         self.experiment = TrialSequencer(parameters.controller, self.statuses.append)
         self.synchronizer, self.receivers = fed_synchronizer()
-        self.recording = TrialRecorder(
-            names, directory, parameters.estimator.bag_metadata(), lambda *_: None
-        )
+        self.recording = TrialRecorder(parameters.estimator, lambda *_: None)
         self.encoders = {
             topic: JointStateEncoder(names, field) for topic, field in VALUE_FIELD.items()
         }

@@ -22,7 +22,7 @@ from armimp_common.arrays import FloatArray
 from armimp_common.errors import ArmimpError, ConfigurationError
 from armimp_estimation.alignment.assemble import assemble_trials
 from armimp_estimation.alignment.streams import Streams
-from armimp_estimation.metadata import CALIBRATION_KEYS
+from armimp_estimation.metadata import CALIBRATION_KEYS, Metadata
 from armimp_estimation.result import Result, conclude
 from research.independent_rig import (
     NAMES,
@@ -962,7 +962,9 @@ def verdict_on(
     if calibrated or scale:
         metadata["angle_uncertainty"] = str(scale)
     names = NAMES[: len(recordings)]
-    return conclude(trials, metadata=metadata, joint_names=names, estimators=("lpm_full",))
+    return conclude(
+        trials, known=Metadata.of(metadata), joint_names=names, estimators=("lpm_full",)
+    )
 
 
 def outcome(mismatch: Mismatch, seed: int) -> Outcome:

@@ -17,6 +17,7 @@ from armimp_common.errors import ArmimpError, BagError
 from armimp_common.status import Progress
 from armimp_estimation.bags.reader import BAGS
 from armimp_estimation.bags.writer import BagWriter, finish_bag
+from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.recorder import TrialRecorder
 from support.bag_files import assert_other_readers_open, iterate_messages, write_all
 from support.streams import record
@@ -65,7 +66,7 @@ def test_when_the_disk_is_nearly_full_expect_a_refusal_before_the_trial(
     small_disk: Callable[[int], Path],
 ) -> None:
     disk = small_disk(2)
-    recording = TrialRecorder(("shoulder", "elbow"), disk, {}, lambda *_: None)
+    recording = TrialRecorder(EstimatorParameters(directory=str(disk)), lambda *_: None)
     with pytest.raises(BagError, match=r"trial_1_joint_1: .* MB of disk space needed, \d"):
         record(recording, MESSAGES[:1])
     assert list(disk.iterdir()) == []

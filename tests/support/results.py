@@ -14,6 +14,7 @@ from armimp_bringup.study import StudyEntry
 from armimp_bringup.study.engine import Backend
 from armimp_estimation.arm_models import ModelFit, ParameterFit
 from armimp_estimation.bags.reader import read_bag
+from armimp_estimation.metadata import Metadata
 from armimp_estimation.result import conclude
 from armimp_estimation.summary import EstimatorSummary
 from support.bag_files import write_bag
@@ -89,7 +90,7 @@ def make_result(
     content = read_bag(bag)
     conclude(
         [replace(trial, bag="bags/session") for trial in content.trials],
-        metadata=content.metadata,
+        known=Metadata.of(content.metadata),
         joint_names=content.joint_names,
         estimators=estimators,
     ).write(directory)

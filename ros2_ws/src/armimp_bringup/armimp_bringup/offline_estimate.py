@@ -57,14 +57,15 @@ def estimate_bags(
         If the bags don't belong together, or a trial can't be estimated.
     """
     contents, metadata = read_bags(bags, namespace=namespace, allow_gaps=allow_gaps)
+    joint_names = contents[0].joint_names
     values = (declared or Declared()).model_dump(by_alias=True, exclude_none=True)
     if "torque_timing" in values:
         values["torque_timing"] = _TIMINGS[values["torque_timing"]].value
     metadata |= {key: json.dumps(value) for key, value in values.items()}
     result = conclude(
         [trial for content in contents for trial in content.trials],
-        metadata=metadata,
-        joint_names=contents[0].joint_names,
+        known=Metadata.of(metadata, len(joint_names)),
+        joint_names=joint_names,
         estimators=estimators or EstimatorParameters().estimators,
         allow_gaps=allow_gaps,
     )

@@ -42,6 +42,7 @@ from armimp_common.status import (
     values_of,
 )
 from armimp_estimation.bags.writer import finish_bags, require_free_space
+from armimp_estimation.metadata import Metadata
 from armimp_estimation.node import RESULT_NAME
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.problems import Problem, ProblemCode, problem
@@ -369,7 +370,7 @@ def settle(
     if not path.exists():
         result = conclude(
             [],
-            metadata=estimator.bag_metadata(),
+            known=Metadata.of(estimator.bag_metadata(), len(estimator.joints)),
             joint_names=estimator.joints,
             estimators=estimator.estimators,
             problems=problems,

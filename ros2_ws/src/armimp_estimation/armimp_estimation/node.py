@@ -49,9 +49,9 @@ from armimp_common.status import (
 )
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.alignment.synchronizer import TOGETHER, StreamSynchronizer
-from armimp_estimation.alignment.trial_windows import AnnouncedTrials, fault_of
+from armimp_estimation.alignment.trial_windows import fault_of
 from armimp_estimation.frf import frf_matrix
-from armimp_estimation.metadata import RECORD_KEY, Metadata, Timing
+from armimp_estimation.metadata import Timing
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.problems import Problem, ProblemCode, problem
 from armimp_estimation.recorder import TrialRecorder
@@ -95,13 +95,10 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         self._settings = self._declared.load()
         # The stopping rule sees only recorded samples, so they are recorded in smaller groups.
         self._together = topics.RECEIVED_EVERY if self._settings.target_error else TOGETHER
-        self._metadata = self._settings.bag_metadata()
         try:
-            # A mistake is reported now rather than after the last trial.
-            self._known = Metadata.of(self._metadata, len(self._settings.joints))
+            self._reset()
         except DataError as error:
             raise ConfigurationError(f"parameter 'metadata': {error}") from None
-        self._reset()
         self._progress = self.create_publisher(DiagnosticStatus, topics.PROGRESS, qos.PROGRESS)
         self._result = self.create_publisher(DiagnosticStatus, topics.RESULT, qos.LATCHED)
         self._received = RawPublisher(self, topics.RECEIVED, UInt64, qos.LATCHED)
@@ -161,24 +158,11 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         super().destroy_node()
 
     def _reset(self) -> None:
-        directory = self._settings.directory
-        self._directory = Path(directory) if directory else None
         self._finished: list[Trial] = []
-        # A node that does not record, as in a replay, can't know which trials may end early.
-        self._announced = AnnouncedTrials(strict=self._settings.record)
         self._problems: list[Problem] = []
         self._ended = 0
         self._done_at = math.inf
-        self._recording = TrialRecorder(
-            self._settings.joints,
-            self._directory if self._settings.record else None,
-            self._metadata,
-            self._on_finished,
-            self._refuse,
-            reading=self._known.reading,
-            target_error=self._settings.target_error,
-            least_duration=self._settings.least_duration,
-        )
+        self._recording = TrialRecorder(self._settings, self._on_finished, self._refuse)
 
     def _stop(self) -> None:
         self._end_recording()
@@ -210,7 +194,6 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         if self._active:
             # Sent first, so that in lockstep the decision arrives before more samples are taken.
             if (decision := self._recording.decide()) is not None:
-                self._announced.note(decision)
                 self._stopping.publish(status_message(decision))
             self._received.send(encode_count(samples))
 
@@ -253,9 +236,9 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             for status in deserialize_message(message, DiagnosticArray).status:
                 if status.name == TimingFigures.STATUS_NAME:
                     figures = TimingFigures.from_values(values_of(status))
-                    self._recording.timing = Timing(
-                        **dict(figures), **dict(self._settings.realtime)
-                    )
+                    timing = Timing(**dict(figures), **dict(self._settings.realtime))
+                    known = self._recording.known.model_copy(update={"timing": timing})
+                    self._recording.known = known
         except (MalformedMessageError, RuntimeError, ValueError) as error:
             self._refuse(topics.DIAGNOSTICS, error)
 
@@ -267,7 +250,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         except MalformedMessageError as error:
             self._refuse(topics.TRIAL, error)
             return
-        if reason := self._announced.contradiction(status):
+        if reason := self._recording.contradiction(status):
             self._refuse(topics.TRIAL, reason)
             return
         fault = fault_of(status)
@@ -308,20 +291,19 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         """Compute, store and publish the result, once."""
         if self.result is not None:
             return
-        timing = self._recording.timing
-        measured = {} if timing is None else {RECORD_KEY: timing.model_dump_json()}
         self.result = result = conclude(
             self._finished,
-            metadata={**self._metadata, **measured},
+            known=self._recording.known,
             joint_names=self._settings.joints,
             estimators=self._settings.estimators,
             allow_gaps=self._settings.allow_gaps,
             problems=self._problems,
         )
-        if self._directory is not None:
+        if self._settings.directory:
+            directory = Path(self._settings.directory)
             try:
-                self._directory.mkdir(parents=True, exist_ok=True)
-                result.write(self._directory)
+                directory.mkdir(parents=True, exist_ok=True)
+                result.write(directory)
             except (ArmimpError, OSError) as error:
                 self.get_logger().error(f"result not stored: {error}")
         self._result.publish(result_message(result))

@@ -38,11 +38,11 @@ from armimp_estimation.alignment.streams import Streams, stamps_in_step
 from armimp_estimation.bags.reader import BAGS
 from armimp_estimation.bags.writer import BagWriter, definitions, require_free_space
 from armimp_estimation.estimators.lpm import FittedColumn, LpmFull
-from armimp_estimation.metadata import RECORD_KEY, Timing
+from armimp_estimation.metadata import RECORD_KEY, Metadata
+from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.problems import Problem, ProblemCode
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.scores import coherence
-from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.trial import TrialData
 
 _ROUND = 1000
@@ -79,41 +79,33 @@ class TrialRecorder:
 
     Parameters
     ----------
-    joint_names : tuple of str
-        Names of the n joints.
-    directory : Path or None
-        Directory in which ``bags/`` is made; with None, nothing is recorded.
-    metadata : mapping of str to str
-        Metadata to store in every bag.
+    settings : EstimatorParameters
+        Those of the node. Without a directory, nothing is recorded.
     on_finished : callable
         Called with each finished trial, or with the problem that prevented its assembly.
     refuse : callable, optional
         Called with topic and error for each message that is too short to have a stamp.
-    reading : TorqueReading, optional
-        What is known of how torques are read.
-    target_error, least_duration : float
-        Bound and least length (s) of the stopping rule; with a bound of 0, no trial ends early.
+
+    Raises
+    ------
+    ConfigurationError, DataError
+        If the metadata in the settings make no sense.
     """
 
     def __init__(
         self,
-        joint_names: tuple[str, ...],
-        directory: Path | None,
-        metadata: Mapping[str, str],
+        settings: EstimatorParameters,
         on_finished: Callable[[Trial | Problem], None],
         refuse: Callable[[str, MalformedMessageError], None] = lambda *_: None,
-        *,
-        reading: TorqueReading | None = None,
-        target_error: float = 0.0,
-        least_duration: float = 20.0,
     ) -> None:
-        self._joint_names = joint_names
-        self._directory, self._metadata = directory, metadata
-        self._on_finished, self._refuse = on_finished, refuse
-        self._reading = reading or TorqueReading()
-        self._target_error, self._least_duration = target_error, least_duration
+        self._settings, self._on_finished, self._refuse = settings, on_finished, refuse
+        self._metadata = settings.bag_metadata()
+        self.known = Metadata.of(self._metadata, len(settings.joints))
+        """What is known of the experiment. Its timing, the latest one of the run, is stored in the
+        bag of each trial when that ends."""
         self._writer: BagWriter | None = None
-        if directory is not None:
+        self._recording = settings.record and bool(settings.directory)
+        if self._recording:
             definitions()  # no trial should wait for the first call
         self._bag = ""
         self._past: list[TrialRecord] = []
@@ -121,14 +113,16 @@ class TrialRecorder:
         """Messages since the end of the last trial's perturbation."""
         self._later: deque[TrialStatus] = deque()
         """Statuses of trials after the present one."""
-        self.timing: Timing | None = None
-        """Latest known timing of the run, stored in the bag of each trial when that ends."""
+        self._announced: dict[int, int] = {}
+        """Announced length of each trial (samples)."""
+        self._enough: set[int] = set()
+        """Trials that may end early."""
         self._forget()
 
     def _forget(self) -> None:
         self._statuses: list[TrialStatus] = []
         self._unwritten: list[TrialStatus] = []
-        self._streams = Streams(self._joint_names)
+        self._streams = Streams(self._settings.joints)
         self._start_ns: int | None = None
         self._before = dict.fromkeys(VALUE_FIELD, 0)
         """Messages of the present bag with stamps before the trial."""
@@ -153,6 +147,19 @@ class TrialRecorder:
         counts = [self._streams[topic].received - before for topic, before in self._before.items()]
         counts.append(self._streams[COMMANDS].received - self._before[PERTURBATION])
         return max(min(*counts, self._statuses[-1].ticks), 0)
+
+    def contradiction(self, status: TrialStatus) -> str:
+        """Say how a status contradicts the announced length of its trial; empty if it does not."""
+        trial, ticks = status.trial, status.ticks
+        announced = self._announced.setdefault(trial, ticks)
+        if ticks > announced:
+            return f"trial {trial} has {ticks} samples, not {announced} any more"
+        # A node that does not record, as in a replay, can't know which trials may end early.
+        if ticks < announced and self._settings.record and trial not in self._enough:
+            early = f"ends after {ticks} samples, which nobody asked for, not {announced}"
+            return f"trial {trial} {early}"
+        self._announced[trial] = ticks
+        return ""
 
     def add_status(self, status: TrialStatus) -> None:
         """Process a trial status; those of later trials wait until the present one is complete.
@@ -253,17 +260,20 @@ class TrialRecorder:
         """Decide whether the present trial has lasted long enough, if a decision is due."""
         if self._rule is None or self._statuses[-1].phase is not Phase.PERTURB:
             return None
-        return self._rule.decide(
+        decision = self._rule.decide(
             self.samples,
             lambda samples: self._fit(record_so_far(self._streams, self._statuses, samples)),
         )
+        if decision is not None and decision.enough:
+            self._enough.add(decision.trial)
+        return decision
 
     def _fit(self, record: TrialRecord | None) -> FittedColumn | None:
         """Estimate column k from a record, and keep it for progress reports."""
         self._column = None
         if record is not None and record.samples:
             with suppress(DataError):  # too few samples
-                record = replace(record, reading=self._reading)
+                record = replace(record, reading=self.known.reading)
                 self._column = LpmFull().column(record, self._past)
         return self._column
 
@@ -287,20 +297,20 @@ class TrialRecorder:
 
     def _open(self, status: TrialStatus) -> None:
         self.close()
-        if self._directory is not None:
+        if self._recording:
             self._bag = f"{BAGS}/trial_{status.trial}_joint_{status.joint + 1}"
-            path = self._directory / self._bag
-            require_free_space(path, _KEPT_BETWEEN + status.ticks, len(self._joint_names))
+            path = Path(self._settings.directory, self._bag)
+            require_free_space(path, _KEPT_BETWEEN + status.ticks, len(self._settings.joints))
             self._writer = BagWriter(path, metadata=self._metadata)
 
     def _begin(self, status: TrialStatus, start_ns: int) -> None:
         """Begin with the samples of a trial, and record the messages kept from before it."""
         self._start_ns, self._began = start_ns, time.monotonic()
         self._look_at = self._began + _SEEN_EVERY
-        if self._target_error:
+        if self._settings.target_error:
             self._rule = StoppingRule(
-                self._target_error,
-                self._least_duration,
+                self._settings.target_error,
+                self._settings.least_duration,
                 trial=status.trial,
                 planned=status.ticks,
                 rate=RATE,
@@ -421,15 +431,15 @@ class TrialRecorder:
                 if len(trials) != 1:
                     number = statuses[0].trial
                     raise DataError(f"trial {number}: its statuses announce {len(trials)} trials")
-                if self._writer is not None and self.timing is not None:
-                    self._writer.add_metadata({RECORD_KEY: self.timing.model_dump_json()})
+                if self._writer is not None and (timing := self.known.timing) is not None:
+                    self._writer.add_metadata({RECORD_KEY: timing.model_dump_json()})
             finally:
                 self.close()
         except ArmimpError as error:
             return Problem.of(error, ProblemCode.RECORDING_FAILED)
         (trial,) = trials
         if trial.record is not None:
-            self._past.append(replace(trial.record, reading=self._reading))
+            self._past.append(replace(trial.record, reading=self.known.reading))
         rtf = trial.statistics.span / RATE / elapsed
         return replace(trial, bag=self._bag or None, rtf=rtf)
 

@@ -71,7 +71,7 @@ class Result:
 def conclude(
     trials: Sequence[Trial],
     *,
-    metadata: Mapping[str, str],
+    known: Metadata,
     joint_names: Sequence[str],
     estimators: Sequence[str | Estimator],
     allow_gaps: bool = False,
@@ -85,9 +85,8 @@ def conclude(
     ----------
     trials : sequence of Trial
         One for each joint.
-    metadata : mapping of str to str
-        Metadata of the bags: configuration, seed, truth (of a simulator), timing of a run in real
-        time, and what is known of the torque readings.
+    known : Metadata
+        What was recorded or declared beside the samples.
     joint_names : sequence of str
         Names of the n joints.
     estimators : sequence of str or Estimator
@@ -103,10 +102,7 @@ def conclude(
     ------
     ConfigurationError
         If an estimator does not exist.
-    DataError
-        If the metadata make no sense.
     """
-    known = Metadata.of(metadata, len(joint_names))
     found = list(problems)
     for one in problems_of(trials, known, allow_gaps=allow_gaps):
         if one not in found:
@@ -149,10 +145,8 @@ def problems_of(
 
     Parameters
     ----------
-    trials, allow_gaps
+    trials, known, allow_gaps
         As :func:`conclude` takes them.
-    known : Metadata
-        What was recorded or declared beside the samples.
     """
     found = [] if known.timing is None else known.timing.problems
     declared = known.planned_rate

@@ -1,5 +1,6 @@
 """Recording: a bag for each trial, closed whatever happens, and running figures meanwhile."""
 
+import json
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -32,6 +33,7 @@ from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.alignment.streams import Streams
 from armimp_estimation.bags.reader import read_bag
 from armimp_estimation.bags.writer import definitions
+from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.problems import Problem, ProblemCode
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.recorder import TrialRecorder, largest_error, record_so_far
@@ -44,13 +46,13 @@ from support.synthetic_bags import (
     recording_of,
     synthetic_recording,
 )
-from support.synthetic_trials import LPM, SIMULTANEOUS, SyntheticConfig, part_of, synthetic_trial
+from support.synthetic_trials import LPM, SyntheticConfig, part_of, synthetic_trial
 from support.synthetic_trials import TWO_JOINT_ARM as ARM
 
 SETTLE, TICKS, REST = 10, 100, 10
 MADE_UP = synthetic_recording(perturbed=(0, 1), ticks=TICKS, settle=SETTLE, rest=REST)
 NAMES = ("shoulder", "elbow")
-METADATA = {"seed": "7", "joint_names": '["shoulder", "elbow"]'}
+METADATA = {"seed": "7", "joint_names": json.dumps(NAMES), "torque_timing": '"simultaneous"'}
 ARM_RECORDING = recorded_arm()
 ARM_NAMES = ARM_RECORDING.records[0].joint_names
 SAMPLES = ARM_RECORDING.records[0].samples
@@ -60,18 +62,14 @@ STREAMS = (PERTURBATION, JOINT_STATES, TORQUE_SENSORS)
 class Desk:
     """A recorder with a list of what it handed over."""
 
-    def __init__(
-        self,
-        directory: Path | None,
-        names: tuple[str, ...] = NAMES,
-        *,
-        together: int = 1,
-        **options: Any,
-    ) -> None:
+    def __init__(self, directory: Path | None, *, together: int = 1, **options: Any) -> None:
         self.directory, self.together = directory, together
         self.finished: list[Trial] = []
         self.problems: list[Problem] = []
-        self.recorder = TrialRecorder(names, directory, METADATA, self.on_finished, **options)
+        settings = EstimatorParameters(
+            directory=str(directory or ""), metadata=json.dumps(METADATA), **options
+        )
+        self.recorder = TrialRecorder(settings, self.on_finished)
 
     def on_finished(self, trial: Trial | Problem) -> None:
         if isinstance(trial, Problem):
@@ -278,7 +276,7 @@ def test_when_a_trial_ends_depends_on_its_first_samples_and_the_trials_before(
     together: int,
 ) -> None:
     considered = 6000 - NOTICE_TICKS
-    desk = Desk(None, ARM_NAMES, reading=SIMULTANEOUS, target_error=0.5, least_duration=6.0)
+    desk = Desk(None, joints=ARM_NAMES, target_error=0.5, least_duration=6.0)
     made: list[StoppingDecision | None] = []
     messages = ARM_RECORDING.messages
     record(desk.recorder, messages, together, lambda: made.append(desk.recorder.decide()))

@@ -64,7 +64,7 @@ LOST = {RECORDING.records[1].start_ns + tick * PERIOD_NS for tick in range(4000,
 KEPT = tuple(one for one in RECORDING.messages if one[0] != JOINT_STATES or one[1] not in LOST)
 
 result_of = functools.partial(
-    conclude, metadata=METADATA, joint_names=("shoulder", "elbow"), estimators=ESTIMATORS
+    conclude, known=Metadata.of(METADATA), joint_names=("shoulder", "elbow"), estimators=ESTIMATORS
 )
 
 
@@ -121,10 +121,10 @@ def test_trials_of_another_rate_are_refused_where_the_controller_that_made_them_
         replace(one, segments=tuple(replace(part, rate=2000.0) for part in one.segments))
         for one in LIVE
     ]
-    known = {"config": json.dumps({CONTROLLER_NODE: {}})}
-    assert ProblemCode.RATE_UNPLANNED not in codes(result_of(faster, metadata={}))
-    assert ProblemCode.RATE_UNPLANNED not in codes(result_of(LIVE, metadata=known))
-    assert codes(result_of(faster, metadata=known)).count(ProblemCode.RATE_UNPLANNED) == 2
+    known = Metadata(config={CONTROLLER_NODE: {}})
+    assert ProblemCode.RATE_UNPLANNED not in codes(result_of(faster, known=Metadata()))
+    assert ProblemCode.RATE_UNPLANNED not in codes(result_of(LIVE, known=known))
+    assert codes(result_of(faster, known=known)).count(ProblemCode.RATE_UNPLANNED) == 2
 
 
 def test_notes_and_problems_of_an_estimator_that_decides_nothing_leave_the_result_valid() -> None:
@@ -248,7 +248,7 @@ def test_each_limit_that_is_exceeded_is_a_problem(
     told = timing(GOOD, **changes)
     assert [one.code for one in told.problems] == expected
     # Without trials nothing is estimated.
-    summary = result_of([], metadata={**METADATA, **stored(told)[0]}).summary
+    summary = result_of([], known=Metadata.of(METADATA | stored(told)[0])).summary
     assert [one.code for one in summary.faults] == [*expected, ProblemCode.TRIALS_INCOMPLETE]
     assert summary.timing is not None
     assert summary.timing.model_dump_json() == told.model_dump_json()

@@ -11,7 +11,7 @@ from scipy.ndimage import uniform_filter1d
 
 from armimp_common.arrays import FloatArray, IntArray
 from armimp_common.errors import DataError
-from armimp_common.status import Cause, Phase, StoppingDecision, TrialStatus
+from armimp_common.status import Cause, Phase, TrialStatus
 from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_estimation.problems import Problem, ProblemCode, problem
 
@@ -92,39 +92,6 @@ class TrialWindow:
             raise DataError(f"trial {self.trial} cannot have {self.ticks} samples")
         if abs(self.start_ns) > _LATEST_NS:
             raise DataError(f"trial {self.trial} cannot start at {self.start_ns} ns")
-
-
-class AnnouncedTrials:
-    """Remembers the announced lengths of trials, to detect statuses that contradict these.
-
-    Parameters
-    ----------
-    strict : bool
-        Whether a trial may end early only after :meth:`note` got a decision that it may.
-    """
-
-    def __init__(self, *, strict: bool) -> None:
-        self._strict = strict
-        self._planned: dict[int, int] = {}
-        self._enough: set[int] = set()
-
-    def note(self, decision: StoppingDecision) -> None:
-        """Note a decision of the stopping rule."""
-        if decision.enough:
-            self._enough.add(decision.trial)
-
-    def contradiction(self, status: TrialStatus) -> str:
-        """Say how a status contradicts earlier ones; return an empty text if it does not."""
-        trial, ticks = status.trial, status.ticks
-        planned = self._planned.setdefault(trial, ticks)
-        if ticks > planned:
-            return f"trial {trial} has {ticks} samples, not {planned} any more"
-        if ticks < planned and self._strict and trial not in self._enough:
-            return (
-                f"trial {trial} ends after {ticks} samples, which nobody asked for, not {planned}"
-            )
-        self._planned[trial] = ticks
-        return ""
 
 
 def windows_from_statuses(statuses: Sequence[TrialStatus]) -> tuple[TrialWindow, ...]:
