@@ -308,13 +308,7 @@ class TrialRecorder:
         self._start_ns, self._began = start_ns, time.monotonic()
         self._look_at = self._began + _SEEN_EVERY
         if self._settings.target_error:
-            self._rule = StoppingRule(
-                self._settings.target_error,
-                self._settings.least_duration,
-                trial=status.trial,
-                planned=status.ticks,
-                rate=RATE,
-            )
+            self._rule = StoppingRule(self._settings, status)
         stamps = np.array([_stamp(message) for message in self._between[PERTURBATION]])
         first = _last_step_back(stamps, start_ns)
         waiting = {topic: list(raws)[first:] for topic, raws in self._between.items()}
@@ -461,26 +455,21 @@ class StoppingRule:
 
     Parameters
     ----------
-    bound : float
+    settings : EstimatorParameters
         The trial has lasted long enough if all relative standard errors (one standard error) of M,
-        B and K of its column are below this.
-    least : float
-        Least length of every trial, s.
-    trial : int
-        Number of the trial, 1-based.
-    planned : int
-        Planned number of samples, which the trial never exceeds.
+        B and K of its column are below `target_error`, but never before `least_duration`.
+    status : TrialStatus
+        One with the planned number of samples, which the trial never exceeds.
     rate : float
         Samples per second, Hz.
     """
 
     def __init__(
-        self, bound: float, least: float, *, trial: int, planned: int, rate: float
+        self, settings: EstimatorParameters, status: TrialStatus, rate: float = RATE
     ) -> None:
-        self._bound = bound
-        self._trial = trial
-        self._planned = planned
-        self._first = max(round(least * rate) - NOTICE_TICKS, 1)
+        self._bound = settings.target_error
+        self._trial, self._planned = status.trial, status.ticks
+        self._first = max(round(settings.least_duration * rate) - NOTICE_TICKS, 1)
         self._every = round(_DECIDED_EVERY * rate)
         self._due: int | None = 0
 

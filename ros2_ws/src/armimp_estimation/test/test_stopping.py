@@ -9,9 +9,11 @@ import pytest
 from armimp_common.status import NOTICE_TICKS, StoppingDecision
 from armimp_estimation.estimators.lpm import FittedColumn
 from armimp_estimation.fit import fit_mbk
+from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.recorder import StoppingRule, largest_error
 from armimp_estimation.trial import TrialData
+from support.streams import trial_status
 from support.synthetic_trials import (
     LPM,
     SEGMENT,
@@ -24,7 +26,8 @@ from support.synthetic_trials import (
 
 BOUND = 0.02
 LEAST = 20_000 - NOTICE_TICKS
-rule = partial(StoppingRule, BOUND, 20.0, trial=2, planned=50_000, rate=1000.0)
+PLANNED = trial_status(trial=2, ticks=50_000)
+rule = partial(StoppingRule, EstimatorParameters(target_error=BOUND))
 
 
 def column(error: float) -> FittedColumn:
@@ -32,15 +35,9 @@ def column(error: float) -> FittedColumn:
     return FittedColumn(joint=1, values=values, errors=errors, preliminary=False)
 
 
-def decisions(
-    one: StoppingRule, samples: int, errors: dict[int, float] | float
-) -> list[StoppingDecision]:
+def decisions(one: StoppingRule, samples: int, error: float) -> list[StoppingDecision]:
     """All decisions while the samples come in tens."""
-
-    def found(count: int) -> FittedColumn:
-        return column(errors if isinstance(errors, float) else errors.get(count, 1.0))
-
-    told = [one.decide(count, found) for count in range(0, samples + 1, 10)]
+    told = [one.decide(count, lambda _: column(error)) for count in range(0, samples + 1, 10)]
     return [decision for decision in told if decision is not None]
 
 
@@ -61,8 +58,7 @@ def test_a_parameter_without_a_relative_error_is_never_good_enough(values: float
 
 
 def test_first_comes_an_announcement_then_decisions_in_their_time() -> None:
-    found = decisions(rule(), 49_000, 0.05)
-
+    found = decisions(rule(PLANNED), 49_000, 0.05)
     assert (found[0].trial, found[0].samples, found[0].due) == (2, 0, LEAST)
     assert np.isnan(found[0].largest)
     # Two seconds apart, or a tenth of the trial.
@@ -76,14 +72,13 @@ def test_first_comes_an_announcement_then_decisions_in_their_time() -> None:
 
 
 def test_a_trial_that_is_good_enough_ends_once_and_not_before_its_least_length() -> None:
-    found = decisions(rule(), 49_000, 0.001)
-
+    found = decisions(rule(PLANNED), 49_000, 0.001)
     assert [(one.samples, one.enough, one.due) for one in found[1:]] == [(LEAST, True, None)]
     assert (found[1].largest, found[1].element) == (0.001, "M12")
 
 
 def test_samples_that_come_late_do_not_change_what_is_considered() -> None:
-    one = rule()
+    one = rule(PLANNED)
     one.decide(0, lambda _: None)
     decision = one.decide(LEAST + 1234, lambda samples: column(0.001 if samples == LEAST else 1.0))
     assert decision is not None
@@ -92,7 +87,7 @@ def test_samples_that_come_late_do_not_change_what_is_considered() -> None:
 
 @pytest.mark.parametrize("planned", [1000, 20_000])
 def test_a_trial_no_longer_than_the_least_is_announced_and_left_alone(planned: int) -> None:
-    (only,) = decisions(rule(planned=planned), planned, 0.0)
+    (only,) = decisions(rule(trial_status(ticks=planned)), planned, 0.0)
     assert (only.samples, only.due) == (0, None)
 
 
@@ -102,7 +97,8 @@ def ended(record: TrialRecord, others: Sequence[TrialRecord]) -> TrialRecord:
     def column_of(samples: int) -> FittedColumn:
         return LPM.column(part_of(record, 0, samples), others)
 
-    rule = StoppingRule(0.15, 20.0, trial=1, planned=record.samples, rate=record.rate)
+    settings, status = EstimatorParameters(target_error=0.15), trial_status(ticks=record.samples)
+    rule = StoppingRule(settings, status, record.rate)
     decision = rule.decide(0, lambda _: None)
     while decision is not None and decision.due is not None:
         decision = rule.decide(decision.due, column_of)
