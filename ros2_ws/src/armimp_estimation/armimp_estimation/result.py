@@ -107,33 +107,33 @@ def conclude(
     for one in problems_of(trials, known, allow_gaps=allow_gaps):
         if one not in found:
             found.append(one)
-    identification = None
+    names = tuple(joint_names)
+    identification = Identification(joint_names=names, trials=(), estimators={}, problems=())
     if not any(trial.refusals(allow_gaps=allow_gaps) for trial in trials):
         try:
             parts = [trial.segments for trial in trials]
             identification = identify_records(parts, estimators, known)
-            found += identification.problems
         except DataError as error:
             found.append(Problem.of(error))
+    found += identification.problems
     seed = known.seed if known.seed is not None or not trials else trials[0].window.seed
     # A trial of an unknown joint is reported as a problem, but left out of tables and figures.
-    trials = [trial for trial in trials if trial.joint < len(joint_names)]
+    trials = [trial for trial in trials if trial.joint < len(names)]
     trials.sort(key=lambda trial: (trial.joint, trial.trial))
+    results = identification.estimators
     summary = Summary.of(
         identification,
-        joint_names=joint_names,
         truth=known.truth,
         config=known.config,
         seed=seed,
         problems=found,
-        trials=[_trial_summary(trial, identification, len(joint_names)) for trial in trials],
+        trials=[_trial_summary(trial, identification) for trial in trials],
         timing=known.timing,
-        torque_reading=None if identification is None else known.reading,
+        torque_reading=known.reading if results else None,
     )
-    curves = {} if identification is None else identification.estimators
     return Result(
         summary=summary,
-        curves={name: ImpedanceCurve.of(one) for name, one in curves.items()},
+        curves={name: ImpedanceCurve.of(one) for name, one in results.items()},
         trials=tuple(trials),
     )
 
@@ -197,15 +197,12 @@ def load_result(directory: Path) -> Result:
     )
 
 
-def _trial_summary(
-    trial: Trial, identification: Identification | None, joints: int
-) -> TrialSummary:
+def _trial_summary(trial: Trial, identification: Identification) -> TrialSummary:
     """Summary of a trial; without scores if nothing could be estimated."""
-    unknown = [math.nan] * joints
-    scores = TrialScores(k=trial.joint + 1, lock_ratio=unknown, bias_bound=unknown)
-    found = () if identification is None else identification.trials
+    k, unknown = trial.joint + 1, [math.nan] * len(identification.joint_names)
+    scores = TrialScores(k=k, lock_ratio=unknown, bias_bound=unknown)
     return TrialSummary(
-        **dict(next((one for one in found if one.k == trial.joint + 1), scores)),
+        **dict(next((one for one in identification.trials if one.k == k), scores)),
         **dict(trial.statistics),
         bag=trial.bag,
         ticks=trial.statistics.streams[PERTURBATION].received,

@@ -190,28 +190,14 @@ class Summary(JsonModel):
     """Command line and date of a result from the command line, see below."""
 
     @classmethod
-    def of(
-        cls,
-        identification: Identification | None,
-        *,
-        joint_names: Sequence[str],
-        **content: Any,
-    ) -> Self:
-        """Summarise an identification, which is None if nothing could be estimated.
-
-        All other fields are given as keywords, and taken as they are.
-        """
-        found = {} if identification is None else identification.estimators
-        deciding = () if identification is None else identification.deciding
+    def of(cls, identification: Identification, **content: Any) -> Self:
+        """Summarise an identification; all other fields are keywords, and taken as they are."""
+        names, deciding = identification.joint_names, identification.deciding
         estimators = {
-            name: EstimatorSummary.of(one, decides=name in deciding) for name, one in found.items()
+            name: EstimatorSummary.of(one, decides=name in deciding)
+            for name, one in identification.estimators.items()
         }
-        return cls(
-            joints=len(joint_names),
-            joint_names=list(joint_names),
-            estimators=estimators,
-            **content,
-        )
+        return cls(joints=len(names), joint_names=list(names), estimators=estimators, **content)
 
     @computed_field  # type: ignore[prop-decorator]
     @property

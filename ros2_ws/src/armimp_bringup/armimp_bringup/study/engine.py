@@ -109,7 +109,6 @@ def estimate_condition(
         raise DataError(f"{condition}: {error}") from None
     entry = StudyEntry.of(
         identification,
-        joint_names=identification.joint_names,
         truth=experiment.truth,
         # The software that the study as a whole is made with, wherever this runs.
         config=experiment.known.config | dict(made_with),
