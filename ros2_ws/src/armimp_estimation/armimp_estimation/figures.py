@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import io
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -40,7 +40,6 @@ from armimp_estimation.report.plots import (
     trace_chart,
 )
 from armimp_estimation.result import Result
-from armimp_estimation.summary import ImpedanceCurve, Summary
 
 TWO_COLUMNS = 7.16
 """Width of a two-column figure, inches."""
@@ -150,22 +149,19 @@ def element_figure(
     return matrix_figure([[chart(i, k) for k in each] for i in each], titles, legend, **size)
 
 
-def impedance_figure(summary: Summary, curves: Mapping[str, ImpedanceCurve]) -> Figure:
-    """Draw a `bode_chart` of every element of Z_h, with the curves of at least one estimator."""
-    truth = summary.truth
+def impedance_figure(result: Result) -> Figure:
+    """Draw a `bode_chart` of every element of Z_h, for a result with curves."""
+    curves, truth, n = result.curves, result.summary.truth, result.summary.joints
     keys = [*strokes(curves).values(), *([] if truth is None else [TRUE])]
-    return element_figure(
-        summary.joints, lambda i, k: bode_chart(curves, truth, i, k), keys, row_height=0.38
-    )
+    return element_figure(n, lambda i, k: bode_chart(curves, truth, i, k), keys, row_height=0.38)
 
 
 def coherence_figure(result: Result) -> Figure:
     """Draw the coherences behind every element of Z_h, for a result with curves."""
-    names, level = result.summary.joint_names, result.significance or 0.0
     derived = [replace(one, name=f"derived, {one.name}") for one in strokes(result.curves).values()]
     return element_figure(
-        len(names),
-        lambda i, k: coherence_chart(result.curves, i, k, names, level),
+        result.summary.joints,
+        lambda i, k: coherence_chart(result, i, k),
         [MOTION, TORQUE, *derived, UNRELATED],
         row_height=1.2,
     )
@@ -195,7 +191,7 @@ def write_figures(directory: Path, result: Result) -> None:
         If a figure cannot be written.
     """
     if result.curves:
-        save_figure(impedance_figure(result.summary, result.curves), directory / "impedance")
+        save_figure(impedance_figure(result), directory / "impedance")
         save_figure(coherence_figure(result), directory / "coherence")
     trials = [one for one in result.trials if one.segments]
     if trials and len(trials) <= result.summary.joints:

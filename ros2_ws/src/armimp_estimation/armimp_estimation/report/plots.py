@@ -31,6 +31,7 @@ from armimp_estimation.estimators.registry import ESTIMATORS
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.report.formats import plain, symbol
+from armimp_estimation.result import Result
 from armimp_estimation.spectra import BAND as PERTURBED
 from armimp_estimation.summary import ImpedanceCurve
 
@@ -410,23 +411,19 @@ def bode_chart(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, 
     return replace(chart, rows=rows, description=description)
 
 
-def coherence_chart(
-    curves: Mapping[str, ImpedanceCurve], i: int, k: int, joint_names: Sequence[str], level: float
-) -> Chart:
-    """Chart of the coherences behind ``Z_ik`` (0-based) over frequency, for one or more estimators.
-
-    Signals with a coherence below `level` count as unrelated.
-    """
-    common = next(iter(curves.values())).coherence
+def coherence_chart(result: Result, i: int, k: int) -> Chart:
+    """Chart of the coherences behind ``Z_ik`` (0-based) over frequency; the result has curves."""
+    names, common = result.summary.joint_names, next(iter(result.curves.values())).coherence
     shown = [
-        (common.motion[k], replace(MOTION, name=f"{MOTION.name} of {joint_names[k]}")),
-        (common.torque[i, k], replace(TORQUE, name=f"{TORQUE.name} of {joint_names[i]}")),
+        (common.motion[k], replace(MOTION, name=f"{MOTION.name} of {names[k]}")),
+        (common.torque[i, k], replace(TORQUE, name=f"{TORQUE.name} of {names[i]}")),
     ]
-    for name, stroke in strokes(curves).items():
-        derived = curves[name].coherence.derived[i, k]
+    for name, stroke in strokes(result.curves).items():
+        derived = result.curves[name].coherence.derived[i, k]
         shown.append((derived, replace(stroke, name=f"derived, {name}")))
     lines = [Line(x=common.f, y=values, stroke=stroke) for values, stroke in shown]
-    lines.append(Line(x=common.f[[0, -1]], y=np.full(2, level), stroke=UNRELATED))
+    level = np.full(2, result.significance)
+    lines.append(Line(x=common.f[[0, -1]], y=level, stroke=UNRELATED))
     ordinate = Axis(title="coherence γ²", ends=(0.0, 1.02), hoverformat=".4f")
     lowest = min(float(np.nanmin(values)) for values, _ in shown)
     what = f"Coherences behind Z {i + 1} {k + 1} over frequency; the lowest is {lowest:.2g}."

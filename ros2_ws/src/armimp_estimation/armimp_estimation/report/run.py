@@ -227,7 +227,7 @@ def _impedance(result: Result) -> Content | None:
 
 
 def _coherence(result: Result) -> Content | None:
-    curves, n, level = result.curves, result.summary.joints, result.significance
+    n, level = result.summary.joints, result.significance
     if level is None:
         return None
     return {
@@ -236,15 +236,10 @@ def _coherence(result: Result) -> Content | None:
             TORQUE,
             replace(UNRELATED, name=f"{UNRELATED.name} {level:.2f} (95 %)"),
         ],
-        "switches": list(strokes(curves).values()),
+        "switches": list(strokes(result.curves).values()),
         "joints": n,
         "averages": result.averages,
-        "plots": element_plots(
-            "coherence",
-            n,
-            lambda i, k: coherence_chart(curves, i, k, result.summary.joint_names, level),
-            250,
-        ),
+        "plots": element_plots("coherence", n, lambda i, k: coherence_chart(result, i, k), 250),
     }
 
 
