@@ -343,7 +343,7 @@ class TrialRecorder:
             self._writer.flush()  # a block of samples is flushed by the writer itself
 
     def _take_one(self, topic: str, message: bytes) -> None:
-        past = self._is_past(0)
+        past = self._is_past(PERTURBATION)
         if topic == COMMANDS:
             led_ns = self._newest_ns[PERTURBATION]
             stamp_ns = led_ns if led_ns >= 0 else max(*self._newest_ns.values(), 0)
@@ -383,12 +383,9 @@ class TrialRecorder:
             for status in new:
                 self._writer.write(TRIAL, encode_trial_status(status), time_ns)
 
-    def _is_past(self, beyond_ns: int, *topics: str) -> bool:
-        """Whether streams, by default the perturbation, are `beyond_ns` beyond the trial's end."""
-        if self._start_ns is None:
-            return False
-        end_ns = self._end_ns + beyond_ns
-        return all(self._newest_ns[topic] >= end_ns for topic in topics or (PERTURBATION,))
+    def _is_past(self, *topics: str, beyond_ns: int = 0) -> bool:
+        """Whether streams are `beyond_ns` beyond the end of the trial."""
+        return all(self._newest_ns[topic] >= self._end_ns + beyond_ns for topic in topics)
 
     @property
     def _end_ns(self) -> int:
@@ -401,7 +398,8 @@ class TrialRecorder:
         if status is None or status.phase not in (Phase.REST, Phase.DONE):
             return
         answered = self._streams[COMMANDS].received >= self._before[PERTURBATION] + status.ticks
-        if self._is_past(_OVERDUE_NS) or (answered and self._is_past(0, *VALUE_FIELD)):
+        overdue = self._is_past(PERTURBATION, beyond_ns=_OVERDUE_NS)
+        if overdue or (answered and self._is_past(*VALUE_FIELD)):
             self.finish()
 
     def finish(self) -> None:
