@@ -135,26 +135,31 @@ def hidden_terms(fit: WeightedFit, values: FloatArray) -> list[list[ComplexArray
 
 
 def _by_reflexes(fit: WeightedFit) -> FloatArray:
-    """Squared change by the kind of `hidden_terms` that may change M, B and K most.
-
-    A term across joints also acts on its own joint, which shows whether the term is present. So do
-    the own terms of other joints, as one person has reflexes in all of them or in none.
-    """
+    """Squared change by the kind of `hidden_terms` that may change M, B and K most."""
     change = np.zeros_like(fit.values)
     for kind in hidden_terms(fit, fit.values):
         found = [_not_negative(fit, terms) for terms in kind]
         squares, evidence = (np.stack(one) for one in zip(*found, strict=True))
-        of_own = np.stack([evidence[:, row, column] for row, column in fit.own], axis=1)
-        for column, own in enumerate(fit.own):
-            others = np.maximum(np.sum(of_own, axis=1) - of_own[:, column], 0.0)
-            for row in range(fit.shape[0]):
-                beside = of_own[:, column] if (row, column) != own else 0.0
-                odds = math.log(_LIKELY / (1.0 - _LIKELY)) + others + beside
-                present = softmax(np.append(odds + evidence[:, row, column], 0.0))[:-1]
-                counts = max(1.0 - _RARE / max(float(np.sum(present)), _RARE), 0.0)
-                square = counts * (present @ squares[:, :, row, column])
-                change[:, row, column] = np.maximum(change[:, row, column], square)
+        present = _present(fit, evidence, _LIKELY / (1.0 - _LIKELY))
+        counts = 1.0 - _RARE / np.maximum(np.sum(present, axis=0), _RARE)
+        change = np.maximum(change, counts * np.einsum("tij,tpij->pij", present, squares))
     return change
+
+
+def _present(fit: WeightedFit, evidence: FloatArray, odds: float) -> FloatArray:
+    """Posterior probabilities of alternative terms in each element, (t, n, m).
+
+    They follow from the prior odds of each term, and from its evidence, (t, n, m), in the element.
+    A term across joints also acts on its own joint, which shows whether the term is present. So do
+    the own terms of other joints, as one person has it in all of them or in none.
+    """
+    own = np.stack([evidence[:, row, column] for row, column in fit.own], axis=1)
+    others = np.maximum(np.sum(own, axis=1, keepdims=True) - own, 0.0)
+    seen = evidence + (math.log(odds) + others + own)[:, None]
+    for place, (row, column) in enumerate(fit.own):
+        seen[:, row, column] -= own[:, place]
+    absent = np.zeros_like(seen[:1])
+    return np.asarray(softmax(np.concatenate((seen, absent)), axis=0)[:-1])
 
 
 def _not_negative(fit: WeightedFit, terms: ComplexArray) -> tuple[FloatArray, FloatArray]:
@@ -188,9 +193,8 @@ def _by_second_mode(fit: WeightedFit) -> FloatArray:
     rigid up to it: beyond w the mass stays behind. All elements together tell which w and ζ it
     may have; what the data leave open counts by the prior.
     """
-    change = np.zeros_like(fit.values)
-    if not fit.estimate.unbiased or change[0].size > _MOST_CUFFS**2:
-        return change
+    if not fit.estimate.unbiased or fit.values[0].size > _MOST_CUFFS**2:
+        return np.zeros_like(fit.values)
     s, M = 1j * fit.omega, fit.values[0][..., None]
     shapes = [
         -M * s**4 / (s**2 + 2.0 * damped * w * s + w**2)
@@ -201,16 +205,8 @@ def _by_second_mode(fit: WeightedFit) -> FloatArray:
     squares, evidence = np.moveaxis(np.array(every), -1, 0)
     squares *= 1.0 + np.exp(np.minimum(-evidence, 700.0))  # if there is such a mode
     moved = squares * np.stack([fit.shifts(shape) for shape in shapes], axis=1) ** 2
-    of_own = np.stack([evidence[:, row, column] for row, column in fit.own], axis=1)
-    for column, own in enumerate(fit.own):
-        others = np.maximum(np.sum(of_own, axis=1) - of_own[:, column], 0.0)
-        for row in range(len(M)):
-            beside = of_own[:, column] if (row, column) != own else 0.0
-            seen = others + evidence[:, row, column] + beside
-            odds = math.log(_MODE / (1.0 - _MODE) / len(shapes)) + seen
-            present = softmax(np.append(odds, 0.0))[:-1]
-            change[:, row, column] = moved[:, :, row, column] @ present
-    return change
+    present = _present(fit, evidence, _MODE / (1.0 - _MODE) / len(shapes))
+    return np.asarray(np.einsum("tij,ptij->pij", present, moved))
 
 
 def _by_channels(fit: WeightedFit, *, may_creep: bool) -> FloatArray:
