@@ -450,8 +450,9 @@ def _perturbation(mismatch: Mismatch, ticks: int, rng: np.random.Generator) -> F
     20 Hz; a number of "sines", from 0.15 Hz up to the cut-off, that never repeat themselves;
     a "chirp" from 0.1 Hz to the cut-off and back every 20 s; a "sweep" from 0.3 Hz to it every
     10 s, whose torque grows with the frequency so that the motion is steady, as that of position
-    servos; "binary" noise, whose sign is drawn anew every 50 ms; "taps" of 4 ms in either
-    direction, 0.3 to 0.8 s apart.
+    servos; "binary" noise, whose sign is drawn anew every 50 ms; "steps", after which the joint
+    comes to rest, from one of two torques to the other; "taps" of 4 ms in either direction, 0.3 to
+    0.8 s apart.
     """
     t = np.arange(ticks) / mismatch.rate
     kind, _, number = mismatch.waveform.partition(" ")
@@ -477,6 +478,9 @@ def _perturbation(mismatch: Mismatch, ticks: int, rng: np.random.Generator) -> F
     if kind == "binary":
         held = rng.choice((-1.0, 1.0), round(20.0 * t[-1]) + 1)
         return np.asarray(held[(20.0 * t).astype(int)])
+    if kind == "steps":
+        steps = np.cumsum(rng.uniform(0.4, 1.3, round(3.0 * t[-1])))
+        return np.asarray(1.0 - 2.0 * (np.searchsorted(steps, t, side="right") % 2))
     lines = 0.1 * np.arange(1, 201)
     if kind == "sines":
         lines = np.geomspace(0.15, mismatch.cutoff, int(number))

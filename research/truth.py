@@ -798,6 +798,8 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         add(NOISE, "multisine, then rest", (f"{slow:g} N·m", rests))
     tapped = {"waveform": "taps", "readings": _without_commands}
     add(MUST, "taps without commands", ("", tapped), ("0.3 N·m", tapped | {"voluntary": 0.3}))
+    for friction in (0.0, 0.15):
+        add(NOISE, "steps", (f"{friction:g} N·m", {"waveform": "steps", "friction": friction}))
     for share in (0.02, 0.05, 0.1):
         ramped = {"readings": changed(torque=_ramped(share))}
         add(MUST, "gain that grows", (f"{share:g}", ramped))

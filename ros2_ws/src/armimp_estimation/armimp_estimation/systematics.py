@@ -51,7 +51,7 @@ def systematic_errors(
     correction: ComplexArray,
     reference: MBK,
     jump: HoldCorrection | None,
-) -> tuple[ComplexArray, list[ComplexArray], list[ComplexArray]]:
+) -> tuple[ComplexArray, list[ComplexArray], list[ComplexArray], FloatArray | float]:
     """Correct an impedance for readings that lead the motion, and find its systematic errors.
 
     Parameters
@@ -75,19 +75,22 @@ def systematic_errors(
     bounds, others : list of ndarray, shape (n, m, n_freq)
         Systematic errors. Only of the bounds is the shape over frequency so well known that the
         data can tell their size.
+    shapeless : ndarray, shape (n, m, n_freq), or float
+        Variance by those of the others whose shape is hardly known.
     """
     reversing, bending = _reversals(records, impedance, f)
     skew = _skew_errors(correction, f, jump, reversing, bending)
     if len(records) < len(impedance):
-        return impedance, [], skew
+        return impedance, [], skew, 0.0
     hidden = HiddenMotion(records, R, multiply(impedance, R), inverse, f)
     ahead, bounds, others = hidden.effects(impedance)
+    shapeless = sum((np.abs(one) ** 2 for one in others), 0.0)
     impedance = impedance + ahead
     if jump is None and not records[0].reading.without_jumps:
         bounds += _joints_held(impedance, f, 0.5 / records[0].rate)
         others += _untold_friction(records, impedance, f, bending)
     others += _trials_apart(records, reference, R, inverse, f)
-    return impedance, bounds, others + skew
+    return impedance, bounds, others + skew, shapeless
 
 
 def _skew_errors(

@@ -322,7 +322,8 @@ def lack_of_fit(estimate: ImpedanceEstimate, fitted: ComplexArray) -> FloatArray
     explains nothing else (generalised least squares).
     """
     f = estimate.f
-    weights = 1.0 / np.sqrt(_spared(estimate.Z, estimate.noise, estimate.averages - 1.0))
+    variance = estimate.noise + estimate.shapeless
+    weights = 1.0 / np.sqrt(_spared(estimate.Z, variance, estimate.averages - 1.0))
     relative = 1j * f / f[-1]
     shapes = np.stack((relative**2, relative, np.ones_like(relative)))
     found = np.zeros(fitted.shape[:2])

@@ -115,6 +115,9 @@ class ImpedanceEstimate:
     bounded: int = 0
     """Number of leading `systematics` that are prior bounds, whose actual size the M-B-K fit
     estimates from the data."""
+    shapeless: FloatArray | float = 0.0
+    """Variance, (N·m/rad)², by those `systematics` whose shape over frequency is hardly known, so
+    that they may look like a lack of fit; shape (n, n, n_freq)."""
     covariance: ComplexArray | None = None
     """``E[δ_a conj(δ_b)]`` of the errors of ``R_1k … R_nk, T_1k … T_nk``, for each trial k;
     responses from different trials are independent. None if that is not so; shape
