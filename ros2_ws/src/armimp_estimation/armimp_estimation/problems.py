@@ -113,6 +113,7 @@ class ProblemCode(str, Enum):
     TORQUE_REPEATS = "torque_repeats"
     ALIASED = "aliased"
     TIME_JUMPS = "time_jumps"
+    JOINED = "joined"
     TORQUE_IS_COMMAND = "torque_is_command"
     TORQUE_FROM_COMMAND = "torque_from_command"
     UNRESOLVED = "unresolved"

@@ -86,6 +86,9 @@ _ABOUT, _CLEAR, _COUNTS, _STEADY, _WHOLE, _AS_WELL = 4, 16.0, 4.0, 0.5, 0.4, 0.2
 differences from it and in counts of an encoder, at least; difference between both sides, at most,
 relative to it; distance of a jump from whole samples, relative to it, at most; share of the jumps
 of a perturbation that angles have, at least."""
+_JOINED, _USUAL_STEP, _FAR = 8.0, 5.0, 0.5
+"""For :func:`seam`: size of a step in largest steps about it, in 99.9 % quantiles of all steps, and
+in standard deviations of the angle, at least."""
 _QUICK, _NEAR, _LINGERS, _STILL, _SURE = (3.0, 40.0), 0.2, 0.04, 0.5, 4.0
 """For :func:`floating`: band, Hz; width of a bin of torque, in standard deviations; least share of
 time in it; power of changes relative to what is usual, at most; standard deviations of chance."""
@@ -131,6 +134,8 @@ def _faults(record: TrialRecord, stream: str, joint: int) -> Iterator[tuple[Prob
         yield ProblemCode.ALIASED, {"percent": 100.0 * share}
     if joint == k and not torques and (share := time_jumps(record)) > JUMPED:
         yield ProblemCode.TIME_JUMPS, {"percent": 100.0 * share}
+    if joint == k and not torques and record.periods is not None and (jump := seam(signal)):
+        yield ProblemCode.JOINED, {"jump": jump}
     if torques and (count := zeros_beyond_chance(signal, step)):
         yield ProblemCode.DEAD_ZONE, {"count": count, "percent": 100.0 * count / signal.size}
     if torques and (share := repeating(signal)):
@@ -428,6 +433,25 @@ def time_jumps(record: TrialRecord) -> float:
             lost += abs(float(np.sum(jumps)))
         looked += np.count_nonzero(clear)
     return lost / max(looked, 1.0)
+
+
+def seam(angle: FloatArray) -> float:
+    """Largest step of an angle that no motion makes, rad, as between recordings; 0 if there is none.
+
+    If the same perturbation was recorded several times and joined, each period has the same step,
+    so that its scatter doesn't show what is lost at the end. A reading that catches up after others
+    were held is another fault: it follows steps of 0.
+    """
+    steps = np.abs(np.diff(angle))
+    if steps.size <= 2 * _ABOUT + 1:
+        return 0.0
+    windows = sliding_window_view(steps, 2 * _ABOUT + 1)
+    before = windows[:, :_ABOUT].max(axis=1)
+    around = np.maximum(before, windows[:, _ABOUT + 1 :].max(axis=1))
+    usual = max(_USUAL_STEP * float(np.quantile(steps, 0.999)), _FAR * float(np.std(angle)))
+    own = windows[:, _ABOUT]
+    found = own[(own > np.maximum(_JOINED * around, usual)) & (before > 0.0)]
+    return float(np.max(found, initial=0.0))
 
 
 def sticking(signal: FloatArray, rate: float, partner: FloatArray) -> tuple[float, int, float]:

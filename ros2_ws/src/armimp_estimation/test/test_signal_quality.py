@@ -18,6 +18,7 @@ from armimp_estimation.signal_quality import (
     judge_signals,
     mended,
     repeating,
+    seam,
     sticking,
     time_jumps,
     without_slow,
@@ -373,6 +374,14 @@ def shaken(kind: str) -> np.ndarray:
     }
     angle = sosfilt(butter(2, 1.5, fs=RATE, output="sos"), pushes[kind])
     return np.asarray(np.round(0.03 * angle / angle.std() / 2e-5) * 2e-5)
+
+
+@pytest.mark.parametrize("kind", ["noise", "binary", "chirp", "at rest now and then"])
+def test_an_angle_jumps_where_periods_were_joined_and_nowhere_else(kind: str) -> None:
+    angle = shaken(kind)
+    assert seam(angle) == 0.0
+    start = angle[: int(np.argmax(np.abs(angle)))]
+    assert seam(np.tile(start, 3)) == pytest.approx(abs(start[-1] - start[0]))
 
 
 @pytest.mark.parametrize("kind", ["noise", "binary", "chirp", "fading in", "at rest now and then"])
