@@ -59,6 +59,9 @@ _AWAY = 16.0
 Sound readings reach 12.5 at most, where a sticking joint begins to slip."""
 _SMALL = 0.05
 """Height relative to the standard deviation of a signal up to which lost readings hardly matter."""
+_SUDDEN = 0.9
+"""Largest step within or next to lost readings, in their largest height, at least. A motion that
+turns has 0.8 of it at most."""
 _PERIODS = 6
 """Control periods in which torques follow a command by jumps, before the arm has moved."""
 MENDED = 0.005
@@ -220,7 +223,8 @@ def mended(record: TrialRecord) -> tuple[TrialRecord, list[Problem]]:
 
     A bus or a converter that fails now and then shows 0, an old value, or any other. A lost reading
     stands out by its height above the morphological opening of the signal over 6 samples, or its
-    depth below the closing. Jumps that chattering commands cause in torques are subtracted before.
+    depth below the closing, and as suddenly. Jumps that chattering commands cause in torques are
+    subtracted before.
     A record without such outliers stays as it is.
 
     Returns
@@ -240,6 +244,7 @@ def mended(record: TrialRecord) -> tuple[TrialRecord, list[Problem]]:
             height[:_PERIODS] = 0.0  # these follow commands from before the record
             usual = max(float(np.quantile(height, _USUAL)), record.resolution[stream][joint])
             away = height > max(_AWAY * usual, _SMALL * float(np.std(signal)))
+            away &= _sudden(rest, height, away)
             if not away.any():
                 continue
             signal[away] += np.interp(k[away], k[~away], rest[~away]) - rest[away]
@@ -285,6 +290,17 @@ def _over_opening(signal: FloatArray) -> FloatArray:
         of_two = extreme(opened[:-1], opened[1:])
         opened = extreme(extreme(of_two[:-4], of_two[2:-2]), of_two[4:])
     return np.asarray(signal - opened)
+
+
+def _sudden(signal: FloatArray, height: FloatArray, away: BoolArray) -> BoolArray:
+    """Which samples, (N,), of those `away` are in a run that a signal enters or leaves at once."""
+    ends = np.flatnonzero(np.diff(away, prepend=False, append=False)).reshape(-1, 2)
+    steps = np.abs(np.diff(signal, prepend=signal[0], append=signal[-1]))
+    found = np.zeros_like(away)
+    for start, end in ends:
+        enough = _SUDDEN * np.max(height[start:end])
+        found[start:end] = np.max(steps[start : end + 1]) >= enough
+    return found
 
 
 def clipping(signal: FloatArray, step: float) -> list[tuple[float, int]]:
