@@ -289,6 +289,8 @@ TERMS: Mapping[str, Term] = {
         at_once=True,
         large=0.05,
         most=3.0,
+        likely=0.5,
+        sizes=(0.1, 0.3),
     ),
     "time and back": Term(
         bend=lambda signals: _returning(signals.angle),
@@ -296,6 +298,17 @@ TERMS: Mapping[str, Term] = {
         in_time=True,
         large=0.05,
         most=3.0,
+        likely=0.2,
+        sizes=(0.1, 0.3),
+    ),
+    "damping over time": Term(
+        bend=lambda signals: _growing(signals.speed),
+        code=ProblemCode.DAMPING_CHANGES,
+        kind=Kind.DAMPING,
+        in_time=True,
+        large=0.3,
+        likely=0.2,
+        sizes=(0.1, 0.3),
     ),
     "onset": Term(
         bend=lambda signals: _calming(signals.angle),

@@ -80,6 +80,11 @@ _INFORMATIVE = 0.1
 projected out. Less is due to chance and the ends, as under a periodic perturbation with all lines:
 the motion has no power between them, and at them any motion looks linear. A nonlinear arm then
 leaves a lack of fit; gains are as uncertain as those of any transducer."""
+_MIXED = 0.7
+"""The same for a change over time. Under a single sweep each frequency has its own time, so that an
+arm that changes looks like another one that doesn't; other perturbations leave 0.87 or more."""
+_UNKNOWN = 1e-6
+"""Coefficient of which nothing is known, N·m: so small that all changes are in proportion to it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,7 +178,7 @@ class Deviation:
     def _odds(self, elsewhere: float) -> tuple[float, float]:
         """Posterior mean square of the share, and evidence, as of :func:`hidden_square`."""
         term = self.term
-        if term.kind is Kind.GAIN and self.error == np.inf:
+        if (term.kind is Kind.GAIN or term.in_time) and self.error == np.inf:
             return term.likely * float(np.mean(np.square(term.sizes))), 0.0
         unknown = not term.likely or (term.lines_alone and not self.coefficient.at_lines)
         errors = self.coefficient.errors()
@@ -215,7 +220,7 @@ def deviations(residual: Residual) -> list[dict[str, Deviation]]:
             if joint != k and not term.couples:
                 continue
             one = _deviation(name, regression.steady(name), column[joint], terms)
-            if term.at_once:
+            if term.at_once and one.coefficient.error < np.inf:
                 sudden = _deviation(name, regression.sudden(term), column[joint], terms)
                 if abs(sudden.share) > _LEFT:
                     one = max(one, sudden, key=lambda each: each.coefficient.errors())
@@ -354,14 +359,17 @@ class _Regression:
         weights, remains = self._weights, self._remains
         if term.kind is Kind.GAIN:
             weights, remains = self._weights_of_gains, self._remains_of_gains
-        cause, whole, alone = band.signal(weights * bent)[:, band.kept]
-        whole = linear.removed(whole)
+        cause, shown, alone = band.signal(weights * bent)[:, band.kept]
+        whole = linear.removed(shown)
         found = _ratio(*_products(linear.unlike(cause), whole, remains))
         error = found.error
         if self._between:
             error = float(np.hypot(error, self._between / np.linalg.norm(whole)))
-        if np.linalg.norm(linear.unlike(alone)) <= _INFORMATIVE * np.linalg.norm(alone):
-            error = np.inf
+        left, of, least = linear.unlike(alone), alone, _INFORMATIVE
+        if term.in_time:
+            left, of, least = whole, shown, _MIXED
+        if np.linalg.norm(left) <= least * np.linalg.norm(of):
+            return Coefficient(value=_UNKNOWN)
         return replace(found, error=error)
 
     def _at_lines(self, term: Term, bent: ComplexArray) -> Coefficient:

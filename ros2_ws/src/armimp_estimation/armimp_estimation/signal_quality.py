@@ -452,7 +452,7 @@ def time_jumps(record: TrialRecord) -> float:
 
 
 def seam(angle: FloatArray) -> float:
-    """Largest step of an angle that no motion makes, rad, as between recordings; 0 if there is none.
+    """Largest step of an angle that no motion makes, as between recordings, rad; 0 without one.
 
     If the same perturbation was recorded several times and joined, each period has the same step,
     so that its scatter doesn't show what is lost at the end. A reading that catches up after others
