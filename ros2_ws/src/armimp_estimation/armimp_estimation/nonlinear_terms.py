@@ -240,6 +240,7 @@ TERMS: Mapping[str, Term] = {
         kind=Kind.FORCE,
         large=0.05,
         likely=0.1,
+        sizes=(0.01, 0.03, 0.1, 0.3, 1.0),
         couples=True,
     ),
     # Readings with slack show less of it themselves: its half width is 1.3 to 2 times the
@@ -271,6 +272,7 @@ TERMS: Mapping[str, Term] = {
         large=np.inf,
         robots=0.03,
         likely=0.1,
+        sizes=(0.01, 0.03, 0.1, 0.3, 1.0),
     ),
     # Losses of a gear or Bowden cable, while it drives the arm.
     "efficiency": Term(

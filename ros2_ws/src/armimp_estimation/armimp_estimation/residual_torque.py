@@ -26,7 +26,7 @@ BAND: Edges = ((0.2, 0.7), (11.0, 15.0))
 """Edges of the analysed band, Hz, over which it rises and falls."""
 RATE = 200.0
 """Largest sampling rate of the analysed signals, Hz."""
-_LEAST = 10.0
+_LEAST = 3.0
 """Duration of the shortest trial that is analysed, s."""
 PART = 1.5
 """Length of a part, s: after it, voluntary motion and torque are hardly correlated."""
@@ -170,7 +170,7 @@ class Residual:
         jump: HoldCorrection | None = None,
         late: float = 0.0,
     ) -> Residual | None:
-        """Subtract the torques of an arm from those of a trial; None for less than 10 s.
+        """Subtract the torques of an arm from those of a trial; None for less than 3 s.
 
         Where commands overcome friction, jumps that readings miss would look like a nonlinear
         spring, so readings are corrected.
@@ -199,6 +199,6 @@ class Residual:
 
 
 def parts_of(signals: FloatArray, seconds: float = PART) -> list[FloatArray]:
-    """Split signals (..., samples) into parts, three at least, that are nearly independent."""
-    count = max(round(signals.shape[-1] / (RATE * seconds)), 3)
+    """Split signals (..., samples) into parts, six at least, that are nearly independent."""
+    count = max(round(signals.shape[-1] / (RATE * seconds)), 6)
     return np.array_split(signals, count, axis=-1)
