@@ -24,6 +24,8 @@ _SAME = 1e-9
 explains it; this also holds for perturbations that are recorded with six digits."""
 _FADES_IN = 0.25
 """Largest share of a record in which a perturbation may fade in."""
+_FADING, _CLEARLY = 1e-5, 20.0
+"""Difference of two periods where one fades: relative to the largest value, and in medians."""
 _LINE = 1e-3
 """Least amplitude of a line, relative to the largest harmonic."""
 _POWERLESS = 1e-4
@@ -121,7 +123,14 @@ def _end(signal: FloatArray, samples: int) -> int:
     full = power[2 * samples :] - power[samples:-samples]
     alike = change[samples:] - change[:-samples] < _SAME * power[-1]
     ends = np.flatnonzero(alike & (full > 0.5 * np.max(full)))
-    return signal.size if ends.size == 0 else int(ends[-1]) + samples + 1
+    if ends.size == 0:
+        return signal.size
+    # Where it fades out, the first samples have too little power to show in that sum.
+    end = int(ends[-1]) + samples + 1
+    apart = np.abs(signal[samples:end] - signal[: end - samples])
+    least = _FADING * float(np.max(np.abs(signal))) + _CLEARLY * float(np.median(apart))
+    fading = np.flatnonzero(apart[-samples:] > least)
+    return end - samples + int(fading[0]) if fading.size else end
 
 
 def _period(signal: FloatArray) -> int:
