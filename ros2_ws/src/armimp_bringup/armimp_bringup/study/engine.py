@@ -145,8 +145,8 @@ class Backend:
         lost: tuple[type[Exception], ...] = (CancelledError, *self.lost)
         futures: list[Future[Done]] = []
         try:
-            # Workers started here keep it blocked: Ctrl-C reaches them, too, and they end anyway.
-            before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+            # A worker that is only half started would complain.
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
             try:
                 futures += (self.pool.submit(work, task) for task in tasks)
             finally:
@@ -183,6 +183,8 @@ def processes(workers: int | None = None) -> Backend:
 
 
 def _follow_parent() -> None:
+    # SIGINT stays blocked as it was at the start: Ctrl-C reaches workers, too, and they end anyway.
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
     if (parent := parent_process()) is not None:
         threading.Thread(target=end_with, args=(parent.sentinel,), daemon=True).start()
 
