@@ -129,11 +129,7 @@ def test_when_the_clock_is_set_in_lockstep_expect_the_same_bits(
 @pytest.mark.parametrize("target", TARGETS)
 @pytest.mark.parametrize("step", CLOCK_STEPS)
 def test_when_the_rig_falls_silent_after_the_clock_was_set_expect_zero_torque_in_time(
-    wall_clock: Path,
-    tmp_path: Path,
-    figures: Figures,
-    target: str,
-    step: float,
+    wall_clock: Path, tmp_path: Path, figures: Figures, target: str, step: float
 ) -> None:
     """Torque is zero when the drives of the rig have received it."""
     config = {

@@ -247,11 +247,7 @@ class TestRefusals:
         ("name", "content", "reason"),
         [
             ("notes.mcap", b"This is a text about bags.", "is neither an MCAP nor an SQLite3 file"),
-            (
-                "bag.mcap.zstd",
-                zstandard.compress(b"x"),
-                "is neither an MCAP nor an SQLite3 file",
-            ),
+            ("bag.mcap.zstd", zstandard.compress(b"x"), "is neither an MCAP nor an SQLite3 file"),
             ("old.bag", b"#ROSBAG V2.0\n", "is a ROS 1 bag; convert it with rosbags-convert"),
             ("bag.db3", b"", "is empty"),
         ],
