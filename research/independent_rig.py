@@ -449,10 +449,10 @@ def _perturbation(mismatch: Mismatch, ticks: int, rng: np.random.Generator) -> F
     "noise" up to the cut-off; "multisine", which repeats itself every 10 s, with all lines up to
     20 Hz; a number of "sines", from 0.15 Hz up to the cut-off, that never repeat themselves;
     a "chirp" from 0.1 Hz to the cut-off and back every 20 s; a "sweep" from 0.3 Hz to it every
-    10 s, whose torque grows with the frequency so that the motion is steady, as that of position
-    servos; "binary" noise, whose sign is drawn anew every 50 ms; "steps", after which the joint
-    comes to rest, from one of two torques to the other; "taps" of 4 ms in either direction, 0.3 to
-    0.8 s apart.
+    10 s, or another number of seconds, whose torque grows with the frequency so that the motion is
+    steady, as that of position servos; "binary" noise, whose sign is drawn anew every 50 ms;
+    "steps" from one of two torques to the other, after which the joint comes to rest; "taps" of
+    4 ms in either direction, 0.3 to 0.8 s apart.
     """
     t = np.arange(ticks) / mismatch.rate
     kind, _, number = mismatch.waveform.partition(" ")
@@ -464,8 +464,9 @@ def _perturbation(mismatch: Mismatch, ticks: int, rng: np.random.Generator) -> F
         sweep = 0.1 * (mismatch.cutoff / 0.1) ** (0.5 - 0.5 * np.cos(2.0 * np.pi * t / 20.0))
         return np.sin(2.0 * np.pi * np.cumsum(sweep) / mismatch.rate)
     if kind == "sweep":
-        since = t % 10.0
-        rate = 0.1 * (mismatch.cutoff - 0.3)
+        every = float(number or 10.0)
+        since = t % every
+        rate = (mismatch.cutoff - 0.3) / every
         f = 0.3 + rate * since
         return np.asarray((4.0 + f**2) * np.sin(2.0 * np.pi * (0.3 + 0.5 * rate * since) * since))
     if kind == "taps":

@@ -798,6 +798,17 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         add(NOISE, "multisine, then rest", (f"{slow:g} N·m", rests))
     tapped = {"waveform": "taps", "readings": _without_commands}
     add(MUST, "taps without commands", ("", tapped), ("0.3 N·m", tapped | {"voluntary": 0.3}))
+    for share, push in product((0.0, 0.1, 0.2), (0.0, 0.03)):
+        swept = {"waveform": "sweep 51", "waxing": share, "voluntary": push}
+        add(MUST if share else NOISE, "single sweep, waxing", (f"{share:g}, {push:g} N·m", swept))
+    for seconds in (4.0, 8.0):
+        brief = {"duration": seconds, "voluntary": 0.05}
+        label = f"{seconds:g} s"
+        add(NOISE, "short", (label, brief))
+        add(MUST, "short, friction of the arm", (label, brief | {"rubbing": 0.1}))
+        for name, bending in (("larger in one direction", _uneven), ("compressed", _yielding)):
+            spoilt = brief | {"readings": changed(torque=bending(0.2))}
+            add(MUST, f"short, torque {name}", (label, spoilt))
     for friction in (0.0, 0.15):
         add(NOISE, "steps", (f"{friction:g} N·m", {"waveform": "steps", "friction": friction}))
     for share in (0.02, 0.05, 0.1):

@@ -33,9 +33,14 @@ from armimp_estimation.robot_balance import (
 )
 from armimp_estimation.signal_quality import judge_signals
 from armimp_estimation.systematics import RESOLVED_SHARE, lost_motion
+from armimp_estimation.torque_timing import TorqueTiming
 from armimp_estimation.trial import TrialData, segment_for
 from armimp_estimation.turning_links import at_posture
 from armimp_estimation.verdict import Verdict
+
+_FOLLOWED = 2.0
+"""Assumption: error of Z(f) behind an undeclared filter, in what M, B and K leave of Z, as
+they follow the filter in part."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,7 +60,9 @@ class EstimatorResult:
     models: dict[str, ModelFit]
     """Models of the arm that were fitted in addition to M, B and K, by name."""
 
-    def with_doubts(self, shifts: Sequence[FloatArray], gains: FloatArray) -> EstimatorResult:
+    def with_doubts(
+        self, shifts: Sequence[FloatArray], gains: FloatArray, *, may_be_filtered: bool
+    ) -> EstimatorResult:
         """Return the result with what is in doubt of its sensors and its arm in its errors.
 
         Parameters
@@ -65,6 +72,9 @@ class EstimatorResult:
         gains : ndarray, shape (n, n)
             Relative standard errors of gains and cross-talk: row i is the transducer, column l the
             joint whose torque it may show.
+        may_be_filtered : bool
+            Whether nobody declared how torques are read. An arm that is not M, B and K can then not
+            be told from one that is, behind a filter: the difference is an error of Z(f).
         """
         fit, noise, changes = self.fit.with_doubts(shifts), self.estimate.noise.copy(), []
         # An element that is near 0 by chance would otherwise get next to no error.
@@ -74,6 +84,9 @@ class EstimatorResult:
             shift[:, i] = gains[i, row] * found[:, row]
             changes.append(shift)
             noise[i] += np.abs(gains[i, row] * self.estimate.Z[row]) ** 2
+        if may_be_filtered and not (fit.lack <= fit.lack_limit).all():
+            left = self.estimate.Z - fit.mbk.impedance(self.estimate.f)
+            noise += np.abs(_FOLLOWED * left) ** 2
         estimate = replace(self.estimate, noise=noise)
         return replace(self, fit=fit.with_doubts(changes), estimate=estimate)
 
@@ -252,6 +265,8 @@ def identify(
             doubts += mixed_channels(best.fit, known.calibration)
     problems += [*unbalanced, *judge_answers(names, records, balance, best.fit)]
     realised = scores.realisation(best.estimate, known.target)
+    reading = records[0].reading
+    may_be_filtered = reading.timing is TorqueTiming.UNKNOWN and reading.prompt
     return Identification(
         joint_names=names,
         trials=tuple(
@@ -269,7 +284,10 @@ def identify(
             )
             for k in range(len(names))
         ),
-        estimators={name: one.with_doubts(doubts, gains) for name, one in results.items()},
+        estimators={
+            name: one.with_doubts(doubts, gains, may_be_filtered=may_be_filtered)
+            for name, one in results.items()
+        },
         problems=tuple(problems),
         balance=balance,
     )
