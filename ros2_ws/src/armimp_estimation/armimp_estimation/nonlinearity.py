@@ -81,8 +81,8 @@ projected out. Less is due to chance and the ends, as under a periodic perturbat
 the motion has no power between them, and at them any motion looks linear. A nonlinear arm then
 leaves a lack of fit; gains are as uncertain as those of any transducer."""
 _MIXED = 0.7
-"""The same for a change over time. Under a single sweep each frequency has its own time, so that an
-arm that changes looks like another one that doesn't; other perturbations leave 0.87 or more."""
+"""The same for an arm that changes over time. Under a single sweep each frequency has its own time,
+so that it looks like another arm that doesn't change; other perturbations leave 0.87 or more."""
 _UNKNOWN = 1e-6
 """Coefficient of which nothing is known, N·m: so small that all changes are in proportion to it."""
 
@@ -370,7 +370,7 @@ class _Regression:
         if self._between:
             error = float(np.hypot(error, self._between / np.linalg.norm(whole)))
         left, of, least = linear.unlike(alone), alone, _INFORMATIVE
-        if term.in_time:
+        if term.in_time and term.kind is not Kind.GAIN:
             left, of, least = whole, shown, _MIXED
         if np.linalg.norm(left) <= least * np.linalg.norm(of):
             return Coefficient(value=_UNKNOWN)
