@@ -32,7 +32,7 @@ def turning_inertia(
 
     The torques that an arm leaves in all trials are regressed on those of each element; for the arm
     and the rest see :meth:`Residual.of`. G_iii is 0: the own inertia of a joint doesn't depend on
-    its angle. There are none for one joint, or trials of less than 10 s.
+    its angle. There are none for one joint, or trials of less than 3 s.
     """
     if records[0].joints == 1:
         return ()
