@@ -646,14 +646,14 @@ def _problems(
         if explained or not one.significant or one.negligible:
             continue
         term, record = one.term, records[k]
-        force = abs(one.force) if term.kind is Kind.FORCE else 0.0
-        arms = jumps_known or not 0.0 < force < _JUMPING / record.rate
-        large = arms and resolved[k] and term.large < abs(one.share) < term.most
+        of_sensor = term.kind.of_transducer or term.kind is Kind.SCALE
+        torque = abs(one.coefficient.value)
+        robots = not (of_sensor or jumps_known) and torque < _JUMPING / record.rate
+        large = not robots and resolved[k] and term.large < abs(one.share) < term.most
         severity = Severity.ERROR if large else Severity.NOTE
         if (k, i, term.code, severity) in reported:
             continue
         reported.add((k, i, term.code, severity))
-        of_sensor = term.kind.of_transducer or term.kind is Kind.SCALE
         yield problem(
             term.code,
             concern=Concern.IMPEDANCE if of_sensor else Concern.PARAMETERS,
