@@ -131,9 +131,6 @@ class Deviation:
     width of the hysteresis or dead zone of the transducer, N·m."""
     joints: int = 1
     """Number of joints that were tested, as chance may produce it at any of them."""
-    least: float = 0.0
-    """Least size that counts for a `shift` that is in doubt: half of it relative to the fitted
-    stiffness, as what gives an arm at rest more than twice that stiffness is hardly known."""
 
     @property
     def error(self) -> float:
@@ -171,8 +168,7 @@ class Deviation:
             return 1.0
         if declared and self.term.kind.of_transducer and not self.term.in_time:
             return 0.0
-        size = max(abs(self.share), self.least)
-        return float(np.sqrt(self._odds(elsewhere)[0])) / size if size else 0.0
+        return float(np.sqrt(self._odds(elsewhere)[0])) / abs(self.share) if self.share else 0.0
 
     @property
     def evidence(self) -> float:
@@ -499,7 +495,7 @@ def _deviation(name: str, found: Coefficient, own: FloatArray, terms: _Terms) ->
     term = TERMS[name]
     shift = found.value * term.rest * terms.alike[name]
     change = share = term.slope * found.value / float(terms.sizes[term.kind.signal])
-    force = least = 0.0
+    force = 0.0
     if term.kind in {Kind.GAIN, Kind.SCALE}:
         shift = np.zeros(3)
     elif term.kind is Kind.LOST:
@@ -511,7 +507,6 @@ def _deviation(name: str, found: Coefficient, own: FloatArray, terms: _Terms) ->
     else:
         # Where stiffness falls far, the change is relative to that at rest, not to this motion's.
         at = 2 if term.kind is Kind.STIFFNESS else 1
-        least = 0.5 * abs(change / own[at])
         share = change / float(max(abs(own[at]), abs(own[at] - shift[at])))
     return Deviation(
         term=term,
@@ -521,7 +516,6 @@ def _deviation(name: str, found: Coefficient, own: FloatArray, terms: _Terms) ->
         sensor=term.doubted * change,
         force=force,
         joints=terms.record.joints,
-        least=float(least),
     )
 
 
