@@ -6,6 +6,7 @@ It only talks and records; nothing is judged here.
 from __future__ import annotations
 
 import time
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -81,7 +82,7 @@ class MotionGuard:
         return not self.objection
 
 
-class Answering:
+class Answering(ABC):
     """Keeps the messages of a driver, and answers each sample with the torque that is set.
 
     Parameters
@@ -100,9 +101,9 @@ class Answering:
         self.kept: dict[str, list[Message | None]] = {topic: [] for topic in SENSOR_TOPICS}
         self.script: deque[Step] = deque()  # answers to the next samples
 
+    @abstractmethod
     def command(self, torque: Torque) -> None:
-        """Send a command."""
-        raise NotImplementedError
+        """Command torques of the joints (n,), N·m."""
 
     def now_ns(self) -> int:
         """Return the time of a monotonic clock, ns."""
@@ -278,7 +279,7 @@ class Conversation(Node, Answering):
         self.destroy_node()
 
     def command(self, torque: Torque) -> None:
-        """Command torques of the joints (n,), N·m."""
+        """Publish torques of the joints (n,), N·m."""
         self._commands.publish(torque)
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
