@@ -16,7 +16,20 @@ from jinja2 import Environment, PackageLoader, PrefixLoader, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
-from armimp_estimation.report import formats
+from armimp_estimation.report.formats import (
+    NONE,
+    code,
+    difference,
+    digits,
+    mark,
+    number,
+    percent,
+    plain,
+    setting,
+    symbol,
+    uncertain,
+    written,
+)
 from armimp_estimation.report.plots import style_rule
 
 Content = dict[str, Any]
@@ -38,7 +51,7 @@ class Section:
 
 
 def _shown(value: object) -> object:
-    return value if isinstance(value, Markup) else "" if value is None else formats.plain(value)
+    return value if isinstance(value, Markup) else "" if value is None else plain(value)
 
 
 def render_page(
@@ -70,8 +83,9 @@ def render_page(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.globals |= vars(formats)
-    environment.filters |= {"number": formats.number, "percent": formats.percent}
+    written_by = (code, difference, digits, mark, setting, symbol, uncertain, written)
+    environment.globals |= {"NONE": NONE, **{one.__name__: one for one in written_by}}
+    environment.filters |= {"number": number, "percent": percent}
     compact = {"ensure_ascii": True, "allow_nan": False, "separators": (",", ":")}
     environment.policies["json.dumps_kwargs"] = compact
     scripts = [str(get_plotlyjs()), _resource("plots.js")]
