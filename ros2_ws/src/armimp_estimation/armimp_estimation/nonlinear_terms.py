@@ -8,7 +8,7 @@ before the data, and so how much of it counts while the data do not tell.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Literal, NamedTuple
 
@@ -173,6 +173,25 @@ def _rubbing(speed: FloatArray) -> FloatArray:
     return np.tanh(speed / _SLOW)
 
 
+_STIFFNESS_OVER_TIME = Term(
+    bend=lambda signals: _growing(signals.angle),
+    code=ProblemCode.CHANGES_OVER_TIME,
+    in_time=True,
+    large=0.05,
+    most=3.0,
+    likely=0.2,
+    sizes=(0.1, 0.3),
+)
+_DAMPING_OVER_TIME = Term(
+    bend=lambda signals: _growing(signals.speed),
+    code=ProblemCode.DAMPING_CHANGES,
+    kind=Kind.DAMPING,
+    in_time=True,
+    large=0.3,
+    likely=0.2,
+    sizes=(0.1, 0.3),
+)
+
 TERMS: Mapping[str, Term] = {
     # Stiffness that changes with the amplitude, up to half of the rms angle. Slow voluntary torque
     # masks this, but not the excess of the angle over its rms, as its spectrum lies where the noise
@@ -284,34 +303,9 @@ TERMS: Mapping[str, Term] = {
         likely=0.1,
         doubted=0.5,
     ),
-    "time": Term(
-        bend=lambda signals: _growing(signals.angle),
-        code=ProblemCode.CHANGES_OVER_TIME,
-        in_time=True,
-        at_once=True,
-        large=0.05,
-        most=3.0,
-        likely=0.5,
-        sizes=(0.1, 0.3),
-    ),
-    "time and back": Term(
-        bend=lambda signals: _returning(signals.angle),
-        code=ProblemCode.CHANGES_OVER_TIME,
-        in_time=True,
-        large=0.05,
-        most=3.0,
-        likely=0.2,
-        sizes=(0.1, 0.3),
-    ),
-    "damping over time": Term(
-        bend=lambda signals: _growing(signals.speed),
-        code=ProblemCode.DAMPING_CHANGES,
-        kind=Kind.DAMPING,
-        in_time=True,
-        large=0.3,
-        likely=0.2,
-        sizes=(0.1, 0.3),
-    ),
+    "time": replace(_STIFFNESS_OVER_TIME, at_once=True, likely=0.5),
+    "time and back": replace(_STIFFNESS_OVER_TIME, bend=lambda signals: _returning(signals.angle)),
+    "damping over time": _DAMPING_OVER_TIME,
     "onset": Term(
         bend=lambda signals: _calming(signals.angle),
         code=ProblemCode.CHANGES_OVER_TIME,
@@ -320,15 +314,7 @@ TERMS: Mapping[str, Term] = {
         likely=0.2,
         sizes=(0.1, 0.3, 1.0),
     ),
-    "damping at onset": Term(
-        bend=lambda signals: _calming(signals.speed),
-        code=ProblemCode.DAMPING_CHANGES,
-        kind=Kind.DAMPING,
-        in_time=True,
-        large=0.3,
-        likely=0.2,
-        sizes=(0.1, 0.3),
-    ),
+    "damping at onset": replace(_DAMPING_OVER_TIME, bend=lambda signals: _calming(signals.speed)),
     "direction": Term(
         bend=lambda signals: np.abs(signals.torque),
         code=ProblemCode.TORQUE_NOT_LINEAR,
