@@ -14,10 +14,9 @@ from robot_description import robot_description
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.parameters import node_parameters
-from armimp_common import qos
 from armimp_common.schema import defaults, descriptions, flatten, leaves, to_params_yaml
 from armimp_common.status import Progress, StoppingDecision, TimingFigures, TrialStatus
-from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, MESSAGE_TYPES, SIM_NODE
+from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE, TOPICS
 from armimp_estimation.alignment.stream_statistics import StreamCount
 from armimp_estimation.arm_models import ModelFit, ParameterFit
 from armimp_estimation.fit import CommonDelay
@@ -87,14 +86,12 @@ def generated() -> dict[Path, str]:
 
 def _with_contract(page: str) -> str:
     """Fill in type and quality of service of each topic; the rest of its row stays as it is."""
-    for topic, kind in MESSAGE_TYPES.items():
-        profile, cell = qos.PROFILES[topic], r"[^|\n]+\|"
-        reliability, durability = (
-            one.name.lower().replace("_", " ") for one in (profile.reliability, profile.durability)
-        )
+    for topic, (kind, offered, _) in TOPICS.items():
+        cell = r"[^|\n]+\|"
+        reliability, durability = (one.replace("_", " ") for one in offered[1:])
         page, number = re.subn(
             rf"^(\| `{topic}` \|){cell}({cell}{cell}){cell}{cell}{cell}",
-            rf"\1 `{kind}` |\2 {reliability} | {profile.depth} | {durability} |",
+            rf"\1 `{kind}` |\2 {reliability} | {offered.depth} | {durability} |",
             page,
             flags=re.MULTILINE,
         )

@@ -20,12 +20,12 @@ from rclpy.context import Context
 from rclpy.node import Node
 
 from armimp_bringup.nodes import NODES
-from armimp_common import qos, topics
+from armimp_common import topics
 from armimp_common.cdr import CommandDecoder, JointStateDecoder
 from armimp_common.errors import GraphError
 from armimp_common.executor import run_node, steady_timer
 from armimp_common.heartbeat import HeartbeatMonitor
-from armimp_common.pubsub import subscribe_decoded, wait_for_partners
+from armimp_common.pubsub import subscribe, subscribe_decoded, wait_for_partners
 from armimp_common.status import values_of
 from armimp_common.topics import SIM_NODE
 from support.graph import raised
@@ -55,10 +55,8 @@ class Witness(Node):
             self, topics.COMMANDS, CommandDecoder(len(JOINTS)), self._on_command, raised
         )
         subscribe_decoded(self, topics.PERTURBATION, decoder, self._on_perturbation, raised)
-        self.create_subscription(DiagnosticStatus, topics.TRIAL, self._on_trial, qos.LATCHED)
-        self.create_subscription(
-            DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
-        )
+        subscribe(self, topics.TRIAL, self._on_trial)
+        subscribe(self, topics.DIAGNOSTICS, self._on_diagnostics)
         self._monitors = [HeartbeatMonitor(self, name, lambda _: None) for name in NODES]
         for name in NODES:
             told, topic = partial(self._on_transition, name), f"{name}/transition_event"

@@ -10,7 +10,7 @@ from rclpy.node import Node
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import run_experiment
-from armimp_common import qos
+from armimp_common.pubsub import subscribe
 from armimp_common.status import Level, Progress, values_of
 from armimp_common.topics import RESULT, TRIAL
 from armimp_estimation.alignment.assemble import Trial
@@ -32,9 +32,7 @@ class Bystander(Node):
         super().__init__("bystander", context=context)
         self.heard: list[DiagnosticStatus] = []
         for topic in (TRIAL, RESULT):
-            self.create_subscription(
-                DiagnosticStatus, topic, self.heard.append, qos.PROFILES[topic]
-            )
+            subscribe(self, topic, self.heard.append)
 
 
 def what(message: DiagnosticStatus) -> str:

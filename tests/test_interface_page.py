@@ -14,7 +14,7 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.parameters import bag_metadata, node_parameters
 from armimp_common import qos
 from armimp_common.status import values_of
-from armimp_common.topics import MESSAGE_TYPES
+from armimp_common.topics import TOPICS
 from armimp_estimation.bags.reader import read_bag
 from armimp_estimation.estimators.registry import ESTIMATORS
 from armimp_estimation.metadata import READING_KEYS
@@ -44,7 +44,7 @@ def _keys(heading: str, place: int = 0) -> set[str]:
 
 
 def test_the_topics_of_the_page_are_those_of_the_contract() -> None:
-    assert set(_table("Topics", "topic")) == set(MESSAGE_TYPES) == set(qos.PROFILES)
+    assert set(_table("Topics", "topic")) == set(TOPICS) == set(qos.PROFILES)
     assert {profile.history for profile in qos.PROFILES.values()} == {HistoryPolicy.KEEP_LAST}
 
 

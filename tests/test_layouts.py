@@ -4,7 +4,7 @@ import json
 import re
 from xml.etree import ElementTree as ET
 
-from armimp_common.topics import DATA_STREAMS, MESSAGE_TYPES, VALUE_FIELD
+from armimp_common.topics import DATA_STREAMS, TOPICS, VALUE_FIELD
 from armimp_sim.presets import JOINT_NAMES
 from support.places import SOURCES
 
@@ -32,4 +32,4 @@ def test_foxglove_shows_every_data_stream_of_every_joint_and_topics_that_there_a
     }
     shown = [panel["topicPath"] for panel in panels if "topicPath" in panel]
     topics = {re.sub(r"^/|\..*", "", path) for path in (*plotted, *shown)}
-    assert topics <= {topic.removeprefix("/") for topic in MESSAGE_TYPES}
+    assert topics <= {topic.removeprefix("/") for topic in TOPICS}

@@ -62,7 +62,7 @@ class Stranger(Node):
     def __init__(self, domain_id: int) -> None:
         super().__init__("stranger", context=joined(domain_id), use_global_arguments=False)
         self._last = 0
-        subscribe_raw(self, topics.COMMANDS, Float64MultiArray, self._on_command)
+        subscribe_raw(self, topics.COMMANDS, self._on_command)
 
     def _on_command(self, data: bytes) -> None:
         self._last = command_number(data)
@@ -170,7 +170,7 @@ ACTS: dict[str, Act] = {
     **{f"sample of {topic}": sample(topic) for topic in topics.VALUE_FIELD},
     **{
         f"bytes on {topic}": garbage(topic, _TYPES[kind.rpartition("/")[2]])
-        for topic, kind in topics.MESSAGE_TYPES.items()
+        for topic, (kind, *_) in topics.TOPICS.items()
     },
     **{
         f"bytes on {topic}": garbage(topic, String, qos.ALIVE)

@@ -10,7 +10,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 
 from armimp_common.errors import BagError
-from armimp_common.topics import MESSAGE_TYPES
+from armimp_common.topics import TOPICS
 from armimp_estimation.bags.metadata_yaml import message_definition
 from armimp_estimation.bags.raw import absolute
 from armimp_estimation.bags.reader import BagContent, read_storage, resolve_topics
@@ -36,7 +36,7 @@ def write_all(writer: BagWriter, messages: Iterable[Message]) -> None:
 def typed(messages: Iterable[Message], prefix: str = "") -> Iterator[tuple[str, str, int, bytes]]:
     """Yield messages of the contract in a namespace, with full name and type of their topic."""
     for topic, time, raw in messages:
-        kind = MESSAGE_TYPES.get(topic, "std_msgs/msg/String")
+        kind = TOPICS[topic].type if topic in TOPICS else "std_msgs/msg/String"
         yield prefix + absolute(topic), kind, time, raw
 
 
@@ -85,7 +85,7 @@ def write_mcap(
         channels: dict[str, int] = {}
         for topic, log_time_ns, raw in messages:
             if topic not in channels:
-                text, _ = message_definition(kind := MESSAGE_TYPES[topic])
+                text, _ = message_definition(kind := TOPICS[topic].type)
                 schema = writer.register_schema(kind, "ros2msg", text.encode())
                 channels[topic] = writer.register_channel(absolute(topic), encoding, schema)
             writer.add_message(channels[topic], log_time_ns, raw, log_time_ns)

@@ -8,13 +8,18 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.node import Node
-from std_msgs.msg import UInt64
 from std_srvs.srv import Trigger
 
-from armimp_common import qos, topics
+from armimp_common import topics
 from armimp_common.cdr import JointStateDecoder
 from armimp_common.executor import Spinner
-from armimp_common.pubsub import CommandPublisher, subscribe_decoded, wait_for_partners
+from armimp_common.pubsub import (
+    CommandPublisher,
+    create_publisher,
+    subscribe,
+    subscribe_decoded,
+    wait_for_partners,
+)
 from armimp_common.status import Level, values_of
 from armimp_common.topics import JOINT_STATES, TORQUE_SENSORS, VALUE_FIELD
 from armimp_control.parameters import ControllerParameters
@@ -65,7 +70,7 @@ class ScriptedController:
         self.torques: list[Sample] = []
         self.samples = {JOINT_STATES: self.positions, TORQUE_SENSORS: self.torques}
         self.commands = CommandPublisher(node, topics.COMMANDS, len(NAMES))
-        self.received = node.create_publisher(UInt64, topics.RECEIVED, qos.LATCHED)
+        self.received = create_publisher(node, topics.RECEIVED)
         self.subscriptions = [
             subscribe_decoded(
                 node,
@@ -76,11 +81,7 @@ class ScriptedController:
             )
             for topic in self.samples
         ]
-        self.subscriptions.append(
-            node.create_subscription(
-                DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
-            )
-        )
+        self.subscriptions.append(subscribe(node, topics.DIAGNOSTICS, self._on_diagnostics))
 
     def on_sample(self, topic: str, stamp_ns: int, values: tuple[float, ...]) -> None:
         self.samples[topic].append((stamp_ns, values))

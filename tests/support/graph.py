@@ -24,12 +24,17 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
 from armimp_bringup.graph import DomainClaim
-from armimp_common import qos, topics
+from armimp_common import topics
 from armimp_common.cdr import CommandDecoder, JointStateDecoder
 from armimp_common.errors import MalformedMessageError
 from armimp_common.executor import Spinner
 from armimp_common.heartbeat import HeartbeatMonitor
-from armimp_common.pubsub import JointStatePublisher, subscribe_decoded, wait_for_partners
+from armimp_common.pubsub import (
+    JointStatePublisher,
+    subscribe,
+    subscribe_decoded,
+    wait_for_partners,
+)
 from armimp_common.schema import Value, flatten
 from armimp_common.status import Phase, TrialStatus, values_of
 
@@ -268,9 +273,7 @@ class ScriptedDriver:
                 raised,
             ),
         ]
-        self.trial: Subscription = node.create_subscription(
-            DiagnosticStatus, topics.TRIAL, self.messages.append, qos.LATCHED
-        )
+        self.trial: Subscription = subscribe(node, topics.TRIAL, self.messages.append)
 
     def wait_for_controller(self) -> None:
         """Wait until a controller listens and is heard."""

@@ -26,7 +26,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Chunk, Header, McapRecord, Schema
 
 from armimp_common.cdr import JointStateEncoder, encode_trial_status
-from armimp_common.topics import DATA_STREAMS, MESSAGE_TYPES, PERIOD_NS, TRIAL
+from armimp_common.topics import DATA_STREAMS, PERIOD_NS, TOPICS, TRIAL
 from armimp_estimation.bags.mcap_reader import MAGIC
 from armimp_estimation.bags.writer import HEAD as OUR_HEAD
 from support.command import Told, call
@@ -76,7 +76,7 @@ def chunk(compression: str, size: int, data: bytes) -> bytes:
 
 
 CONTRACT: Final = records(
-    *(Schema(k, b"", "ros2msg", MESSAGE_TYPES[topic]) for k, topic in enumerate(_TOPICS, 1)),
+    *(Schema(k, b"", "ros2msg", TOPICS[topic].type) for k, topic in enumerate(_TOPICS, 1)),
     *(channel(k, "/" + topic) for k, topic in enumerate(_TOPICS, 1)),
 )
 HEAD: Final = MAGIC + records(Header("ros2", "strange")) + CONTRACT
@@ -199,7 +199,7 @@ def database(directory: Path, script: str) -> Arguments:
     file = directory / "bag.db3"
     with closing(sqlite3.connect(file)) as connection:
         connection.executescript(script)
-        rows = [(i, "/" + t, MESSAGE_TYPES[t], "cdr") for i, t in enumerate(_TOPICS, 1)]
+        rows = [(i, "/" + t, TOPICS[t].type, "cdr") for i, t in enumerate(_TOPICS, 1)]
         connection.executemany("INSERT INTO topics VALUES (?, ?, ?, ?)", rows)
         connection.commit()
     return "estimate", str(file)

@@ -21,7 +21,7 @@ from armimp_bringup.nodes import (
     SeparateNodes,
 )
 from armimp_bringup.parameters import NodeParameters, node_parameters
-from armimp_common import qos, topics
+from armimp_common import topics
 from armimp_common.errors import (
     ArmimpError,
     DataError,
@@ -32,6 +32,7 @@ from armimp_common.errors import (
 from armimp_common.executor import Spinner
 from armimp_common.heartbeat import offer_heartbeat
 from armimp_common.lifecycle import LifecycleManager
+from armimp_common.pubsub import subscribe
 from armimp_common.realtime import require_precedence, seldom_collecting
 from armimp_common.schema import to_params_yaml
 from armimp_common.status import (
@@ -163,14 +164,10 @@ class Supervisor(Node):
         self._answered: str | None = None
         self.last_news = time.monotonic()
         offer_heartbeat(self, topics.SUPERVISOR_NODE)
-        self.create_subscription(
-            DiagnosticStatus, topics.PROGRESS, self._on_progress_message, qos.PROGRESS
-        )
-        self.create_subscription(DiagnosticStatus, topics.RESULT, self._on_result, qos.LATCHED)
-        self.create_subscription(DiagnosticStatus, topics.TRIAL, self._on_trial, qos.LATCHED)
-        self.create_subscription(
-            DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
-        )
+        subscribe(self, topics.PROGRESS, self._on_progress_message)
+        subscribe(self, topics.RESULT, self._on_result)
+        subscribe(self, topics.TRIAL, self._on_trial)
+        subscribe(self, topics.DIAGNOSTICS, self._on_diagnostics)
 
     def _on_progress_message(self, message: DiagnosticStatus) -> None:
         try:

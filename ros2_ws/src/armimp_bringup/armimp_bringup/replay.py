@@ -8,13 +8,9 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 from rclpy.task import Future
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
 
 from armimp_bringup.config import prepare_directory, require_unused
 from armimp_bringup.graph import GraphContext
@@ -22,11 +18,11 @@ from armimp_bringup.nodes import ComposedNodes
 from armimp_bringup.offline_estimate import read_bags
 from armimp_bringup.orchestrator import PARAMETERS_FILE, Course, Supervisor, settle
 from armimp_bringup.terminal import display
-from armimp_common import qos, topics
+from armimp_common import topics
 from armimp_common.cdr import encode_trial_status, stamp_of
 from armimp_common.errors import GraphError
 from armimp_common.executor import Spinner
-from armimp_common.pubsub import subscribe_raw
+from armimp_common.pubsub import create_publisher, subscribe_raw
 from armimp_common.schema import to_params_yaml
 from armimp_common.status import Phase, TrialStatus
 from armimp_estimation.alignment.trial_windows import TrialWindow
@@ -34,13 +30,7 @@ from armimp_estimation.bags.reader import BagContent
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.result import Result
 
-_CLASSES: dict[str, type[Any]] = {
-    topics.JOINT_STATES: JointState,
-    topics.TORQUE_SENSORS: JointState,
-    topics.PERTURBATION: JointState,
-    topics.COMMANDS: Float64MultiArray,
-    topics.TRIAL: DiagnosticStatus,
-}
+_PLAYED = (*topics.DATA_STREAMS, topics.TRIAL)
 _BATCH = 400
 """Messages under way at once: far less than the depth of the subscriptions."""
 _TIMEOUT = 10.0  # s, longest wait for a batch to go through the graph
@@ -56,15 +46,12 @@ class BagPlayer(Node):
     def __init__(self, graph: GraphContext, spinner: Spinner) -> None:
         super().__init__("armimp_player", context=graph.context, use_global_arguments=False)
         self._spinner = spinner
-        self._senders = {
-            topic: self.create_publisher(kind, topic, qos.PROFILES[topic])
-            for topic, kind in _CLASSES.items()
-        }
+        self._senders = {topic: create_publisher(self, topic) for topic in _PLAYED}
         # The player hears its own messages, which shows that a batch has gone through the graph.
         self._heard = 0
         self._expected = 0
         self._through: Future = Future()
-        self._echo = subscribe_raw(self, topics.PERTURBATION, JointState, self._on_echo)
+        self._echo = subscribe_raw(self, topics.PERTURBATION, self._on_echo)
 
     def play(self, bag: BagContent, should_stop: Callable[[], bool]) -> None:
         """Play one bag as fast as the graph takes it, and end a trial that the bag cuts off.
@@ -111,13 +98,13 @@ class BagPlayer(Node):
 def _with_statuses(bag: BagContent) -> Iterator[tuple[str, bytes]]:
     """Yield the messages of a bag, with inferred trial statuses if it has none."""
     if topics.TRIAL in bag.topics:
-        yield from ((topic, raw) for topic, _, raw in bag.messages() if topic in _CLASSES)
+        yield from ((topic, raw) for topic, _, raw in bag.messages() if topic in _PLAYED)
         return
     windows = [trial.window for trial in bag.trials]
     due = deque(windows)
     present: TrialWindow | None = None
     for topic, _, raw in bag.messages():
-        if topic not in _CLASSES:
+        if topic not in _PLAYED:
             continue
         if due and topic != topics.COMMANDS and stamp_of(raw) >= due[0].start_ns:
             if present is not None:

@@ -175,7 +175,7 @@ def messages(topic: str, edit: Edit = lambda _: {}) -> list[Message]:
 
 
 def endpoint(topic: str, role: Literal["publisher", "subscriber"]) -> Endpoint:
-    return Endpoint(topic, role, "/arm_sim", topics.MESSAGE_TYPES[topic])
+    return Endpoint(topic, role, "/arm_sim", topics.TOPICS[topic].type)
 
 
 def moved(driver: Driver) -> Record:

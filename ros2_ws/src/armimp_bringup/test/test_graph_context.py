@@ -7,17 +7,17 @@ from pathlib import Path
 from unittest.mock import Mock
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 
 from armimp_bringup import graph as domain
 from armimp_bringup.graph import LOOPBACK, OPEN, DomainClaim, GraphContext
 from armimp_bringup.nodes import SeparateNodes
 from armimp_bringup.orchestrator import Supervisor
-from armimp_common import qos, topics
+from armimp_common import topics
 from armimp_common.errors import GraphError
 from armimp_common.executor import Spinner
 from armimp_common.process import ParentWatchdog
+from armimp_common.pubsub import create_publisher
 from armimp_common.status import (
     Level,
     Phase,
@@ -184,8 +184,8 @@ def test_faults_are_heard_after_an_abort_and_one_that_goes_on_replaces_what_it_w
     with GraphContext() as graph:
         supervisor = Supervisor(graph, lambda _: None, realtime=True)
         rig = Node("rig", context=graph.context, use_global_arguments=False)
-        trial = rig.create_publisher(DiagnosticStatus, topics.TRIAL, qos.LATCHED)
-        diagnostics = rig.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, qos.DIAGNOSTICS)
+        trial = create_publisher(rig, topics.TRIAL)
+        diagnostics = create_publisher(rig, topics.DIAGNOSTICS)
 
         def report(fault: str) -> None:
             status = make_status("arm_sim: rig", Level.ERROR, fault, {})
@@ -214,7 +214,7 @@ def test_a_malformed_progress_message_does_not_end_the_orchestrator() -> None:
     with GraphContext() as graph:
         supervisor = Supervisor(graph, told.append)
         other = Node("other", context=graph.context, use_global_arguments=False)
-        channel = other.create_publisher(DiagnosticStatus, topics.PROGRESS, qos.PROGRESS)
+        channel = create_publisher(other, topics.PROGRESS)
         with Spinner([supervisor, other]) as spinner:
             eventually(spinner, lambda: channel.get_subscription_count() == 1, "a listener")
             channel.publish(b"\0\1\0\0rubbish")

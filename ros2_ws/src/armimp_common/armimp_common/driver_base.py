@@ -12,12 +12,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any, Generic, TypeVar
 
-from diagnostic_msgs.msg import DiagnosticArray
 from pydantic import BaseModel
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.subscription import Subscription
 
-from armimp_common import qos, topics
+from armimp_common import topics
 from armimp_common.cdr import CommandDecoder
 from armimp_common.errors import ArmimpError, GraphError
 from armimp_common.executor import steady_timer
@@ -28,6 +27,7 @@ from armimp_common.protection import CommandSequence, Protection, TorqueLatch
 from armimp_common.pubsub import (
     JointStatePublisher,
     RawPublisher,
+    create_publisher,
     subscribe_decoded,
     wait_for_partners,
 )
@@ -148,9 +148,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         self.limiter = limiter
         self.joint_states = JointStatePublisher(self, topics.JOINT_STATES, joints)
         self.torque_sensors = JointStatePublisher(self, topics.TORQUE_SENSORS, joints)
-        self.diagnostics = self.create_publisher(
-            DiagnosticArray, topics.DIAGNOSTICS, qos.DIAGNOSTICS
-        )
+        self.diagnostics = create_publisher(self, topics.DIAGNOSTICS)
         decoder = CommandDecoder(len(joints))
         self.commands = subscribe_decoded(
             self, topics.COMMANDS, decoder, self._on_numbered, self.on_malformed

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
+from importlib import import_module
 from typing import Any
 from weakref import WeakSet
 
@@ -12,8 +13,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, String, UInt64
+from std_msgs.msg import String
 
 from armimp_common import cdr, qos, topics
 from armimp_common.arrays import FloatArray
@@ -27,13 +27,30 @@ _PATIENCE = 30.0
 """How long a node that is being activated waits for its peers, and then for their answers (s)."""
 
 
+def message_class(topic: str) -> type[Any]:
+    """Return the message class of a topic of :data:`armimp_common.topics.TOPICS`."""
+    package, kind, name = topics.TOPICS[topic].type.split("/")
+    found: type[Any] = getattr(import_module(f"{package}.{kind}"), name)
+    return found
+
+
+def create_publisher(node: Node, topic: str, like: str = "") -> Publisher:
+    """Return a publisher as of `topic`, or of the topic of the contract that it is `like`."""
+    like = like or topic
+    return node.create_publisher(message_class(like), topic, qos.PROFILES[like])
+
+
+def subscribe(node: Node, topic: str, callback: Callable[[Any], None]) -> Subscription:
+    """Return a subscription with the type and quality of service of the topic."""
+    return node.create_subscription(message_class(topic), topic, callback, qos.PROFILES[topic])
+
+
 class RawPublisher:
     """Publisher of serialised messages.
 
     Parameters
     ----------
-    node, topic, profile : where to publish, and with which quality of service
-    message_type : message class of the topic
+    node, topic, like : as :func:`create_publisher` takes them
 
     Attributes
     ----------
@@ -41,10 +58,8 @@ class RawPublisher:
         of its argument and guards the publisher against destruction by another thread
     """
 
-    def __init__(
-        self, node: Node, topic: str, message_type: type[Any], profile: QoSProfile = qos.SAMPLE
-    ) -> None:
-        self.publisher: Publisher = node.create_publisher(message_type, topic, profile)
+    def __init__(self, node: Node, topic: str, like: str = "") -> None:
+        self.publisher = create_publisher(node, topic, like)
         self.send: Callable[[bytes], None] = self.publisher.handle.publish_raw
 
 
@@ -52,7 +67,7 @@ class JointStatePublisher(RawPublisher):
     """Publisher of a JointState topic of the contract, by `armimp_common.cdr.JointStateEncoder`."""
 
     def __init__(self, node: Node, topic: str, names: Sequence[str]) -> None:
-        super().__init__(node, topic, JointState)
+        super().__init__(node, topic)
         self._encode = cdr.JointStateEncoder(names, topics.VALUE_FIELD[topic]).encode
 
     def publish(self, stamp_ns: int, values: Sequence[float] | FloatArray) -> None:
@@ -70,7 +85,7 @@ class CommandPublisher(RawPublisher):
     """Publisher of commands for `n` joints, numbered from 1 on."""
 
     def __init__(self, node: Node, topic: str, n: int) -> None:
-        super().__init__(node, topic, Float64MultiArray)
+        super().__init__(node, topic, topics.COMMANDS)
         self._encode = cdr.CommandEncoder(n).encode
         self._number = 0
 
@@ -91,12 +106,17 @@ class CommandPublisher(RawPublisher):
 def subscribe_raw(
     node: Node,
     topic: str,
-    message_type: type[Any],
     callback: Callable[[bytes], None],
-    profile: QoSProfile = qos.SAMPLE,
+    like: str = "",
+    profile: QoSProfile | None = None,
 ) -> Subscription:
-    """Return a subscription that calls back with each message as bytes, of any length."""
-    return node.create_subscription(message_type, topic, callback, profile, raw=True)
+    """Return a subscription that calls back with each message as bytes, of any length.
+
+    It is as of `topic`, or of the topic of the contract that it is `like`, but for a `profile`.
+    """
+    like = like or topic
+    profile = profile or qos.PROFILES[like]
+    return node.create_subscription(message_class(like), topic, callback, profile, raw=True)
 
 
 def subscribe_decoded(
@@ -125,8 +145,9 @@ def subscribe_decoded(
         else:
             callback(number, values)
 
-    kind = Float64MultiArray if isinstance(decoder, cdr.CommandDecoder) else JointState
-    return subscribe_raw(node, topic, kind, on_message)
+    commands = isinstance(decoder, cdr.CommandDecoder)
+    like = topics.COMMANDS if commands else topics.JOINT_STATES
+    return subscribe_raw(node, topic, on_message, like)
 
 
 def subscribe_counts(node: Node, topic: str, callback: Callable[[int], None]) -> Subscription:
@@ -140,7 +161,7 @@ def subscribe_counts(node: Node, topic: str, callback: Callable[[int], None]) ->
         else:
             callback(count)
 
-    return subscribe_raw(node, topic, UInt64, on_message, qos.LATCHED)
+    return subscribe_raw(node, topic, on_message)
 
 
 class PollingNode(Node):
@@ -155,7 +176,7 @@ class PollingNode(Node):
         """The subscriptions that an executor attends to."""
         return (one for one in super().subscriptions if one not in self._unattended)
 
-    def subscribe_unattended(self, topic: str, message_type: type[Any]) -> Subscription:
+    def subscribe_unattended(self, topic: str) -> Subscription:
         """Return a subscription whose messages wait in the middleware for :func:`take_all`.
 
         Ordinarily the executor is notified of every message, wakes up, looks up its subscription
@@ -166,7 +187,7 @@ class PollingNode(Node):
         this in the thread of the executor, which might otherwise attend to the subscription before
         it is hidden.
         """
-        made = subscribe_raw(self, topic, message_type, _nobody)
+        made = subscribe_raw(self, topic, _nobody)
         self._unattended.add(made)
         return made
 

@@ -23,16 +23,11 @@ def _profile(offered: topics.Qos) -> QoSProfile:
     )
 
 
-PROFILES: Final[dict[str, QoSProfile]] = {
-    topic: _profile(offered) for topic, offered in topics.QOS.items()
-}
-"""The profile of each topic of :data:`armimp_common.topics.QOS`."""
+PROFILES: Final = {name: _profile(topic.qos) for name, topic in topics.TOPICS.items()}
+"""The profile of each topic of :data:`armimp_common.topics.TOPICS`."""
 
-SAMPLE: Final = _profile(topics.SAMPLE_QOS)
-LATCHED: Final = _profile(topics.LATCHED_QOS)
-PROGRESS: Final = PROFILES[topics.PROGRESS]
-CLOCK: Final = PROFILES[topics.CLOCK]
-DIAGNOSTICS: Final = PROFILES[topics.DIAGNOSTICS]
+SAMPLE: Final = PROFILES[topics.JOINT_STATES]
+LATCHED: Final = PROFILES[topics.TRIAL]
 
 OFFERED_LEASE_MS: Final = 3000
 """Lease of a heartbeat (ms): the middleware renews it after two thirds of that time.

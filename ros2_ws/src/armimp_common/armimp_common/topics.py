@@ -3,6 +3,7 @@
 Topic names without a leading slash are relative, so namespaces and remapping apply to them.
 """
 
+from collections.abc import Mapping
 from typing import Final, Literal, NamedTuple
 
 ValueField = Literal["position", "effort"]
@@ -38,23 +39,6 @@ STOPPING: Final = "impedance_estimator/stopping"
 CLOCK: Final = "/clock"
 DIAGNOSTICS: Final = "/diagnostics"
 
-MESSAGE_TYPES: Final[dict[str, str]] = {
-    JOINT_STATES: "sensor_msgs/msg/JointState",
-    TORQUE_SENSORS: "sensor_msgs/msg/JointState",
-    COMMANDS: "std_msgs/msg/Float64MultiArray",
-    PERTURBATION: "sensor_msgs/msg/JointState",
-    TRIAL: "diagnostic_msgs/msg/DiagnosticStatus",
-    PROGRESS: "diagnostic_msgs/msg/DiagnosticStatus",
-    RESULT: "diagnostic_msgs/msg/DiagnosticStatus",
-    RECEIVED: "std_msgs/msg/UInt64",
-    STOPPING: "diagnostic_msgs/msg/DiagnosticStatus",
-    CLOCK: "rosgraph_msgs/msg/Clock",
-    DIAGNOSTICS: "diagnostic_msgs/msg/DiagnosticArray",
-}
-
-DATA_STREAMS: Final = (JOINT_STATES, TORQUE_SENSORS, COMMANDS, PERTURBATION)
-"""The topics with one message in every control period."""
-
 
 class Qos(NamedTuple):
     """Quality of service of a topic, with the names that rosbag2 has for it."""
@@ -65,26 +49,43 @@ class Qos(NamedTuple):
     durability: Literal["volatile", "transient_local"] = "volatile"
 
 
-SAMPLE_QOS: Final = Qos(2000)
-"""Data streams: two seconds of depth, since a process that stalls must not lose samples."""
-LATCHED_QOS: Final = Qos(10, durability="transient_local")
-"""Trial status and results: whoever joins late must still learn the last ones."""
+class Topic(NamedTuple):
+    """What a topic carries, and how."""
 
-QOS: Final[dict[str, Qos]] = {
-    **dict.fromkeys(DATA_STREAMS, SAMPLE_QOS),
-    **dict.fromkeys((TRIAL, RESULT, RECEIVED, STOPPING), LATCHED_QOS),
-    PROGRESS: Qos(10),  # for display only: nobody needs the old ones
-    CLOCK: Qos(1, "best_effort"),  # only the newest counts; no subscriber may hold the simulator up
-    DIAGNOSTICS: Qos(10),  # what diagnostic aggregators expect
-}
-"""Quality of service of every topic but the heartbeats, see :mod:`armimp_common.qos`."""
+    type: str
+    """Name of the message type."""
+    qos: Qos
+    field: ValueField | None = None
+    """Where a JointState stream carries its numbers: encoder angle (rad) or torque (N·m)."""
 
-VALUE_FIELD: Final[dict[str, ValueField]] = {
-    JOINT_STATES: "position",
-    TORQUE_SENSORS: "effort",
-    PERTURBATION: "effort",
+
+_SAMPLE: Final = Qos(2000)
+"""Two seconds of depth, since a process that stalls must not lose samples."""
+_LATCHED: Final = Qos(10, durability="transient_local")
+"""Whoever joins late must still learn the last ones."""
+
+TOPICS: Final[Mapping[str, Topic]] = {
+    JOINT_STATES: Topic("sensor_msgs/msg/JointState", _SAMPLE, "position"),
+    TORQUE_SENSORS: Topic("sensor_msgs/msg/JointState", _SAMPLE, "effort"),
+    COMMANDS: Topic("std_msgs/msg/Float64MultiArray", _SAMPLE),
+    PERTURBATION: Topic("sensor_msgs/msg/JointState", _SAMPLE, "effort"),
+    TRIAL: Topic("diagnostic_msgs/msg/DiagnosticStatus", _LATCHED),
+    # For display only: nobody needs the old ones.
+    PROGRESS: Topic("diagnostic_msgs/msg/DiagnosticStatus", Qos(10)),
+    RESULT: Topic("diagnostic_msgs/msg/DiagnosticStatus", _LATCHED),
+    RECEIVED: Topic("std_msgs/msg/UInt64", _LATCHED),
+    STOPPING: Topic("diagnostic_msgs/msg/DiagnosticStatus", _LATCHED),
+    # Only the newest counts, and no subscriber may hold the simulator up.
+    CLOCK: Topic("rosgraph_msgs/msg/Clock", Qos(1, "best_effort")),
+    DIAGNOSTICS: Topic("diagnostic_msgs/msg/DiagnosticArray", Qos(10)),  # as aggregators expect
 }
-"""Where each JointState stream carries its numbers: encoder angle (rad) or torque (N·m)."""
+"""Every topic but the heartbeats, see :mod:`armimp_common.qos`."""
+
+DATA_STREAMS: Final = (JOINT_STATES, TORQUE_SENSORS, COMMANDS, PERTURBATION)
+"""The topics with one message in every control period."""
+
+VALUE_FIELD: Final = {name: topic.field for name, topic in TOPICS.items() if topic.field}
+"""The array of each JointState stream that carries its numbers."""
 
 RECORDER_GONE: Final = 2**64 - 1
 """On ``impedance_estimator/received``: recording has ended, so nobody has to wait for it."""

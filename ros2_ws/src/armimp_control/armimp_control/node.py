@@ -8,12 +8,12 @@ from contextlib import ExitStack
 from functools import partial
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
 
-from armimp_common import qos, topics
+from armimp_common import topics
 from armimp_common.cdr import JointStateDecoder
 from armimp_common.errors import ArmimpError, GraphError, MalformedMessageError
 from armimp_common.executor import run_node, steady_timer
@@ -24,6 +24,8 @@ from armimp_common.protection import first_bad
 from armimp_common.pubsub import (
     CommandPublisher,
     JointStatePublisher,
+    create_publisher,
+    subscribe,
     subscribe_counts,
     subscribe_decoded,
     wait_for_partners,
@@ -83,7 +85,7 @@ class ImbicControllerNode(ManagedNode):
         self.offer_trigger(topics.CONTROLLER_STOP_SERVICE, self._on_emergency_stop)
         self.offer_trigger(topics.CONTROLLER_RESET_SERVICE, self._on_reset)
         subscribe_counts(self, topics.RECEIVED, self._on_received)
-        self.create_subscription(DiagnosticStatus, topics.STOPPING, self._on_decision, qos.LATCHED)
+        subscribe(self, topics.STOPPING, self._on_decision)
         self._declared = ParameterSet(
             self,
             ControllerParameters,
@@ -98,10 +100,8 @@ class ImbicControllerNode(ManagedNode):
             self.get_logger().warning(warning)
         self._commands = CommandPublisher(self, topics.COMMANDS, len(names))
         self._perturbation = JointStatePublisher(self, topics.PERTURBATION, names)
-        self._trial = self.create_publisher(DiagnosticStatus, topics.TRIAL, qos.LATCHED)
-        self._diagnostics = self.create_publisher(
-            DiagnosticArray, topics.DIAGNOSTICS, qos.DIAGNOSTICS
-        )
+        self._trial = create_publisher(self, topics.TRIAL)
+        self._diagnostics = create_publisher(self, topics.DIAGNOSTICS)
         self._sensors = [
             subscribe_decoded(
                 self,

@@ -9,9 +9,10 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 from std_msgs.msg import UInt64
 
-from armimp_common import heartbeat, qos, topics
+from armimp_common import heartbeat, topics
 from armimp_common.cdr import JointStateEncoder
 from armimp_common.executor import Spinner
+from armimp_common.pubsub import create_publisher, subscribe
 from armimp_common.schema import Value
 from armimp_common.status import (
     NOTICE_TICKS,
@@ -229,7 +230,7 @@ def test_clips_and_fault_go_out_at_a_low_rate_and_at_once_on_a_fault(world: Worl
     def hear(message: DiagnosticArray) -> None:
         heard.extend(message.status)
 
-    world.node.create_subscription(DiagnosticArray, topics.DIAGNOSTICS, hear, qos.DIAGNOSTICS)
+    subscribe(world.node, topics.DIAGNOSTICS, hear)
     world.bring_up({"safety.torque_limit": 1e-3, "sequence.duration": 2.0})
     for tick, (theta, tau_h) in enumerate(wobble(1010)):
         driver.feed(theta, tau_h)
@@ -266,7 +267,7 @@ class Surrounded(World):
     """A controller under torque among other nodes, with their heartbeats and a recorder."""
 
     def surround(self, mode: str = "lockstep") -> None:
-        self.received = self.node.create_publisher(UInt64, topics.RECEIVED, qos.LATCHED)
+        self.received = create_publisher(self.node, topics.RECEIVED)
         self.controller = self.start({"mode": mode})
         self.monitors = [*self.controller._partners, self.controller._supervisor]
 
@@ -377,7 +378,7 @@ class Judged(World):
 
     def __init__(self, node: Node, spinner: Spinner, launch: Launch) -> None:
         super().__init__(node, spinner, launch)
-        self.judge = node.create_publisher(DiagnosticStatus, topics.STOPPING, qos.LATCHED)
+        self.judge = create_publisher(node, topics.STOPPING)
         trial: dict[str, Value] = {"sequence.duration": LONG / 1000, "sequence.may_end_early": True}
         self.controller = self.bring_up(trial)
         eventually(spinner, lambda: self.judge.get_subscription_count() == 1, "who is judged")

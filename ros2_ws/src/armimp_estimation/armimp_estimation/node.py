@@ -14,11 +14,8 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.serialization import deserialize_message
-from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, UInt64
 
-from armimp_common import qos, topics
+from armimp_common import topics
 from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.cdr import encode_count
 from armimp_common.errors import (
@@ -34,6 +31,8 @@ from armimp_common.parameters import ParameterSet
 from armimp_common.pubsub import (
     PollingNode,
     RawPublisher,
+    create_publisher,
+    subscribe,
     subscribe_raw,
     take_all,
     wait_for_partners,
@@ -67,7 +66,7 @@ _STRAGGLERS = 5.0
 _SHOWN = 16
 """Number of frequencies at which curves are published; files hold all."""
 RESULT_NAME = f"{topics.ESTIMATOR_NODE}: impedance"
-_RECORDED_BESIDE = {topics.CLOCK: Clock, topics.DIAGNOSTICS: DiagnosticArray}
+_RECORDED_BESIDE = (topics.CLOCK, topics.DIAGNOSTICS)
 
 
 class ImpedanceEstimatorNode(PollingNode, ManagedNode):
@@ -81,9 +80,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         self._rig = HeartbeatMonitor(self, topics.SIM_NODE, lambda _: None)
         self._controller = HeartbeatMonitor(self, topics.CONTROLLER_NODE, self._on_controller)
         # Created only once: a new subscription would get the last experiment's statuses again.
-        self._trial = self.create_subscription(
-            DiagnosticStatus, topics.TRIAL, self._on_trial, qos.LATCHED
-        )
+        self._trial = subscribe(self, topics.TRIAL, self._on_trial)
         self._declared = ParameterSet(
             self,
             EstimatorParameters,
@@ -99,16 +96,11 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             self._reset()
         except DataError as error:
             raise ConfigurationError(f"parameter 'metadata': {error}") from None
-        self._progress = self.create_publisher(DiagnosticStatus, topics.PROGRESS, qos.PROGRESS)
-        self._result = self.create_publisher(DiagnosticStatus, topics.RESULT, qos.LATCHED)
-        self._received = RawPublisher(self, topics.RECEIVED, UInt64, qos.LATCHED)
-        self._stopping = self.create_publisher(DiagnosticStatus, topics.STOPPING, qos.LATCHED)
-        streams = {
-            topic: self.subscribe_unattended(
-                topic, Float64MultiArray if topic == topics.COMMANDS else JointState
-            )
-            for topic in topics.DATA_STREAMS
-        }
+        self._progress = create_publisher(self, topics.PROGRESS)
+        self._result = create_publisher(self, topics.RESULT)
+        self._received = RawPublisher(self, topics.RECEIVED)
+        self._stopping = create_publisher(self, topics.STOPPING)
+        streams = {topic: self.subscribe_unattended(topic) for topic in topics.DATA_STREAMS}
         self._streams = list(streams.values())
         self._synchronizer = StreamSynchronizer(
             {topic: partial(take_all, stream) for topic, stream in streams.items()},
@@ -116,9 +108,8 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         )
         self._synchronizer.close()
         self._poll = steady_timer(self, _POLL_PERIOD, self._synchronizer.poll, autostart=False)
-        for topic, kind in _RECORDED_BESIDE.items():
-            take = partial(self._on_beside, topic)
-            subscribe_raw(self, topic, kind, take, profile=qos.PROFILES[topic])
+        for topic in _RECORDED_BESIDE:
+            subscribe_raw(self, topic, partial(self._on_beside, topic))
         self._timer = steady_timer(self, _PROGRESS_PERIOD, self._on_timer, autostart=False)
         return TransitionCallbackReturn.SUCCESS
 

@@ -11,7 +11,7 @@ from rosbags.highlevel import AnyReader
 
 from armimp_common import topics
 from armimp_common.errors import BagError
-from armimp_common.topics import CLOCK, DATA_STREAMS, MESSAGE_TYPES, PERIOD_NS, TORQUE_SENSORS
+from armimp_common.topics import CLOCK, DATA_STREAMS, PERIOD_NS, TOPICS, TORQUE_SENSORS
 from armimp_estimation.bags.metadata_yaml import FILE_NAME, qos_profiles
 from armimp_estimation.bags.raw import absolute
 from armimp_estimation.bags.reader import read_bag
@@ -156,7 +156,7 @@ class TestBlocks:
         # Opening compares the type hashes with the definitions.
         with AnyReader([tmp_path / "blocks"]) as reader:
             read = [(c.topic, c.msgtype, time, raw) for c, time, raw in reader.messages()]
-        assert read == [(absolute(t), MESSAGE_TYPES[t], time, raw) for t, time, raw in one]
+        assert read == [(absolute(t), TOPICS[t].type, time, raw) for t, time, raw in one]
 
     @pytest.mark.parametrize("size", [7, 50])
     def test_what_is_not_yet_in_the_file_is_bounded(

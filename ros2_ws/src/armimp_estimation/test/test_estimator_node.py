@@ -3,20 +3,17 @@
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
 from rosbags.highlevel import AnyReader
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
 
-from armimp_common import qos, topics
+from armimp_common import topics
 from armimp_common.cdr import decode_trial_status, encode_trial_status
 from armimp_common.executor import Spinner
-from armimp_common.pubsub import subscribe_raw, wait_for_partners
+from armimp_common.pubsub import create_publisher, subscribe, subscribe_raw, wait_for_partners
 from armimp_common.schema import Value
 from armimp_common.status import Level, Phase
 from armimp_common.topics import COMMANDS, RESULT, TRIAL
@@ -56,22 +53,10 @@ class Desk:
         self.node, self.spinner, self.launch, self.directory = node, spinner, launch, directory
         self.echoes = 0
         self.results: list[DiagnosticStatus] = []
-        kinds: dict[str, type[Any]] = {
-            **dict.fromkeys(topics.VALUE_FIELD, JointState),
-            COMMANDS: Float64MultiArray,
-            TRIAL: DiagnosticStatus,
-        }
-        self.publishers = {
-            topic: node.create_publisher(kind, topic, qos.PROFILES[topic])
-            for topic, kind in kinds.items()
-        }
-        self.echo = [
-            subscribe_raw(node, topic, kind, self.on_echo, profile=qos.PROFILES[topic])
-            for topic, kind in kinds.items()
-        ]
-        self.people = node.create_subscription(
-            DiagnosticStatus, RESULT, self.results.append, qos.PROFILES[RESULT]
-        )
+        played = (*topics.DATA_STREAMS, TRIAL)
+        self.publishers = {topic: create_publisher(node, topic) for topic in played}
+        self.echo = [subscribe_raw(node, topic, self.on_echo) for topic in played]
+        self.people = subscribe(node, RESULT, self.results.append)
 
     def on_echo(self, message: bytes) -> None:
         self.echoes += 1

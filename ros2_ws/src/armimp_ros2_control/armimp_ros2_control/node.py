@@ -9,7 +9,6 @@ from contextlib import ExitStack
 from typing import Any
 
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
-from sensor_msgs.msg import JointState
 
 from armimp_common.driver_base import ProtectedDriver
 from armimp_common.errors import MalformedMessageError
@@ -17,6 +16,7 @@ from armimp_common.executor import run_node, steady_timer
 from armimp_common.protection import Protection
 from armimp_common.pubsub import CommandPublisher, subscribe_raw, take_all
 from armimp_common.realtime import realtime_scheduling
+from armimp_common.topics import JOINT_STATES
 from armimp_ros2_control.parameters import BridgeParameters
 from armimp_ros2_control.readings import Readings, Stamps
 
@@ -44,7 +44,7 @@ class Ros2ControlBridge(ProtectedDriver[BridgeParameters]):
         protection = Protection(len(names), parameters.limits)
         self.set_up(protection, names)
         self._efforts = CommandPublisher(self, EFFORTS, len(names))
-        self._states = subscribe_raw(self, STATES, JointState, self._on_state)
+        self._states = subscribe_raw(self, STATES, self._on_state, JOINT_STATES)
         steady_timer(self, _SILENCE_PERIOD, self._check_silence)
         return TransitionCallbackReturn.SUCCESS
 

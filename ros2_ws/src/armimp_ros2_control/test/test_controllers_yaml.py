@@ -32,7 +32,7 @@ def test_names_of_the_controllers_make_the_topics_of_the_bridge_and_no_loop() ->
     forward, _, commands = EFFORTS.partition("/")
     assert commands == "commands"
     assert parameters(forward)["interface_name"] == "effort"
-    assert {STATES, EFFORTS}.isdisjoint(topics.MESSAGE_TYPES)
+    assert {STATES, EFFORTS}.isdisjoint(topics.TOPICS)
 
 
 def test_joints_are_in_the_order_of_the_bridge_and_effort_is_what_the_transducers_say() -> None:

@@ -9,12 +9,12 @@ from typing import Any
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rosgraph_msgs.msg import Clock
 
-from armimp_common import qos, topics
+from armimp_common import topics
 from armimp_common.driver_base import DriverBase, FlowControl
 from armimp_common.errors import ArmimpError
 from armimp_common.executor import run_node
 from armimp_common.heartbeat import HeartbeatMonitor
-from armimp_common.pubsub import subscribe_counts, wait_for_partners
+from armimp_common.pubsub import create_publisher, subscribe_counts, wait_for_partners
 from armimp_common.realtime import Pacer, realtime_scheduling
 from armimp_common.status import make_array, status_message, to_time
 from armimp_sim.parameters import SimulatorParameters
@@ -43,7 +43,7 @@ class ArmSimNode(DriverBase[SimulatedRig, SimulatorParameters]):
         parameters = self._settings = self.declared.load()
         rig = SimulatedRig(parameters)
         self.set_up(rig, parameters.joints)
-        self._clock_publisher = self.create_publisher(Clock, topics.CLOCK, qos.CLOCK)
+        self._clock_publisher = create_publisher(self, topics.CLOCK)
         self._flow = FlowControl()
         self._flow.silent = self._recorder.presence.silent
         subscribe_counts(self, topics.RECEIVED, self._on_received)

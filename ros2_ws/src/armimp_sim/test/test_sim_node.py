@@ -9,11 +9,11 @@ from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import UInt64
 
-from armimp_common import qos, topics
+from armimp_common import topics
 from armimp_common.cdr import CommandEncoder
 from armimp_common.executor import Spinner
 from armimp_common.heartbeat import HeartbeatMonitor
-from armimp_common.pubsub import wait_for_partners
+from armimp_common.pubsub import subscribe, wait_for_partners
 from armimp_common.schema import Value
 from armimp_common.topics import CLOCK, PERIOD_NS
 from armimp_sim.node import ArmSimNode
@@ -57,7 +57,7 @@ def test_clock_and_health_are_published_now_and_then(world: World) -> None:
     def hear(message: Clock) -> None:
         times.append(Time.from_msg(message.clock).nanoseconds)
 
-    subscription = world.node.create_subscription(Clock, CLOCK, hear, qos.CLOCK)
+    subscription = subscribe(world.node, CLOCK, hear)
     wait_for_partners(world.node, subscriptions=[subscription])
 
     for _ in range(11):

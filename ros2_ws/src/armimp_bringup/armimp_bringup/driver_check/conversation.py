@@ -20,7 +20,6 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.task import Future
-from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from armimp_bringup.driver_check import SENSOR_TOPICS, Call, Endpoint, Message, readings
@@ -30,7 +29,7 @@ from armimp_common.arrays import FloatArray
 from armimp_common.cdr import decode_joint_state
 from armimp_common.errors import InterruptionError, MalformedMessageError
 from armimp_common.executor import Spinner
-from armimp_common.pubsub import CommandPublisher, subscribe_raw
+from armimp_common.pubsub import CommandPublisher, subscribe, subscribe_raw
 from armimp_common.status import Level
 from armimp_common.topics import JOINT_STATES, NS_PER_S
 
@@ -180,9 +179,7 @@ class Conversation(Node, Answering):
             name: self.create_client(Trigger, name)
             for name in (topics.SIM_STOP_SERVICE, topics.SIM_RESET_SERVICE)
         }
-        self.create_subscription(
-            DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
-        )
+        subscribe(self, topics.DIAGNOSTICS, self._on_diagnostics)
         self.spinner = Spinner([self])
 
     def listen(self) -> None:
@@ -197,7 +194,7 @@ class Conversation(Node, Answering):
             if ReliabilityPolicy.BEST_EFFORT in kinds:
                 profile.reliability = ReliabilityPolicy.BEST_EFFORT
             self._sensors.append(
-                subscribe_raw(self, topic, JointState, partial(self.hear, topic), profile=profile)
+                subscribe_raw(self, topic, partial(self.hear, topic), profile=profile)
             )
 
     @contextmanager

@@ -84,7 +84,7 @@ def _judge_contract(record: Record) -> Iterator[Finding]:
 
 def _judge_topic(record: Record, topic: str, role: str) -> Iterator[Finding]:
     found = [end for end in record.endpoints if end.topic == topic and end.role == role]
-    kind = topics.MESSAGE_TYPES[topic]
+    kind = topics.TOPICS[topic].type
     types, nodes = (sorted({getattr(end, of) for end in found}) for of in ("type", "node"))
     good = types == [kind] and (len(found) == 1 or role == "subscriber")
     figure = f"{', '.join(types)} from {', '.join(nodes)}" if found else f"no {role}"

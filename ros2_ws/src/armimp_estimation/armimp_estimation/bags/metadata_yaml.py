@@ -12,7 +12,7 @@ from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 
 from armimp_common.errors import BagError
 from armimp_common.schema import TextLoader, load_yaml
-from armimp_common.topics import MESSAGE_TYPES, QOS
+from armimp_common.topics import TOPICS
 from armimp_estimation.atomic_write import read_text, write_text
 from armimp_estimation.bags.raw import absolute, one_line
 from armimp_estimation.json_model import first_complaint
@@ -52,7 +52,7 @@ def message_definition(type_name: str) -> tuple[str, str]:
 
 def qos_profiles(topic: str) -> list[dict[str, Any]]:
     """Offered QoS of the publisher of a topic of the contract, in the form of rosbag2."""
-    depth, reliability, durability = QOS[topic]
+    depth, reliability, durability = TOPICS[topic].qos
     return [
         {
             "history": "keep_last",
@@ -115,10 +115,10 @@ def write_metadata(
             {
                 "topic_metadata": {
                     "name": absolute(topic),
-                    "type": MESSAGE_TYPES[topic],
+                    "type": TOPICS[topic].type,
                     "serialization_format": "cdr",
                     "offered_qos_profiles": qos_profiles(topic),
-                    "type_description_hash": message_definition(MESSAGE_TYPES[topic])[1],
+                    "type_description_hash": message_definition(TOPICS[topic].type)[1],
                 },
                 "message_count": messages,
             }

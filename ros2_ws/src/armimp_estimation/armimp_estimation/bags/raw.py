@@ -8,7 +8,7 @@ import lz4.frame
 import zstandard
 
 from armimp_common.errors import BagError
-from armimp_common.topics import MESSAGE_TYPES
+from armimp_common.topics import TOPICS
 
 RECORD_COST: Final = 200
 """Approximate bytes of memory that a message takes in addition to its content. Other small records,
@@ -153,7 +153,7 @@ class RawMessages:
         """
         entry = (one_line(name), one_line(message_type) if message_type else "")
         index = self.topics.setdefault(entry, len(self.topics))
-        if all(namespace_of(name, topic) is None for topic in MESSAGE_TYPES):
+        if all(namespace_of(name, topic) is None for topic in TOPICS):
             return None
         if encoding != "cdr":
             raise self.refusal(f"topic {entry[0]} is encoded as {encoding!r}, not as cdr")

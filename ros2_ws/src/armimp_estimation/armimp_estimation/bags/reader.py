@@ -169,7 +169,7 @@ def resolve_topics(
     BagError
         If the choice is ambiguous, or a topic has a type other than that of the contract.
     """
-    matches = {topic: _candidates(recorded, topic) for topic in topics.MESSAGE_TYPES}
+    matches = {topic: _candidates(recorded, topic) for topic in topics.TOPICS}
     if namespace is not None:
         rigs = [f"/{namespace.strip('/')}/" if namespace.strip("/") else "/"]
     else:
@@ -187,8 +187,8 @@ def resolve_topics(
             raise BagError(f"{bag}: {topic} is ambiguous: {names}")
         if len(chosen) == 1:
             name, kind = recorded[chosen[0]]
-            if kind not in ("", topics.MESSAGE_TYPES[topic]):
-                expected = topics.MESSAGE_TYPES[topic]
+            if kind not in ("", topics.TOPICS[topic].type):
+                expected = topics.TOPICS[topic].type
                 raise BagError(f"{bag}: topic {name} is of type {kind}, not {expected}")
             found[topic] = chosen[0]
     return found
@@ -198,7 +198,7 @@ def _candidates(recorded: Sequence[tuple[str, str]], topic: str) -> dict[int, st
     """Prefixes of topics with the right name; only of those with the right type, if any has it."""
     prefixes = {i: namespace_of(name, topic) for i, (name, _) in enumerate(recorded)}
     named = {i: prefix for i, prefix in prefixes.items() if prefix is not None}
-    typed = {i: named[i] for i in named if recorded[i][1] == topics.MESSAGE_TYPES[topic]}
+    typed = {i: named[i] for i in named if recorded[i][1] == topics.TOPICS[topic].type}
     return typed or named
 
 

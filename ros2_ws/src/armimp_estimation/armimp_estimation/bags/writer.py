@@ -38,7 +38,7 @@ from mcap.records import (
 )
 
 from armimp_common.errors import BagError, DataError
-from armimp_common.topics import CLOCK, DATA_STREAMS, DIAGNOSTICS, MESSAGE_TYPES, TRIAL
+from armimp_common.topics import CLOCK, DATA_STREAMS, DIAGNOSTICS, TOPICS, TRIAL
 from armimp_estimation.atomic_write import open_regular, reason_of
 from armimp_estimation.bags.mcap_reader import (
     BEYOND_LENGTH,
@@ -102,7 +102,7 @@ def definitions() -> tuple[list[Schema], dict[str, Channel]]:
     schemas: dict[str, Schema] = {}
     channels: dict[str, Channel] = {}
     for number, topic in enumerate(RECORDED, 1):
-        kind = MESSAGE_TYPES[topic]
+        kind = TOPICS[topic].type
         text, type_hash = message_definition(kind)
         schema = Schema(id=len(schemas) + 1, name=kind, encoding="ros2msg", data=text.encode())
         channels[topic] = Channel(
