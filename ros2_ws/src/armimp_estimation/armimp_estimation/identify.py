@@ -35,7 +35,6 @@ from armimp_estimation.signal_quality import judge_signals
 from armimp_estimation.systematics import RESOLVED_SHARE, lost_motion
 from armimp_estimation.torque_timing import TorqueTiming
 from armimp_estimation.trial import TrialData, segment_for
-from armimp_estimation.turning_links import at_posture
 from armimp_estimation.verdict import Verdict
 
 _FOLLOWED = 2.0
@@ -250,7 +249,7 @@ def identify(
     deviating: Sequence[Mapping[str, Deviation]] = [{} for _ in records]
     if best.estimate.unbiased:
         of_motion, nonlinear, sensors, deviating = judge_linearity(
-            at_posture(records, best.estimate.turning),
+            best.estimate.posed or records,
             best.estimate,
             best.fit,
             hold,

@@ -25,21 +25,36 @@ _BEYOND_CHANCE = 5.0
 """Standard errors from which on an inertia changes with the angles."""
 
 
-def turning_inertia(
+def at_posture(
     records: Sequence[TrialRecord], arm: MBK, jump: HoldCorrection | None
-) -> tuple[float, ...]:
-    """Estimate the 2 n (n - 1) elements of G, kg·m²/rad; none where it is not beyond chance.
+) -> tuple[TrialRecord, ...]:
+    """Return trials with the torques of an arm whose inertia stays that at the posture.
 
-    The torques that an arm leaves in all trials are regressed on those of each element; for the arm
-    and the rest see :meth:`Residual.of`. G_iii is 0: the own inertia of a joint doesn't depend on
-    its angle. There are none for one joint, or trials of less than 3 s.
+    For the arm and its jumps see :meth:`Residual.of`. None are returned if the inertia doesn't
+    change beyond chance, for one joint, and for trials of less than 3 s.
     """
-    if records[0].joints == 1:
+    turning = _turning_inertia(records, arm, jump) if records[0].joints > 1 else None
+    if turning is None:
         return ()
+    spectra = [turning @ np.moveaxis(_torques(one), 0, 1) for one in records]
+    return tuple(
+        replace(one, torque=one.torque - np.fft.irfft(spectrum, one.samples))
+        for one, spectrum in zip(records, spectra, strict=True)
+    )
+
+
+def _turning_inertia(
+    records: Sequence[TrialRecord], arm: MBK, jump: HoldCorrection | None
+) -> FloatArray | None:
+    """Estimate the 2 n (n - 1) elements of G, kg·m²/rad; None if it is not beyond chance.
+
+    The torques that an arm leaves in all trials are regressed on those of each element. G_iii is 0:
+    the own inertia of a joint doesn't depend on its angle.
+    """
     parts = []
     for residual in [Residual.of(record, arm, jump) for record in records]:
         if residual is None:
-            return ()
+            return None
         record, band = residual.record, residual.band
         terms = _torques(record)[..., band.bins] * band.passed / record.samples
         for rest, term in zip(residual.torques, np.moveaxis(terms, 1, 0), strict=True):
@@ -49,21 +64,7 @@ def turning_inertia(
     found: FloatArray = inverse @ sum(part[:-1] @ part[-1] for part in parts)
     scores = [part[:-1] @ (part[-1] - found @ part[:-1]) for part in parts]
     errors = np.linalg.norm(scores @ inverse, axis=0)
-    return tuple(found.tolist()) if (np.abs(found) > _BEYOND_CHANCE * errors).any() else ()
-
-
-def at_posture(records: Sequence[TrialRecord], turning: Sequence[float]) -> list[TrialRecord]:
-    """Return trials with the torques of an arm whose inertia stays that at the posture.
-
-    `turning` is G as :func:`turning_inertia` returns it.
-    """
-    if not turning:
-        return list(records)
-    spectra = [np.array(turning) @ np.moveaxis(_torques(one), 0, 1) for one in records]
-    return [
-        replace(one, torque=one.torque - np.fft.irfft(spectrum, one.samples))
-        for one, spectrum in zip(records, spectra, strict=True)
-    ]
+    return found if (np.abs(found) > _BEYOND_CHANCE * errors).any() else None
 
 
 def _torques(record: TrialRecord) -> ComplexArray:

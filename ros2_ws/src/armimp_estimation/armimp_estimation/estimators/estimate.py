@@ -8,6 +8,7 @@ import numpy as np
 
 from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_estimation.hold_correction import HoldCorrection
+from armimp_estimation.record import TrialRecord
 from armimp_estimation.trial import TrialData
 
 
@@ -155,9 +156,9 @@ class ImpedanceEstimate:
     been high-pass filtered; two arrays of shape (n,). Empty if this was not checked."""
     hold: HoldCorrection | None = None
     """How torques jump with each update of the commands, if that was identified and corrected."""
-    turning: tuple[float, ...] = ()
-    """How the inertia changes with the angles, if that was identified and corrected: see
-    :func:`armimp_estimation.turning_links.turning_inertia`."""
+    posed: tuple[TrialRecord, ...] = ()
+    """The trials, if the inertia changes with the angles: corrected by
+    :func:`armimp_estimation.turning_links.at_posture`."""
 
     @property
     def joints(self) -> int:

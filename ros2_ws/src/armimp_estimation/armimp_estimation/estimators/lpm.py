@@ -33,7 +33,7 @@ from armimp_estimation.spectra import BAND, bins_in_band
 from armimp_estimation.systematics import systematic_errors
 from armimp_estimation.torque_timing import TorqueTiming
 from armimp_estimation.trial import TrialData, cleaned
-from armimp_estimation.turning_links import at_posture, turning_inertia
+from armimp_estimation.turning_links import at_posture
 from armimp_estimation.weighted_fit import FEWEST_FREQUENCIES
 
 _SPARE_BINS = 3
@@ -103,11 +103,10 @@ class LpmFull:
         """
         records = [trial.record for trial in order_trials(trials)]
         reference = self._reference(records)
-        turning = turning_inertia(records, *reference)
-        if turning:
-            records = at_posture(records, turning)
-            reference = self._reference(records)
-        return replace(self._estimate(records, *reference), turning=turning)
+        posed = at_posture(records, *reference)
+        if posed:
+            records, reference = [*posed], self._reference(posed)
+        return replace(self._estimate(records, *reference), posed=posed)
 
     def _estimate(
         self, records: Sequence[TrialRecord], reference: MBK, jump: HoldCorrection | None
