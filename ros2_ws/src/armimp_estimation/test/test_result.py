@@ -24,6 +24,7 @@ from armimp_estimation.identify import Identification, identify
 from armimp_estimation.metadata import RECORD_KEY, Metadata, Timing, latest_metadata
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.report.run import report_page
+from armimp_estimation.report.run import report_page
 from armimp_estimation.result import Result, conclude
 from armimp_estimation.spectra import segment_averages
 from armimp_estimation.summary import (
@@ -182,6 +183,7 @@ def test_trials_that_lost_samples_are_refused_or_estimated_from_their_intact_par
     assert (note.severity, note.trial) == (Severity.NOTE, 2)
     assert note.values == {"stream": JOINT_STATES, "count": 37, "first": 4.0, "last": 4.037}
     assert healed.summary.valid
+    assert "Not usable" not in report_page(healed)
     first, second = healed.summary.trials
     assert (first.lost, first.excluded, first.stretches) == (0, 0, 1)
     assert (second.lost, second.excluded, second.stretches) == (37, 37, 2)
