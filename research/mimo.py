@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armimp_common.arrays import ComplexArray, FloatArray
+from armimp_common.arrays import EPS, TINY, ComplexArray, FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.estimators.welch import invert, multiply
@@ -57,8 +57,8 @@ def input_coupling(f: FloatArray, spectra: ComplexArray) -> InputCoupling:
         raise DataError(f"no perturbation of joint {joint + 1} at {f[bin_]:.4g} Hz")
     scaled = spectra / np.sqrt(power[:, None] * power[None, :])
     eigenvalues = np.linalg.eigvalsh(np.moveaxis(scaled, 2, 0))
-    smallest = np.maximum(eigenvalues[:, 0], np.finfo(np.float64).tiny)
-    regular = eigenvalues[:, 0] > np.finfo(np.float64).eps * eigenvalues[:, -1]
+    smallest = np.maximum(eigenvalues[:, 0], TINY)
+    regular = eigenvalues[:, 0] > EPS * eigenvalues[:, -1]
     inflation = np.full(power.shape, np.inf)
     inverse = np.linalg.inv(np.moveaxis(scaled, 2, 0)[regular])
     inflation[:, regular] = np.einsum("fii->if", inverse).real
@@ -128,7 +128,7 @@ def estimate_mimo(
     )
     residual = np.einsum("icf,cdf,idf->if", np.conj(unexplained), channels, unexplained).real
     terms = np.einsum("icf,ccf->if", np.abs(unexplained) ** 2, channels).real
-    residual = np.maximum(residual, np.finfo(np.float64).eps * terms)
+    residual = np.maximum(residual, EPS * terms)
     return MimoEstimate(
         impedance=ImpedanceEstimate(
             name="mimo",

@@ -10,7 +10,7 @@ from functools import reduce
 
 import numpy as np
 
-from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
+from armimp_common.arrays import EPS, BoolArray, ComplexArray, FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.periods import has_power
 from armimp_estimation.spectra import CrossSpectra, sums_within
@@ -101,7 +101,7 @@ def stands_out(f: FloatArray, response: ComplexArray, variance: FloatArray) -> B
     squares = np.abs(response) ** 2
     if not squares.all():
         return np.zeros(f.size, dtype=np.bool_)
-    precision = 1.0 / np.maximum(variance, np.finfo(np.float64).eps * squares)
+    precision = 1.0 / np.maximum(variance, EPS * squares)
     terms = np.stack((precision * squares - 1.0, precision))
     (power, total), _ = sums_within(f, terms, _ALIKE)
     return np.asarray(precision * power >= _STANDS_OUT * total)

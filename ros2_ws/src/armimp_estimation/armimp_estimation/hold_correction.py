@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
+from armimp_common.arrays import TINY, BoolArray, ComplexArray, FloatArray
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.torque_timing import TorqueReading
 
@@ -329,7 +329,7 @@ def _from_motion(records: Sequence[TrialRecord]) -> HoldCorrection:
     products, n = _products(inputs, outputs), records[0].joints
     coefficients, explained = _solved(*products)
     _, without = _solved(*products, slice(n, None))
-    by_jumps = np.maximum(explained - without, np.finfo(np.float64).tiny)
+    by_jumps = np.maximum(explained - without, TINY)
     transmission = coefficients[:, :n]
     return HoldCorrection(
         torque=transmission,

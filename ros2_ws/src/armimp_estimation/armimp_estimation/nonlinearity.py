@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtr, stdtrit
 
-from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
+from armimp_common.arrays import EPS, TINY, BoolArray, ComplexArray, FloatArray
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import MBKFit
 from armimp_estimation.hold_correction import HoldCorrection
@@ -110,7 +110,7 @@ class Coefficient:
         if not (self.error > 0.0 and self.value):
             return 0.0
         chance = self.looks * joints * float(stdtr(self.freedom, -abs(self.value) / self.error))
-        return float(-ndtri(min(max(chance, np.finfo(float).tiny), 0.5)))
+        return float(-ndtri(min(max(chance, TINY), 0.5)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -398,7 +398,7 @@ class _Regression:
                 for one in (alone, whole, self._left)
             )
             nearly = np.abs(rest) ** 2 + np.abs(_LEFT * self._torque[group]) ** 2
-            weight = group.size / max(float(np.sum(nearly)), np.finfo(float).tiny)
+            weight = group.size / max(float(np.sum(nearly)), TINY)
             products.append(weight * (np.conj(cause) * rest).real)
             squares.append(weight * (np.conj(cause) * shown).real)
         found = _ratio(np.concatenate(products), np.concatenate(squares))
@@ -484,7 +484,7 @@ def _changes(
     sizes = np.expand_dims(sizes, tuple(range(1, products.ndim)))
     explained = np.sum(sums**2 / sizes, axis=0)
     whole = np.sum(products**2 / squares, axis=-1, keepdims=True)
-    least = np.finfo(np.float64).eps * whole + np.finfo(np.float64).tiny
+    least = EPS * whole + TINY
     scatter = np.maximum(whole - explained, least) / (len(squares) - 2)
     slopes = sums / sizes
     return slopes[1] - slopes[0], np.sqrt(scatter * np.sum(1.0 / sizes, axis=0))
@@ -690,7 +690,7 @@ def _held(record: TrialRecord, joint: int, term: Term) -> FloatArray:
     band = Band(record)
     angle = band.spectrum(record.position[joint])
     motion = band.signal(angle * (2j * np.pi * band.f) ** np.arange(2)[:, None])
-    sizes = np.maximum(np.std(motion[:, band.kept], axis=1), np.finfo(float).tiny)
+    sizes = np.maximum(np.std(motion[:, band.kept], axis=1), TINY)
     angle, speed = motion / sizes[:, None]
     return term.bend(Signals(angle, angle, speed, np.zeros_like(angle)))
 

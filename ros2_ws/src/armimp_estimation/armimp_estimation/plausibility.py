@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from armimp_common.arrays import BoolArray, FloatArray
+from armimp_common.arrays import TINY, BoolArray, FloatArray
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import Calibration, MBKFit
 from armimp_estimation.mbk import UNITS
@@ -133,7 +133,7 @@ def mixed_channels(fit: MBKFit, calibration: Calibration) -> list[FloatArray]:
     """
     matrices = fit.values
     M = matrices[0]
-    own = np.maximum(np.abs(np.diag(M)), np.finfo(np.float64).tiny)
+    own = np.maximum(np.abs(np.diag(M)), TINY)
     of_torques = sum(np.abs(one[:, :, 0]) ** 2 for one in calibration.effects(M[:, :, None] + 0j))
     error = np.sqrt(np.maximum(fit.errors[0] ** 2 - of_torques, 0.0))
     error = np.hypot(error, error.T)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from armimp_common.arrays import ComplexArray, FloatArray
+from armimp_common.arrays import EPS, TINY, ComplexArray, FloatArray
 from armimp_estimation.hold_correction import HoldCorrection, command_steps, without_skew
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
@@ -126,8 +126,7 @@ class Band:
         of_noise, of_white = (
             gaussian_filter1d(one, width, mode="constant") for one in (power, self.passed**4)
         )
-        tiny = float(np.finfo(float).tiny)
-        return np.asarray(np.sqrt(of_white / np.maximum(of_noise, tiny)))
+        return np.asarray(np.sqrt(of_white / np.maximum(of_noise, TINY)))
 
     def response(self, signal: FloatArray, f: FloatArray) -> ComplexArray:
         """Frequency response, (n_freq,), from the perturbation to a signal, (N,) at either rate.
@@ -140,7 +139,7 @@ class Band:
             np.bincount(self._hertz, weights=one) / np.bincount(self._hertz)
             for one in (self.f, cross.real, cross.imag, power)
         )
-        driven = powers > np.finfo(float).eps * np.max(powers)
+        driven = powers > EPS * np.max(powers)
         answers = (real + 1j * imaginary)[driven] / powers[driven]
         return np.asarray(np.interp(f, middles[driven], answers), dtype=np.complex128)
 

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
+from armimp_common.arrays import TINY, BoolArray, ComplexArray, FloatArray
 from armimp_common.errors import DataError
 from armimp_common.topics import JOINT_STATES
 from armimp_estimation.estimators.estimate import noise_of
@@ -56,7 +56,6 @@ _FLOOR = 0.03
 """Relative error that the weights of the fit allow for beside the variance."""
 _REACH = 0.6
 """Half width of the smoothing of these weights, Hz."""
-_TINY = float(np.finfo(np.float64).tiny)
 _ERRORS = 5.0  # standard errors beyond which a deviation is refused
 _NEGATIVE = 4.0  # standard errors beyond which a negative viscosity or stiffness counts
 _CLEARLY = 0.3  # rms stiffness in another order of commands relative to the given one, at most
@@ -191,7 +190,7 @@ class RobotBalance:
         M, error = self.damped
         taken = np.maximum(self.friction, self.unseen)
         slight = (np.maximum(taken, taken.T) < _SLIGHT) & ~np.eye(len(taken), dtype=np.bool_)
-        size = np.maximum(np.minimum(np.abs(M), np.abs(M.T)), _TINY)
+        size = np.maximum(np.minimum(np.abs(M), np.abs(M.T)), TINY)
         error = np.hypot(error, np.hypot(self._inertia_hidden, self.unsure))
         error = np.hypot(error, error.T)
         return (
@@ -250,7 +249,7 @@ class RobotResponses:
         except DataError:
             return None
         for one in columns:
-            answers = np.abs(one.response) ** 2 / np.maximum(one.variance, _TINY)
+            answers = np.abs(one.response) ** 2 / np.maximum(one.variance, TINY)
             if not (np.median(answers[2 * n :], axis=1) > _ANSWERS).any():
                 return None
         return cls(
@@ -391,7 +390,7 @@ class RobotResponses:
             damped[:, i, j] = free[0], np.hypot(np.sqrt(spread[0, 0]), free[0] - values[0])
             found[:, i, j], errors[:, :, i, j] = values[:3], covariance[:3, :3]
             whole = float(np.linalg.norm(impedance[i, j] / s))
-            friction[i, j] = float(np.linalg.norm(taken / s)) / max(whole, _TINY)
+            friction[i, j] = float(np.linalg.norm(taken / s)) / max(whole, TINY)
         return {"values": found, "covariance": errors, "friction": friction, "damped": damped}
 
     @cached_property
@@ -491,7 +490,7 @@ def _imbalance(
     arms, arms_se = arm.values[used], arm.errors[used]
     # Indices: joint i, row r of the arm whose torque its transducer may show, column j.
     part = np.einsum("arj,ijab,brj->irj", arms, information, arms)
-    square = _TINY + np.sum(part, axis=2)
+    square = TINY + np.sum(part, axis=2)
     mixed = np.einsum("arj,ijab,bij->ir", arms, information, residual)
     left = np.einsum("aij,ijab,bij->i", residual, information, residual)
     taken, damped, held = (
@@ -557,7 +556,7 @@ def _springs(robot: RobotBalance, arm: MBKFit, calibration: Calibration) -> Floa
     """
     own, error, K = np.diag(robot.K), np.diag(robot.K_se), np.abs(np.diag(arm.mbk.K))
     hidden = np.where(own < 0.0, robot.rubbing, 0.0)
-    whole = np.stack((own, own - hidden)) / np.maximum(K, _TINY)
+    whole = np.stack((own, own - hidden)) / np.maximum(K, TINY)
     rubbing = _RUBBING * np.abs(np.diag(robot.values[1]))
     sure = _SPRING if calibration.assumed else _REFUTED
     beyond = np.abs(own) - np.stack((np.zeros_like(own), rubbing)) > sure * error
@@ -602,7 +601,7 @@ def _may_be_spring(shares: FloatArray) -> BoolArray:
 
 def _explained_better(shares: FloatArray, errors: FloatArray) -> BoolArray:
     """Where a share is the most significant of its row, (n, n); clearly so of another torque."""
-    sure = np.abs(shares) / np.maximum(errors, _TINY) * (1.0 + _LIKELIER * np.eye(len(shares)))
+    sure = np.abs(shares) / np.maximum(errors, TINY) * (1.0 + _LIKELIER * np.eye(len(shares)))
     return np.asarray(sure == np.max(sure, axis=1, keepdims=True))
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
+from armimp_common.arrays import TINY, BoolArray, ComplexArray, FloatArray
 from armimp_common.topics import JOINT_STATES, TORQUE_SENSORS
 from armimp_estimation.hold_correction import command_steps, regress
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
@@ -73,7 +73,6 @@ _REPEATED = 0.15  # share of repetitions that chance doesn't reach
 _BESIDE = 9.0  # ratio of repetitions to the most frequent step that chance doesn't reach
 _BROAD = 0.5  # share of samples near 0, or of changes of one size, that leaves a test undecided
 _SLOW, _USUAL_SLOW, _LITTLE = (0.0, 0.1), (0.5, 1.0), 0.25  # bands, Hz; ratio of their power
-_TINY = float(np.finfo(np.float64).tiny)
 _COPIED = 0.005
 """Residual of a torque, relative to it, below which it is a multiple of its command, and not the
 torque on the arm: a robot has inertia, if hardly any beside that of a heavy arm."""
@@ -186,7 +185,7 @@ def floating(record: TrialRecord) -> tuple[float, float]:
         for one in (record.position, record.torque[k])
     )
     motion = np.concatenate([s[quick] ** order * angles[:, quick] for order in range(3)])
-    motion /= np.linalg.norm(motion, axis=1, keepdims=True) + _TINY
+    motion /= np.linalg.norm(motion, axis=1, keepdims=True) + TINY
     parts = [np.concatenate((one.real, one.imag), axis=-1) for one in (motion, torque[quick])]
     follows = np.zeros_like(torque)
     found = np.linalg.lstsq(parts[0].T, parts[1], rcond=None)[0] @ motion
@@ -195,7 +194,7 @@ def floating(record: TrialRecord) -> tuple[float, float]:
     near = np.asarray(f[quick], dtype=np.float64)
     cross, _ = sums_within(near, torque[quick] * np.conj(found), 0.5)
     power, _ = sums_within(near, np.abs(found) ** 2, 0.5)
-    follows[quick] = cross / np.maximum(power, _TINY) * found
+    follows[quick] = cross / np.maximum(power, TINY) * found
     signals = np.fft.irfft(
         np.stack((torque * (f < top), s * quick * torque, s * follows)), record.samples
     )
@@ -382,7 +381,7 @@ def followed(
     """
     power, answer = (np.sum(np.abs(one) ** 2, axis=1) for one in (cause, signal))
     cross = np.abs(np.sum(np.conj(cause) * signal, axis=1)) ** 2
-    return cross / np.maximum(answer * power, _TINY), power, answer
+    return cross / np.maximum(answer * power, TINY), power, answer
 
 
 def aliased(record: TrialRecord) -> float:
@@ -590,7 +589,7 @@ def repeating(signal: FloatArray) -> float:
     signal = signal[:_SEARCHED]
     levels = np.rint(signal / (resolution_of(signal) or 1.0))
     counts = np.unique(levels, return_inverse=True)[1]
-    unit = max(EXACT * float(np.ptp(signal)), _TINY)
+    unit = max(EXACT * float(np.ptp(signal)), TINY)
     changes, bends = np.diff(counts), np.rint(np.diff(signal, n=2) / unit)
     for steps in (changes, bends[changes[1:] != 0]):
         still = float(np.mean(steps == 0.0)) if steps.size else 1.0
@@ -614,7 +613,7 @@ def _copied(record: TrialRecord, source: str) -> tuple[float, float]:
     for lag in range(_LAGS):
         given, shown = streams[k, : torque.size - lag], torque[lag:]
         given, shown = given - np.mean(given), shown - np.mean(shown)
-        factor = float(given @ shown) / max(float(given @ given), _TINY)
+        factor = float(given @ shown) / max(float(given @ given), TINY)
         share = float(np.std(shown - factor * given)) / float(np.std(torque))
         best = min(best, (factor, share), key=lambda one: one[1])
     return best

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from armimp_common.arrays import ComplexArray, FloatArray
+from armimp_common.arrays import TINY, ComplexArray, FloatArray
 from armimp_common.topics import JOINT_STATES
 from armimp_estimation.estimators.welch import multiply
 from armimp_estimation.hold_correction import HoldCorrection
@@ -38,7 +38,6 @@ _VALUES = 3  # distinct values in such a window from which on a joint moves
 _CHANGES = 5  # steps of an encoder from which on a joint moves
 RESOLVED_SHARE = 0.25
 """Share of the motion of a locked joint that may be unseen where its motion counts as resolved."""
-_TINY = float(np.finfo(np.float64).tiny)
 
 
 def systematic_errors(
@@ -133,7 +132,7 @@ def _untold_friction(
     inertia = _possible(_inertia(impedance, f))
     for k, record in enumerate(records):
         amplitude = np.sqrt(2.0) * max(
-            float(np.std(speed_of(record.position[k], record.rate, float(f[-1])))), _TINY
+            float(np.std(speed_of(record.position[k], record.rate, float(f[-1])))), TINY
         )
         of_one = turning * (turning - bending[k])
         friction = min(_FRICTION, _OVERCOME * float(np.std(record.perturbation[k])))
@@ -219,7 +218,7 @@ def _reversals(
         change = float(np.std(gained)) / record.rate
         speed = np.abs(speed_of(record.position[k], record.rate, float(f[-1])))
         reversing[number] = np.mean(speed < change)
-        usual = max(float(np.mean(speed)), _TINY)
+        usual = max(float(np.mean(speed)), TINY)
         bending[number] = record.rate * reversing[number] * change / (6.0 * usual)
     return reversing, bending
 
@@ -236,7 +235,7 @@ def _possible(inertia: FloatArray) -> FloatArray:
 
     ``M_kk ≥ M_ik²/M_ii`` for any i; a transducer that misses quick changes shows less.
     """
-    own = np.maximum(np.abs(np.diag(inertia)), _TINY)
+    own = np.maximum(np.abs(np.diag(inertia)), TINY)
     possible: FloatArray = inertia.copy()
     np.fill_diagonal(possible, np.max(inertia**2 / own[:, None], axis=0))
     return possible
@@ -278,7 +277,7 @@ class HiddenMotion:
             responses = [self.share[joint, k] * R[joint, k]]
             for shape in (T[joint, k], T[joint, k] / (2j * np.pi * f)):
                 caused = np.sqrt(np.mean(np.abs(shape) ** 2)) * np.std(records[k].perturbation[k])
-                responses.append(beside[joint, k] / max(float(caused), _TINY) * shape)
+                responses.append(beside[joint, k] / max(float(caused), TINY) * shape)
             self._lost += [(joint, k, one) for one in responses if one.any()]
             if error[joint, k] > 0.0:
                 moved = 2j * np.pi * f * R[joint, k]
@@ -383,7 +382,7 @@ def rounding_lead(
             least = _LEADING * max(1.0 - 2.0 * stepping, 0.0) * step / speed
             found = least * math.log(density)
             in_band = float(np.std(speed_of(angle, record.rate, band_end)))
-            most = _MOST_LED * step / max(in_band, _TINY)
+            most = _MOST_LED * step / max(in_band, TINY)
             lead[joint, k] = math.copysign(min(abs(found), most), found)
             error[joint, k] = min(math.hypot(_LEAD_ERROR * found, _UNGATHERED * least), most)
     return lead, error
@@ -393,7 +392,7 @@ def _speeds(record: TrialRecord, inertia: FloatArray, band_end: float) -> FloatA
     """Speeds, (n, N), rad/s: from the angles in the band, above it from the torques if possible."""
     speeds = speed_of(record.position, record.rate, band_end)
     size = np.sqrt(np.abs(np.diag(inertia)))
-    own = inertia / np.maximum(np.outer(size, size), _TINY)
+    own = inertia / np.maximum(np.outer(size, size), TINY)
     if np.min(np.linalg.eigvalsh(own + own.T)) > _DISTINCT:
         turning = 2.0 * np.pi * np.fft.rfftfreq(record.samples, 1.0 / record.rate)
         beyond = turning > 2.0 * np.pi * band_end

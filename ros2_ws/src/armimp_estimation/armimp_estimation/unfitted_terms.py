@@ -14,12 +14,11 @@ from itertools import product
 import numpy as np
 from scipy.special import log_ndtr, ndtr, softmax
 
-from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
+from armimp_common.arrays import TINY, BoolArray, ComplexArray, FloatArray
 from armimp_estimation.weighted_fit import WeightedFit
 
 _NOTICED = 2.0
 _ROUNDING = 1e-9
-_TINY = float(np.finfo(np.float64).tiny)
 _MOST_CUFFS = 8
 """Most joints for which cuffs and reflexes are looked for: the time goes with the third power."""
 _LIKELY, _SOFT = 0.3, 0.2
@@ -179,7 +178,7 @@ def _not_negative(fit: WeightedFit, terms: ComplexArray) -> tuple[FloatArray, Fl
         alike = covariance[0, -1] / (errors[0] * errors[-1])
         share = 2.0 / math.pi * math.asin(min(max(alike, -1.0), 1.0))
         positive = np.prod(single) * (1.0 - abs(share)) + np.min(single) * max(share, 0.0)
-        evidence[row, column] = ratio + math.log(max(2.0**mean.size * positive, _TINY))
+        evidence[row, column] = ratio + math.log(max(2.0**mean.size * positive, TINY))
         most, change = np.maximum(mean, 0.0), shifts[:, :, row, column]
         square = np.outer(most, most) + covariance
         squares[:, row, column] = np.einsum("pa,pq,qa->a", change, square, change)

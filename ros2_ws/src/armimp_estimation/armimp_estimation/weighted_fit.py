@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from armimp_common.arrays import ComplexArray, FloatArray
+from armimp_common.arrays import TINY, ComplexArray, FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.weights import (
@@ -180,7 +180,7 @@ class WeightedFit:
         """Coefficient of each element's term beside M, B and K, and its error, (n, m, 2)."""
         left, estimate = self._beside(terms), self.estimate
         total = np.sum(self._weights * np.abs(left) ** 2, axis=-1)
-        determined = (np.finfo(np.float64).tiny < total) & (total < math.inf)
+        determined = (total > TINY) & (total < math.inf)
         left = np.where(determined[..., None], left, 0.0)
         functionals = self._weights * left / np.where(determined, total, 1.0)[..., None]
         spread = functionals * np.sqrt(estimate.noise)
@@ -254,7 +254,7 @@ class WeightedFit:
         for i, k in np.ndindex(self.shape):
             term, left, weights = terms[:, i, k], beside[:, i, k], self._weights[i, k]
             size = np.sum(weights * np.abs(left) ** 2, axis=1, keepdims=True)
-            functionals = weights * left / np.sqrt(size + np.finfo(np.float64).tiny)
+            functionals = weights * left / np.sqrt(size + TINY)
             # If data determined a term still better, its prior mean would be lost to rounding.
             least = np.diag(_SUREST_SHARE**2 * size[:, 0])
             errors = self._covariance_of(functionals, i, k) + least
@@ -353,7 +353,7 @@ def _spared(Z: ComplexArray, variance: FloatArray, freedom: float) -> FloatArray
     large, and includes the estimator's own errors, lest they count as lack of fit without noise.
     """
     spare = (freedom - 1.0) / freedom if 1.0 < freedom < math.inf else 1.0
-    least = (_EXACT * np.abs(Z)) ** 2 + np.finfo(np.float64).tiny
+    least = (_EXACT * np.abs(Z)) ** 2 + TINY
     return np.asarray((variance + least) / spare)
 
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from armimp_common.arrays import ComplexArray, FloatArray
+from armimp_common.arrays import EPS, TINY, ComplexArray, FloatArray
 from armimp_estimation.spectra import Values, sums_within
 
 _SMOOTHING = 0.3
@@ -38,13 +38,13 @@ def fit_weights(
     reach : float
         Half width of the smoothing, Hz.
     """
-    power, tiny = np.broadcast_to(power, variance.shape), np.finfo(np.float64).tiny
+    power = np.broadcast_to(power, variance.shape)
     usual = np.mean(power, axis=-1, keepdims=True)
     size = np.abs(impedance)
-    floor = weight_floor * np.exp(_smooth(f, np.log(size + tiny), reach))
+    floor = weight_floor * np.exp(_smooth(f, np.log(size + TINY), reach))
     # Even without a floor, a variance below rounding errors means nothing.
-    rounding = np.finfo(np.float64).eps * np.max(size, axis=-1, keepdims=True)
-    noise = np.exp(_smooth(f, np.log(variance * power + tiny), reach)) / power
+    rounding = EPS * np.max(size, axis=-1, keepdims=True)
+    noise = np.exp(_smooth(f, np.log(variance * power + TINY), reach)) / power
     total = noise + floor**2 * np.minimum(1.0, usual / power) + rounding**2
     return np.asarray(np.min(total, axis=-1, keepdims=True) / total)
 

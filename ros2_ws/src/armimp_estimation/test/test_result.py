@@ -24,7 +24,6 @@ from armimp_estimation.identify import Identification, identify
 from armimp_estimation.metadata import RECORD_KEY, Metadata, Timing, latest_metadata
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.report.run import report_page
-from armimp_estimation.report.run import report_page
 from armimp_estimation.result import Result, conclude
 from armimp_estimation.spectra import segment_averages
 from armimp_estimation.summary import (

@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
+from armimp_common.arrays import EPS, BoolArray, ComplexArray, FloatArray
 from armimp_estimation.hold_correction import HoldCorrection
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.trial import TrialData
@@ -61,7 +61,7 @@ def combined(coefficients: ComplexArray, covariance: ComplexArray) -> ComplexArr
     )
     terms = np.einsum("acf,ccf->af", np.abs(coefficients) ** 2, covariance.real)
     own = np.arange(len(found))
-    found[own, own] = np.maximum(found[own, own].real, np.finfo(np.float64).eps * terms)
+    found[own, own] = np.maximum(found[own, own].real, EPS * terms)
     return found
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
+from armimp_common.arrays import TINY, BoolArray, ComplexArray, FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.periods import Periods, has_power
 from armimp_estimation.spectra import sums_within
@@ -107,7 +107,7 @@ class LocalResponse:
         left = np.abs(np.sum(apart * self.response[outputs][:, places], axis=2)) ** 2
         chance = np.sum(apart**2 * variance[:, places], axis=2)
         spare = (self.freedom - 1.0) / self.freedom
-        ratio = spare * left / np.maximum(chance, np.finfo(np.float64).tiny)
+        ratio = spare * left / np.maximum(chance, TINY)
         lines: FloatArray = np.arange(size, dtype=np.float64)
         total, count = sums_within(lines, ratio, _ALIKE)
         factors = np.ones((len(self.noise), size))

@@ -7,7 +7,7 @@ from functools import reduce
 
 import numpy as np
 
-from armimp_common.arrays import ComplexArray, FloatArray
+from armimp_common.arrays import EPS, ComplexArray, FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate, combined, noise_of
 from armimp_estimation.estimators.local_polynomial import (
@@ -245,7 +245,7 @@ class LpmFull:
             for row, (torque, left) in enumerate(zip(torques, residual, strict=True)):
                 size = np.abs(torque)
                 # Keep relative errors finite for a transducer that reads zero.
-                size = np.maximum(size, np.finfo(np.float64).eps * np.max(size) or 1.0)
+                size = np.maximum(size, EPS * np.max(size) or 1.0)
                 design, aim = (motion / size).reshape(3 * len(R), -1), (left / size).ravel()
                 parts = np.concatenate((design.real, design.imag), axis=1)
                 scale = np.linalg.norm(parts, axis=1)[:, None]
