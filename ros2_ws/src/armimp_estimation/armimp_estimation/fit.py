@@ -162,6 +162,11 @@ class MBKFit:
         """Their standard errors, SI units, shape (3, n, n)."""
         return roots(self.covariance).reshape(self.values.shape)
 
+    @property
+    def late(self) -> float:
+        """Delay of the torques that was corrected, s; 0 if none was fitted."""
+        return 0.0 if self.delay is None else self.delay.delay
+
     def of_row(self, joint: int, change: ComplexArray) -> FloatArray:
         """Change of M, B and K, (3, n), by a change of one row of the impedance, (n, n_freq)."""
         return np.asarray(real_sums(self.functionals[joint], change[:, None]).T)

@@ -55,6 +55,11 @@ class MBK:
 
     def impedance(self, f: FloatArray) -> ComplexArray:
         """Impedance, N·m/rad, shape (n, n, n_freq), at frequencies `f` in Hz."""
-        omega = 2.0 * np.pi * f
-        real = self.K[:, :, None] - self.M[:, :, None] * omega**2
-        return real + 1j * (self.B[:, :, None] * omega)
+        return impedance_of(np.stack((self.M, self.B, self.K)), f)
+
+
+def impedance_of(values: FloatArray, f: FloatArray) -> ComplexArray:
+    """Impedance, (..., n_freq), of values of M, B and K, (3, ...), at frequencies in Hz."""
+    M, B, K = values[..., None]
+    omega = 2.0 * np.pi * f
+    return np.asarray(K - M * omega**2 + 1j * (B * omega), dtype=np.complex128)

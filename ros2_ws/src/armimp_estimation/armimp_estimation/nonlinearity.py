@@ -557,10 +557,9 @@ def judge_linearity(
         What was found at each perturbed joint, as of :func:`deviations`.
     """
     n = len(records)
-    late = 0.0 if fit.delay is None else fit.delay.delay
     found, excess = [[dict[str, Deviation]()] * n] * n, np.zeros((3, n, n))
     for k, record in enumerate(records):
-        residual = Residual.of(record, fit.mbk, jump, late)
+        residual = Residual.of(record, fit.mbk, jump, fit.late)
         if residual is not None:
             found[k], excess[:, :, k] = deviations(residual), _bursts(residual)
     weighed = list(_weighed(found, declared=linearity is not None))

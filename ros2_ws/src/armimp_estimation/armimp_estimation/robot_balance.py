@@ -312,8 +312,7 @@ class RobotResponses:
         turn = 2j * np.pi * f / rate
         step = 1.0 - np.exp(-turn)
         delay = None if arm is None else arm.delay
-        late = 0.0 if delay is None else delay.delay
-        torques = without_skew(f, self.records[0], jump, late)
+        torques = without_skew(f, self.records[0], jump, 0.0 if arm is None else arm.late)
         # Coefficients of angles, torques and commands, (n, 3n), in the torque on the robot.
         mixed = np.zeros((n, 3 * n, f.size), dtype=np.complex128)
         mixed[:, n : 2 * n] = -torques[:, :n]

@@ -18,6 +18,7 @@ import numpy as np
 from armimp_common.arrays import TINY, ComplexArray, FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
+from armimp_estimation.mbk import impedance_of
 from armimp_estimation.weights import (
     covariance_of_sums,
     fit_weights,
@@ -100,9 +101,7 @@ class WeightedFit:
 
     def impedance(self, values: FloatArray) -> ComplexArray:
         """Impedance, (..., n_freq), of M, B and K, (3, ...)."""
-        M, B, K = values[..., None]
-        omega = self.omega
-        return np.asarray(K - M * omega**2 + 1j * omega * B, dtype=np.complex128)
+        return impedance_of(values, self.estimate.f)
 
     def shifts(self, terms: ComplexArray) -> FloatArray:
         """Contribution of terms to M, B and K, (3, n, m)."""
