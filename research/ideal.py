@@ -14,7 +14,7 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.study import select_conditions
 from armimp_bringup.study.engine import condition_config
 from armimp_estimation.fit import Calibration
-from armimp_estimation.robot_balance import imbalance
+from armimp_estimation.transducers import imbalance
 from research.cells import LETTERS
 from research.decomposition_trials import ESTIMATOR, identified
 from research.options import InvestigationOptions

@@ -24,16 +24,11 @@ from armimp_estimation.nonlinearity import Deviation, judge_linearity
 from armimp_estimation.plausibility import judge_angles, mixed_channels, other_postures
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.robot_balance import (
-    RobotBalance,
-    RobotResponses,
-    in_order,
-    judge_answers,
-    judge_balance,
-)
+from armimp_estimation.robot_balance import RobotBalance, RobotResponses, in_order
 from armimp_estimation.signal_quality import judge_signals
 from armimp_estimation.systematics import RESOLVED_SHARE, lost_motion
 from armimp_estimation.torque_timing import TorqueTiming
+from armimp_estimation.transducers import judge_answers, judge_balance
 from armimp_estimation.trial import TrialData, segment_for
 from armimp_estimation.verdict import Verdict
 

@@ -2,7 +2,7 @@
 
 Noise is not a problem, as the intervals include it; anything that makes a number wrong is one. A
 result is valid if it has no errors: :meth:`Verdict.of`. The problems are found by the functions
-below, and by `plausibility`, `signal_quality`, `nonlinearity`, `robot_balance` and, in a recording,
+below, and by `plausibility`, `signal_quality`, `nonlinearity`, `transducers` and, in a recording,
 `alignment`. `names` are those of the n joints; comparisons are written so that NaN is a problem.
 """
 
