@@ -49,7 +49,8 @@ def _run(
         record[1, :, k] = plant.torque[0]
         if k in acts:
             acts[k](controller)
-        controller.tick(plant.position[0], plant.torque[0], push)
+        controller.sample[:] = plant.position[0], plant.torque[0], push
+        controller.compute()
         record[2, :, k] = controller.command
         plant.tick(controller.command[None, :], still)
     return record

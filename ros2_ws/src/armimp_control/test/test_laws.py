@@ -65,7 +65,8 @@ def assert_law(
         theta = theta + 1e-5 * random.normal(size=n)
         tau_h = random.uniform(-3.0, 3.0, n)
         tau_delta = np.where(np.arange(n) == joint, random.uniform(-9.0, 9.0), 0.0)
-        clipped = controller.tick(theta, tau_h, tau_delta)
+        controller.sample[:] = theta, tau_h, tau_delta
+        clipped = controller.compute()
         command = expected.tick(theta, tau_h, tau_delta, joint)
         assert controller.command == pytest.approx(command, rel=precision, abs=precision)
         assert clipped == (n if np.max(np.abs(command)) == limit else 0)
@@ -272,7 +273,8 @@ def test_a_fast_joint_that_gets_locked_comes_to_rest_though_commands_are_clipped
     for tick in range(1000):
         if tick == 5:
             controller.perturb_joint(1 - joint)
-        clipped += controller.tick(theta, ARM @ acceleration, np.zeros(2))
+        controller.sample[:2] = theta, ARM @ acceleration
+        clipped += controller.compute()
         acceleration = inverse @ controller.command
         theta = theta + PERIOD * velocity + 0.5 * PERIOD**2 * acceleration
         velocity = velocity + PERIOD * acceleration

@@ -32,7 +32,8 @@ def _late(law: Law, perturbed: int, dynamics: RigDynamics, *, ticks: int) -> Arr
     push, sizes = np.array([1.0, 1.0]), np.zeros(ticks)
     under_way = deque([np.zeros(2)] * dynamics.command_delay)
     for tick in range(ticks):
-        controller.tick(theta, readings[-1 - round(dynamics.torque_delay / h)], np.zeros(2))
+        controller.sample[:2] = theta, readings[-1 - round(dynamics.torque_delay / h)]
+        controller.compute()
         under_way.append(controller.command.copy())
         command = under_way.popleft() + push
         push = np.zeros(2)

@@ -144,13 +144,7 @@ class Imbic(Law):
         return gains
 
     def role(self, perturbed: int | None) -> FloatArray:
-        """See :meth:`Law.role`.
-
-        Rows: share of τ_h' sensed (1 or 0), M_rd (kg·m²), B_rd (N·m·s/rad), K_rd (N·m/rad), what a
-        tick leaves of the distance from target to θ_rd (a factor), amplitude (rad) and angle per
-        tick (rad) of the target's dither, tare (N·m; 0), periods by which commands act late, θ_rd
-        (rad), Γ (rad/s).
-        """
+        """See :meth:`Law.role`; for the rows, :data:`armimp_control.laws.ROLE_ROWS`."""
         locked = self.locked(perturbed)
         target, rows = self.target, np.empty((ROLE_ROWS, self.joints))
         rows[SENSED] = ~locked

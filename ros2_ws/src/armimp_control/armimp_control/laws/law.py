@@ -208,13 +208,8 @@ class Controller:
         """Advance the ramp after a stop by some ticks, while no samples come."""
         continue_ramp(ticks, self.command, self._limiter)
 
-    def tick(self, theta: FloatArray, tau_h: FloatArray, tau_delta: FloatArray) -> int:
-        """Compute :attr:`command` from a sample, (n,) each; the result is that of `packed_tick`."""
-        self.sample[:] = theta, tau_h, tau_delta
-        return self.compute()
-
     def compute(self) -> int:
-        """Compute as :meth:`tick`, from what was written into :attr:`sample`."""
+        """Compute :attr:`command` from :attr:`sample`; the result is that of `packed_tick`."""
         return _tick(self._kind, self._joints, self._all)
 
 
