@@ -84,6 +84,9 @@ TOPICS: Final[Mapping[str, Topic]] = {
 DATA_STREAMS: Final = (JOINT_STATES, TORQUE_SENSORS, COMMANDS, PERTURBATION)
 """The topics with one message in every control period."""
 
+RECORDED: Final = (*DATA_STREAMS, TRIAL, CLOCK, DIAGNOSTICS)
+"""The topics that are recorded in bags."""
+
 VALUE_FIELD: Final = {name: topic.field for name, topic in TOPICS.items() if topic.field}
 """The array of each JointState stream that carries its numbers."""
 

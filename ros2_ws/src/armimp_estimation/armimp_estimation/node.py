@@ -66,7 +66,6 @@ _STRAGGLERS = 5.0
 _SHOWN = 16
 """Number of frequencies at which curves are published; files hold all."""
 RESULT_NAME = f"{topics.ESTIMATOR_NODE}: impedance"
-_RECORDED_BESIDE = (topics.CLOCK, topics.DIAGNOSTICS)
 
 
 class ImpedanceEstimatorNode(PollingNode, ManagedNode):
@@ -108,8 +107,9 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         )
         self._synchronizer.close()
         self._poll = steady_timer(self, _POLL_PERIOD, self._synchronizer.poll, autostart=False)
-        for topic in _RECORDED_BESIDE:
-            subscribe_raw(self, topic, partial(self._on_beside, topic))
+        for topic in topics.RECORDED:
+            if topic not in (*streams, topics.TRIAL):
+                subscribe_raw(self, topic, partial(self._on_beside, topic))
         self._timer = steady_timer(self, _PROGRESS_PERIOD, self._on_timer, autostart=False)
         return TransitionCallbackReturn.SUCCESS
 

@@ -11,13 +11,12 @@ from rosbags.highlevel import AnyReader
 
 from armimp_common import topics
 from armimp_common.errors import BagError
-from armimp_common.topics import CLOCK, DATA_STREAMS, PERIOD_NS, TOPICS, TORQUE_SENSORS
+from armimp_common.topics import CLOCK, DATA_STREAMS, PERIOD_NS, RECORDED, TOPICS, TORQUE_SENSORS
 from armimp_estimation.bags.metadata_yaml import FILE_NAME, qos_profiles
 from armimp_estimation.bags.raw import absolute
 from armimp_estimation.bags.reader import read_bag
 from armimp_estimation.bags.writer import (
     FLUSH_INTERVAL_NS,
-    RECORDED,
     BagWriter,
     finish_bag,
     finish_bags,

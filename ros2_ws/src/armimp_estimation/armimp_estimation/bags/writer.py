@@ -38,7 +38,7 @@ from mcap.records import (
 )
 
 from armimp_common.errors import BagError, DataError
-from armimp_common.topics import CLOCK, DATA_STREAMS, DIAGNOSTICS, TOPICS, TRIAL
+from armimp_common.topics import DATA_STREAMS, RECORDED, TOPICS
 from armimp_estimation.atomic_write import open_regular, reason_of
 from armimp_estimation.bags.mcap_reader import (
     BEYOND_LENGTH,
@@ -57,8 +57,6 @@ from armimp_estimation.bags.metadata_yaml import (
 from armimp_estimation.bags.raw import RawMessages, absolute
 from armimp_estimation.bags.reader import BAGS, read_storage
 
-RECORDED: Final = (*DATA_STREAMS, TRIAL, CLOCK, DIAGNOSTICS)
-"""Topics of the contract that are recorded in bags."""
 FLUSH_INTERVAL_NS: Final = 50_000_000
 """A chunk is closed when it spans this much log time (ns)."""
 FLUSH_MESSAGES: Final = 256
@@ -185,8 +183,8 @@ class BagWriter:
             Times of reception (ns), not negative, in rising order.
         messages : mapping of str to sequence of bytes
             Messages (CDR with encapsulation header), one for each time, by topic of
-            :data:`RECORDED`. Topics are in the order in which messages of one time are written;
-            all messages of a topic have one length.
+            :data:`armimp_common.topics.RECORDED`. Topics are in the order in which messages of one
+            time are written; all messages of a topic have one length.
 
         Raises
         ------
