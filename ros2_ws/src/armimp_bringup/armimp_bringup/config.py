@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
 import yaml
 from pydantic import (
-    BaseModel,
     BeforeValidator,
     Field,
     JsonValue,
@@ -21,13 +20,12 @@ from pydantic import (
 from typing_extensions import Self
 
 from armimp_common.errors import ConfigurationError
-from armimp_common.schema import Schema, check_names, explain, load_yaml
+from armimp_common.schema import ModelT, Schema, check_names, explain, load_yaml
 from armimp_common.topics import SIM_NODE
 from armimp_control.perturbation import PerturbationKind
 from armimp_estimation.atomic_write import read_text, require_text
 
 Overrides = dict[str, JsonValue]
-ModelT = TypeVar("ModelT", bound=BaseModel)
 _MOST_BYTES = 1 << 18
 
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
-from armimp_bringup.config import ExperimentConfig, ModelT, Overrides
+from armimp_bringup.config import ExperimentConfig, Overrides
 from armimp_common.errors import ConfigurationError
-from armimp_common.schema import build, dotted, flatten
+from armimp_common.schema import ModelT, build, dotted, flatten
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, RATE, SIM_NODE
 from armimp_common.versions import software
 from armimp_control.parameters import ControllerParameters

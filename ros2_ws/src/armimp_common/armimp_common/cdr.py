@@ -31,7 +31,8 @@ _Numbers: TypeAlias = tuple[int, int]
 _Columns: TypeAlias = tuple[IntArray, IntArray, FloatArray]
 """The two head numbers (N,) and the values (n, N) of many messages."""
 
-_LITTLE: Final = b"\0\1\0\0"
+LITTLE: Final = b"\0\1\0\0"
+"""Encapsulation header of plain little-endian CDR."""
 _HEADER_SIZE: Final = 4
 """Bytes of the encapsulation header, from whose end CDR counts its alignment."""
 _MAX_SURPLUS: Final = 15
@@ -56,7 +57,7 @@ class _Reader:
         self._data, self._what, self._position = data, what, _HEADER_SIZE
         if len(data) < _HEADER_SIZE:
             raise self.error(f"has {len(data)} bytes, too few for a header")
-        if data[:2] != _LITTLE[:2]:
+        if data[:2] != LITTLE[:2]:
             raise self.error(f"is not plain little-endian CDR: header {bytes(data[:4]).hex()}")
         self.constants = [(0, 2)]
 
@@ -122,7 +123,7 @@ def decode_count(data: Buffer) -> int:
     MalformedMessageError
         On truncated or foreign bytes.
     """
-    if data[:2] != _LITTLE[:2] or not 0 <= len(data) - _COUNT.size <= _MAX_SURPLUS:
+    if data[:2] != LITTLE[:2] or not 0 <= len(data) - _COUNT.size <= _MAX_SURPLUS:
         raise MalformedMessageError(
             f"UInt64 is not one: {len(data)} bytes {bytes(data[:16]).hex()}"
         )
@@ -131,7 +132,7 @@ def decode_count(data: Buffer) -> int:
 
 def encode_count(count: int) -> bytes:
     """Encode a count of 64 bits."""
-    return _COUNT.pack(_LITTLE, count)
+    return _COUNT.pack(LITTLE, count)
 
 
 class _Layout:
@@ -281,7 +282,7 @@ class JointStateEncoder:
         if isinstance(values, np.ndarray):
             values = values.tolist()  # Python's own floats are packed in a third of the time
         try:
-            return self._pack(_LITTLE, sec, nanosec, self._before, *values, self._after)
+            return self._pack(LITTLE, sec, nanosec, self._before, *values, self._after)
         except struct.error:
             raise MalformedMessageError(
                 f"JointState of {self._count} joints cannot carry stamp {stamp_ns} ns with"
@@ -398,7 +399,7 @@ class CommandEncoder:
         if isinstance(values, np.ndarray):
             values = values.tolist()
         try:
-            return self._pack(_LITTLE, 0, number, self._n, *values)
+            return self._pack(LITTLE, 0, number, self._n, *values)
         except struct.error:
             raise MalformedMessageError(
                 f"Float64MultiArray takes {self._n} numbers, not {list(values)}"
@@ -412,7 +413,7 @@ def next_number(number: int) -> int:
 
 def command_number(data: Buffer) -> int:
     """Return the number that a command carries, 0 if it has none."""
-    if len(data) < _NUMBERS.size or data[:2] != _LITTLE[:2]:
+    if len(data) < _NUMBERS.size or data[:2] != LITTLE[:2]:
         return 0
     dimensions, number = _NUMBERS.unpack_from(data)
     return 0 if dimensions else int(number)
@@ -494,7 +495,7 @@ def encode_trial_status(status: TrialStatus) -> bytes:
     data += struct.pack("<I", len(values)) + b"".join(map(_string, texts))
     # The last string is not padded, as nothing follows it.
     padding = -(len(texts[-1].encode()) + 1) % 4
-    return _LITTLE + data[: len(data) - padding]
+    return LITTLE + data[: len(data) - padding]
 
 
 def _joint_state(data: Buffer) -> tuple[_Reader, int, list[bytes], _Numbers, _Numbers]:

@@ -12,7 +12,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any, Generic, TypeVar
 
-from pydantic import BaseModel
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.subscription import Subscription
 
@@ -32,6 +31,7 @@ from armimp_common.pubsub import (
     wait_for_partners,
 )
 from armimp_common.realtime import TimingMeter
+from armimp_common.schema import ModelT
 from armimp_common.status import Level, TimingFigures, make_array, make_status, status_message
 
 _STOPPED = "emergency stop"
@@ -101,7 +101,6 @@ class FlowControl:
 
 
 LimiterT = TypeVar("LimiterT", bound=TorqueLatch)
-ModelT = TypeVar("ModelT", bound=BaseModel)
 
 
 class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):

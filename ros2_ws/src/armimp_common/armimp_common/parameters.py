@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable
-from typing import Final, Generic, TypeVar
+from typing import Final, Generic
 
 from pydantic import BaseModel
 from rcl_interfaces.msg import (
@@ -16,9 +16,7 @@ from rclpy.parameter import Parameter
 
 from armimp_common.errors import ConfigurationError, GraphError
 from armimp_common.executor import refuse_simulated_time
-from armimp_common.schema import Leaf, build, defaults, flatten, leaves
-
-ModelT = TypeVar("ModelT", bound=BaseModel)
+from armimp_common.schema import Leaf, ModelT, build, defaults, flatten, leaves
 
 _OWN_OF_ROS: Final = ("use_sim_time", "start_type_description_service")
 _OWN_PREFIX_OF_ROS: Final = "qos_overrides."

@@ -11,7 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.arrays import BoolArray, FloatArray, IntArray
-from armimp_common.cdr import CommandDecoder, JointStateDecoder, command_number, joint_names_of
+from armimp_common.cdr import (
+    LITTLE,
+    CommandDecoder,
+    JointStateDecoder,
+    command_number,
+    joint_names_of,
+)
 from armimp_common.errors import DataError, MalformedMessageError
 from armimp_common.topics import (
     COMMANDS,
@@ -27,7 +33,6 @@ _DECODED_TOGETHER = 1000
 """Messages that are decoded as a block, which is far cheaper than one by one."""
 _HEAD = struct.Struct("<4siI")
 """Beginning of a message with a ``std_msgs/Header``: encapsulation and stamp."""
-_LITTLE_ENDIAN = b"\0\1\0\0"
 
 
 class Stream:
@@ -218,7 +223,7 @@ def stamps_in_step(messages: Mapping[str, Sequence[bytes]], after_ns: int = -1) 
         return []
     stamps: list[int] = []
     for head, seconds, nanoseconds in _HEAD.iter_unpack(b"".join(heads)):
-        if head != _LITTLE_ENDIAN:
+        if head != LITTLE:
             return []
         stamps.append(seconds * NS_PER_S + nanoseconds)
     return stamps if stamps[0] > after_ns and all(map(lt, stamps, stamps[1:])) else []
