@@ -67,7 +67,6 @@ def estimate_bags(
         known=Metadata.of(metadata, len(joint_names)),
         joint_names=joint_names,
         estimators=estimators or EstimatorParameters().estimators,
-        allow_gaps=allow_gaps,
     )
     return replace(result, notes=tuple(note for content in contents for note in content.notes))
 
@@ -86,7 +85,9 @@ def read_bags(
     for path in find_bags(bags):
         finished = finish_bag(path)
         content = read_bag(path, namespace=namespace)
-        contents.append(replace(content, notes=(finished, *content.notes)) if finished else content)
+        trials = tuple(replace(trial, allow_gaps=allow_gaps) for trial in content.trials)
+        notes = (finished, *content.notes) if finished else content.notes
+        contents.append(replace(content, trials=trials, notes=notes))
     for content in contents[1:]:
         if content.joint_names != contents[0].joint_names:
             raise DataError(
@@ -100,5 +101,5 @@ def read_bags(
         raise DataError(f"{content.path}: {error}") from None
     for content in contents:
         for trial in content.trials:
-            trial.intact(allow_gaps=allow_gaps)
+            trial.intact()
     return contents, latest_metadata([content.metadata for content in contents])

@@ -274,7 +274,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             self._note(trial)
         else:
             self._finished.append(trial)
-            self._result.publish(column_message(trial, allow_gaps=self._settings.allow_gaps))
+            self._result.publish(column_message(trial))
         if self._ended == len(self._settings.joints):
             self._conclude()
 
@@ -287,7 +287,6 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             known=self._recording.known,
             joint_names=self._settings.joints,
             estimators=self._settings.estimators,
-            allow_gaps=self._settings.allow_gaps,
             problems=self._problems,
         )
         if self._settings.directory:
@@ -320,20 +319,13 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             self._progress.publish(status_message(progress))
 
 
-def column_message(trial: Trial, *, allow_gaps: bool = False) -> DiagnosticStatus:
-    """Make the status with column k of T, R and ``Z = T/R_kk``, or the reason why there is none.
-
-    Parameters
-    ----------
-    trial : Trial
-    allow_gaps : bool
-        As in :meth:`Trial.intact`.
-    """
+def column_message(trial: Trial) -> DiagnosticStatus:
+    """Make the status with column k of T, R and ``Z = T/R_kk``, or the reason why there is none."""
     k = trial.joint + 1
     name = f"{topics.ESTIMATOR_NODE}: column {k}"
     values = {"trial": trial.trial, "joint": k, "lost": trial.statistics.lost}
     try:
-        parts = trial.intact(allow_gaps=allow_gaps)
+        parts = trial.intact()
         frf = frf_matrix([TrialData.of(*parts)])
     except DataError as error:
         return make_status(name, Level.ERROR, str(error), values)

@@ -433,7 +433,8 @@ class TrialRecorder:
         if trial.record is not None:
             self._past.append(replace(trial.record, reading=self.known.reading))
         rtf = trial.statistics.span / RATE / elapsed
-        return replace(trial, bag=self._bag or None, rtf=rtf)
+        allow_gaps = self._settings.allow_gaps
+        return replace(trial, bag=self._bag or None, rtf=rtf, allow_gaps=allow_gaps)
 
 
 def record_so_far(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from armimp_common.errors import BagError, DataError
@@ -74,7 +74,6 @@ def conclude(
     known: Metadata,
     joint_names: Sequence[str],
     estimators: Sequence[str | Estimator],
-    allow_gaps: bool = False,
     problems: Sequence[Problem] = (),
 ) -> Result:
     """Identify the impedance from the trials, and collect the problems of the result.
@@ -84,17 +83,14 @@ def conclude(
     Parameters
     ----------
     trials : sequence of Trial
-        One for each joint.
+        One for each joint. If one may not be used, nothing is estimated. Intervals in which the
+        controller clipped its command are left out.
     known : Metadata
         What was recorded or declared beside the samples.
     joint_names : sequence of str
         Names of the n joints.
     estimators : sequence of str or Estimator
         As for :func:`armimp_estimation.identify.identify`.
-    allow_gaps : bool
-        Estimate from the intact parts of trials that lost samples or were aborted; else such
-        trials are refused. With an aborted trial the result is not valid.
-        Intervals in which the controller clipped its command are left out in any case.
     problems : sequence of Problem
         Problems that are known beforehand.
 
@@ -104,12 +100,12 @@ def conclude(
         If an estimator does not exist.
     """
     found = list(problems)
-    for one in problems_of(trials, known, allow_gaps=allow_gaps):
+    for one in problems_of(trials, known):
         if one not in found:
             found.append(one)
     names = tuple(joint_names)
     identification = Identification(joint_names=names, trials=(), estimators={}, problems=())
-    if not any(trial.refusals(allow_gaps=allow_gaps) for trial in trials):
+    if not any(trial.refusals for trial in trials):
         try:
             parts = [trial.segments for trial in trials]
             identification = identify_records(parts, estimators, known)
@@ -138,20 +134,18 @@ def conclude(
     )
 
 
-def problems_of(
-    trials: Sequence[Trial], known: Metadata, *, allow_gaps: bool = False
-) -> list[Problem]:
+def problems_of(trials: Sequence[Trial], known: Metadata) -> list[Problem]:
     """Find the problems of a recording before anything is estimated from it.
 
     Parameters
     ----------
-    trials, known, allow_gaps
+    trials, known
         As :func:`conclude` takes them.
     """
     found = [] if known.timing is None else known.timing.problems
     declared = known.planned_rate
     for trial in trials:
-        judged = trial.judged(allow_gaps=allow_gaps)
+        judged = trial.judged
         if declared is not None:
             judged = [one for one in judged if one.code is not ProblemCode.RATE_UNCUSTOMARY]
             rate = trial.segments[0].rate if trial.segments else declared
@@ -188,7 +182,9 @@ def load_result(directory: Path) -> Result:
             notes.append(f"no time traces: {error}")
             continue
         notes += content.notes
-        trials += content.trials
+        # Where there are estimates, every trial was used as far as it may be.
+        used = bool(summary.estimators)
+        trials += [replace(trial, allow_gaps=used) for trial in content.trials]
     return Result(
         summary=summary,
         curves=read_frf(directory / FRF_FILE) if summary.estimators else {},

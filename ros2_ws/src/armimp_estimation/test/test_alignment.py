@@ -1,6 +1,7 @@
 """Trials assembled from streams: windows, records, account of every sample, and refusals."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -80,9 +81,10 @@ def assert_refused(trial: Trial, code: ProblemCode, *, healed: bool) -> None:
     with pytest.raises(DataError) as caught:
         trial.intact()
     assert ("--allow-gaps" in str(caught.value)) == healed
-    assert [one.code for one in trial.refusals()] == [code]
-    assert [one.code for one in trial.refusals(allow_gaps=True)] == [code] * (not healed)
-    judged = next(one for one in trial.judged(allow_gaps=True) if one.code is code)
+    assert [one.code for one in trial.refusals] == [code]
+    allowed = replace(trial, allow_gaps=True)
+    assert [one.code for one in allowed.refusals] == [code] * (not healed)
+    judged = next(one for one in allowed.judged if one.code is code)
     assert (judged.severity is Severity.NOTE) == healed
 
 
@@ -186,7 +188,7 @@ def test_exchange_of_two_samples_is_one_reordered(topic: str) -> None:
     problem = only(trial, ProblemCode.SAMPLES_REORDERED)
     assert problem.values == {"stream": topic, "count": 1}
     assert_refused(trial, ProblemCode.SAMPLES_REORDERED, healed=True)
-    assert_same(trial.intact(allow_gaps=True)[0], RECORDING.records[0], 0, TICKS)
+    assert_same(replace(trial, allow_gaps=True).intact()[0], RECORDING.records[0], 0, TICKS)
 
 
 @pytest.mark.parametrize("after", [0, 1, 9])
@@ -201,7 +203,7 @@ def test_of_two_messages_that_contradict_each_other_none_is_used(after: int, val
     assert (count.lost, count.duplicated, count.contradictory) == (0, 1, 1)
     assert trial.statistics.excluded == 1
     assert ProblemCode.SAMPLES_CONTRADICTORY in codes(trial)
-    assert not trial.refusals(allow_gaps=True)
+    assert not replace(trial, allow_gaps=True).refusals
 
 
 def test_malformed_messages_count_as_lost_and_are_named() -> None:
@@ -258,7 +260,7 @@ def test_streams_whose_samples_cannot_be_paired_are_refused_with_that_alone(
 ) -> None:
     trial = with_torque_stamps(shift)
     assert only(trial, ProblemCode.STAMPS_DISAGREE).values["stream"] == TORQUE_SENSORS
-    assert trial.refusals(allow_gaps=True)
+    assert replace(trial, allow_gaps=True).refusals
 
 
 def test_perturbation_of_zero_is_refused() -> None:
@@ -274,7 +276,7 @@ def test_unknown_perturbed_joint_is_refused() -> None:
     assert trial.problems[0].values == {"name": "wrist", "known": "shoulder, elbow"}
     assert trial.segments == ()
     with pytest.raises(DataError, match="wrist is none of"):
-        trial.intact(allow_gaps=True)
+        replace(trial, allow_gaps=True).intact()
 
 
 def not_finite(commands: list[bytes]) -> list[bytes]:
@@ -377,7 +379,7 @@ def test_what_follows_clipped_commands_is_left_out_without_being_asked(
     assert (trial.statistics.clipped, trial.statistics.excluded) == (count, excluded)
     share = excluded / TICKS
     expected = [(ProblemCode.MUCH_EXCLUDED, 100.0 * share)] if share > MOST_EXCLUDED else []
-    assert [(one.code, one.values["percent"]) for one in trial.judged()] == expected
+    assert [(one.code, one.values["percent"]) for one in trial.judged] == expected
 
 
 @settings(max_examples=60, deadline=None)
@@ -443,7 +445,7 @@ def test_trial_without_any_sample_is_refused(statuses: int, code: ProblemCode) -
     assert trial.segments == ()
     assert code in codes(trial)
     with pytest.raises(DataError, match="trial 1"):
-        trial.intact(allow_gaps=True)
+        replace(trial, allow_gaps=True).intact()
 
 
 # --- The sampling rate from stamps: what is taken, and what is found wrong ----------------------

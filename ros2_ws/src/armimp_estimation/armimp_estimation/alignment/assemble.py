@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -92,6 +92,9 @@ class Trial:
     """Bag in which it is stored, if any."""
     rtf: float = math.nan
     """Speed relative to real time; NaN if it was not run live."""
+    allow_gaps: bool = False
+    """Whether its intact parts may be used although it was aborted or lost samples, or has samples
+    that are repeated, out of order or not finite."""
 
     @property
     def trial(self) -> int:
@@ -108,24 +111,19 @@ class Trial:
         """The samples as one record, if every control period has a usable one."""
         return self.segments[0] if self.segments and not self.statistics.excluded else None
 
-    def refusals(self, *, allow_gaps: bool = False) -> list[Problem]:
-        """Return the problems because of which nothing may be estimated from the trial.
-
-        Parameters
-        ----------
-        allow_gaps : bool
-            Whether to estimate from the intact parts of a trial that was aborted or lost samples,
-            or that has samples which are repeated, out of order or not finite.
-        """
-        refused = _REFUSED if allow_gaps and self.segments else _ANY_REFUSED
+    @property
+    def refusals(self) -> list[Problem]:
+        """Problems because of which nothing may be estimated from the trial."""
+        refused = _REFUSED if self.allow_gaps and self.segments else _ANY_REFUSED
         return [one for one in self.problems if one.code in refused]
 
-    def judged(self, *, allow_gaps: bool = False) -> list[Problem]:
-        """Return all problems; with `allow_gaps`, those that spare the intact parts are notes.
+    @property
+    def judged(self) -> list[Problem]:
+        """All problems; those that spare the intact parts are notes if these may be used.
 
         If more than :data:`MOST_EXCLUDED` of the samples are left out, that is another problem.
         """
-        healed = _HEALED if allow_gaps and self.segments else frozenset()
+        healed = _HEALED if self.allow_gaps and self.segments else frozenset()
         found = [
             one.model_copy(update={"severity": Severity.NOTE}) if one.code in healed else one
             for one in self.problems
@@ -137,7 +135,7 @@ class Trial:
             found.append(problem(code, trial=self.trial, percent=percent, limit=limit))
         return found
 
-    def intact(self, *, allow_gaps: bool = False) -> tuple[TrialRecord, ...]:
+    def intact(self) -> tuple[TrialRecord, ...]:
         """Return the parts of the trial that an estimate may use, in order.
 
         A trial without gaps has one part, unless intervals of clipped commands divide it.
@@ -147,9 +145,9 @@ class Trial:
         DataError
             If the trial is refused; the message names the bag and the trial.
         """
-        if refusals := self.refusals(allow_gaps=allow_gaps):
+        if refusals := self.refusals:
             where = f"{self.bag}: " if self.bag else ""
-            healing = self.segments and not allow_gaps and not self.refusals(allow_gaps=True)
+            healing = self.segments and not replace(self, allow_gaps=True).refusals
             hint = "; --allow-gaps uses the intact parts" if healing else ""
             raise DataError(where + "; ".join(map(str, refusals)) + hint)
         return self.segments

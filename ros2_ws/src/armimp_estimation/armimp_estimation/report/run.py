@@ -84,7 +84,6 @@ def report_page(result: Result, name: str = "") -> str:
         f"{name}: arm impedance, {state}",
         "report/run_header.html",
         sections,
-        result=result,
         name=name,
         summary=summary,
         names=names,
