@@ -21,7 +21,6 @@ from rclpy.node import Node
 
 from armimp_bringup.nodes import NODES
 from armimp_common import topics
-from armimp_common.cdr import CommandDecoder, JointStateDecoder
 from armimp_common.errors import GraphError
 from armimp_common.executor import run_node, steady_timer
 from armimp_common.heartbeat import HeartbeatMonitor
@@ -50,11 +49,8 @@ class Witness(Node):
         self._perturbed = 0
         self._statuses: list[tuple[float, dict[str, str]]] = []
         self._reports: list[tuple[float, str, str]] = []
-        decoder = JointStateDecoder(JOINTS, "effort")
-        subscribe_decoded(
-            self, topics.COMMANDS, CommandDecoder(len(JOINTS)), self._on_command, raised
-        )
-        subscribe_decoded(self, topics.PERTURBATION, decoder, self._on_perturbation, raised)
+        subscribe_decoded(self, topics.COMMANDS, JOINTS, self._on_command, raised)
+        subscribe_decoded(self, topics.PERTURBATION, JOINTS, self._on_perturbation, raised)
         subscribe(self, topics.TRIAL, self._on_trial)
         subscribe(self, topics.DIAGNOSTICS, self._on_diagnostics)
         self._monitors = [HeartbeatMonitor(self, name, lambda _: None) for name in NODES]

@@ -11,7 +11,6 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from armimp_common import topics
-from armimp_common.cdr import JointStateDecoder
 from armimp_common.executor import Spinner
 from armimp_common.pubsub import (
     CommandPublisher,
@@ -21,7 +20,7 @@ from armimp_common.pubsub import (
     wait_for_partners,
 )
 from armimp_common.status import Level, values_of
-from armimp_common.topics import JOINT_STATES, TORQUE_SENSORS, VALUE_FIELD
+from armimp_common.topics import JOINT_STATES, TORQUE_SENSORS
 from armimp_control.parameters import ControllerParameters
 from armimp_control.sequence import SequenceParameters
 from support import laws
@@ -72,13 +71,7 @@ class ScriptedController:
         self.commands = CommandPublisher(node, topics.COMMANDS, len(NAMES))
         self.received = create_publisher(node, topics.RECEIVED)
         self.subscriptions = [
-            subscribe_decoded(
-                node,
-                topic,
-                JointStateDecoder(NAMES, VALUE_FIELD[topic]),
-                partial(self.on_sample, topic),
-                raised,
-            )
+            subscribe_decoded(node, topic, NAMES, partial(self.on_sample, topic), raised)
             for topic in self.samples
         ]
         self.subscriptions.append(subscribe(node, topics.DIAGNOSTICS, self._on_diagnostics))

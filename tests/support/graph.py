@@ -25,7 +25,6 @@ from rclpy.subscription import Subscription
 
 from armimp_bringup.graph import DomainClaim
 from armimp_common import topics
-from armimp_common.cdr import CommandDecoder, JointStateDecoder
 from armimp_common.errors import MalformedMessageError
 from armimp_common.executor import Spinner
 from armimp_common.heartbeat import HeartbeatMonitor
@@ -261,14 +260,14 @@ class ScriptedDriver:
             subscribe_decoded(
                 node,
                 topics.COMMANDS,
-                CommandDecoder(len(names)),
+                names,
                 lambda _, command: self.commands.append(command),
                 raised,
             ),
             subscribe_decoded(
                 node,
                 topics.PERTURBATION,
-                JointStateDecoder(names, "effort"),
+                names,
                 lambda stamp_ns, values: self.perturbations.append((stamp_ns, values)),
                 raised,
             ),

@@ -23,7 +23,7 @@ import numpy as np
 from armimp_common.arrays import FloatArray, IntArray
 from armimp_common.errors import ConfigurationError, MalformedMessageError
 from armimp_common.status import TrialStatus
-from armimp_common.topics import NS_PER_S, ValueField
+from armimp_common.topics import NS_PER_S, TOPICS, ValueField
 
 Buffer: TypeAlias = bytes | bytearray | memoryview
 _Numbers: TypeAlias = tuple[int, int]
@@ -445,6 +445,16 @@ class CommandDecoder(_Decoder):
         if (count := numbers[1]) != self._count:
             raise reader.error(f"has {count} values for {self._count} joints")
         return _Layout(data, reader, numbers, range(count))
+
+
+def decoder_of(
+    topic: str, names: Sequence[str], *, others: bool = False
+) -> JointStateDecoder | CommandDecoder:
+    """Return the decoder of a data stream; for `names` and `others` see JointStateDecoder."""
+    field = TOPICS[topic].field
+    if field is None:
+        return CommandDecoder(len(names))
+    return JointStateDecoder(names, field, others=others)
 
 
 def decode_trial_status(data: bytes) -> TrialStatus:

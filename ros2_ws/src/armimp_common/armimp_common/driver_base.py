@@ -16,7 +16,6 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.subscription import Subscription
 
 from armimp_common import topics
-from armimp_common.cdr import CommandDecoder
 from armimp_common.errors import ArmimpError, GraphError
 from armimp_common.executor import steady_timer
 from armimp_common.heartbeat import HeartbeatMonitor
@@ -148,9 +147,8 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT, ModelT]):
         self.joint_states = JointStatePublisher(self, topics.JOINT_STATES, joints)
         self.torque_sensors = JointStatePublisher(self, topics.TORQUE_SENSORS, joints)
         self.diagnostics = create_publisher(self, topics.DIAGNOSTICS)
-        decoder = CommandDecoder(len(joints))
         self.commands = subscribe_decoded(
-            self, topics.COMMANDS, decoder, self._on_numbered, self.on_malformed
+            self, topics.COMMANDS, joints, self._on_numbered, self.on_malformed
         )
         steady_timer(self, _CHECK_PERIOD, self.check)
         steady_timer(self, _REPORT_PERIOD, self.report_regularly)

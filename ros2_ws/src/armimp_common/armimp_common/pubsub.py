@@ -122,20 +122,21 @@ def subscribe_raw(
 def subscribe_decoded(
     node: Node,
     topic: str,
-    decoder: cdr.JointStateDecoder | cdr.CommandDecoder,
+    joints: Sequence[str],
     callback: Callable[[int, tuple[float, ...]], None],
     on_malformed: OnMalformed,
 ) -> Subscription:
-    """Return a subscription to JointState messages or commands, whichever the decoder takes.
+    """Return a subscription to a data stream.
 
     Parameters
     ----------
     node, topic : where to listen
-    decoder : decodes one message after the other
+    joints : names, in the order of the values
     callback : called with the values, after the stamp (ns) of a JointState or the number of a
         command; NaN and infinities are passed on
     on_malformed : called instead for a message that cannot be decoded
     """
+    decoder = cdr.decoder_of(topic, joints)
 
     def on_message(data: bytes) -> None:
         try:
@@ -145,9 +146,7 @@ def subscribe_decoded(
         else:
             callback(number, values)
 
-    commands = isinstance(decoder, cdr.CommandDecoder)
-    like = topics.COMMANDS if commands else topics.JOINT_STATES
-    return subscribe_raw(node, topic, on_message, like)
+    return subscribe_raw(node, topic, on_message)
 
 
 def subscribe_counts(node: Node, topic: str, callback: Callable[[int], None]) -> Subscription:

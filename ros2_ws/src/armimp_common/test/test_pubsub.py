@@ -12,19 +12,19 @@ from rclpy.subscription import Subscription
 from std_msgs.msg import String
 
 from armimp_common import pubsub, qos
-from armimp_common.cdr import CommandDecoder
 from armimp_common.errors import GraphError
 from armimp_common.executor import Spinner
 from armimp_common.heartbeat import HeartbeatMonitor
-from armimp_common.pubsub import CommandPublisher, subscribe_decoded, wait_for_partners
-from support.graph import eventually, raised
+from armimp_common.pubsub import CommandPublisher, subscribe_raw, wait_for_partners
+from armimp_common.topics import COMMANDS
+from support.graph import eventually
 
 
 def test_when_peers_are_missing_expect_their_topics_named(
     node: Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     publisher = CommandPublisher(node, "spoken", 1)
-    subscription = subscribe_decoded(node, "heard", CommandDecoder(1), lambda *_: None, raised)
+    subscription = subscribe_raw(node, "heard", lambda _: None, COMMANDS)
     start = time.monotonic()
 
     def missed(names: str) -> None:
@@ -35,7 +35,7 @@ def test_when_peers_are_missing_expect_their_topics_named(
 
     missed("/spoken, /heard")
     assert time.monotonic() - start >= 0.1
-    subscribe_decoded(node, "spoken", CommandDecoder(1), lambda *_: None, raised)
+    subscribe_raw(node, "spoken", lambda _: None, COMMANDS)
     wait_for_partners(node, publishers=[publisher])
     missed("/heard")
 

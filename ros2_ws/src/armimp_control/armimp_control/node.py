@@ -14,7 +14,6 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
 
 from armimp_common import topics
-from armimp_common.cdr import JointStateDecoder
 from armimp_common.errors import ArmimpError, GraphError, MalformedMessageError
 from armimp_common.executor import run_node, steady_timer
 from armimp_common.heartbeat import HeartbeatMonitor
@@ -104,11 +103,7 @@ class ImbicControllerNode(ManagedNode):
         self._diagnostics = create_publisher(self, topics.DIAGNOSTICS)
         self._sensors = [
             subscribe_decoded(
-                self,
-                topic,
-                JointStateDecoder(names, topics.VALUE_FIELD[topic]),
-                partial(self._on_reading, kind),
-                self._on_malformed,
+                self, topic, names, partial(self._on_reading, kind), self._on_malformed
             )
             for kind, topic in enumerate((topics.JOINT_STATES, topics.TORQUE_SENSORS))
         ]

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from armimp_common.arrays import BoolArray, FloatArray, IntArray
 from armimp_common.cdr import (
     LITTLE,
-    CommandDecoder,
     JointStateDecoder,
     command_number,
+    decoder_of,
     joint_names_of,
 )
 from armimp_common.errors import DataError, MalformedMessageError
@@ -53,11 +53,8 @@ class Stream:
         self._pending: list[bytes] = []
         self._topic, self._joint_names = topic, tuple(joint_names)
         self._stamped = topic != COMMANDS
-        self._decoder: JointStateDecoder | CommandDecoder = CommandDecoder(n)
-        if self._stamped:
-            # Sensors may publish all joints of a robot, but perturbations only have known joints.
-            others, field = topic != PERTURBATION, VALUE_FIELD[topic]
-            self._decoder = JointStateDecoder(joint_names, field, others=others)
+        # Sensors may publish all joints of a robot, but perturbations only have known joints.
+        self._decoder = decoder_of(topic, joint_names, others=topic != PERTURBATION)
         self.further: dict[str, Stream] = {}
         """Angles of further joints by name, rad. These are not perturbed, so they must not move."""
         self.count = 0
