@@ -53,6 +53,8 @@ class Recording:
         timing: str = "unknown",
         torque_delay: float = 0.0,
         calibration: Calibration | None = None,
+        robot_inertia: ArrayLike | None = None,
+        robot_inertia_uncertainty: float = 0.05,
     ) -> Recording:
         """Make a recording of one array of shape (n, N) for each trial and signal.
 
@@ -81,16 +83,24 @@ class Recording:
         calibration : Calibration, optional
             Uncertainty of transducers and encoders; by default what is assumed of any: 1 % of gain
             and of cross-talk, 1.5 % of angles.
+        robot_inertia : array_like, optional
+            Inertia of the robot in the posture, kg·m², (n, n), with which commands less torques
+            must agree: that checks signs, units and gains of all of them.
+        robot_inertia_uncertainty : float
+            Standard error of each of its elements, relative to those on the diagonal.
 
         Raises
         ------
         DataError
             If shapes disagree, a sample is not finite or not real, the perturbation of a trial is
-            zero, the rate is not from 200 to 4000 Hz, there is no such timing, or the delay is
-            impossible.
+            zero, the rate is not from 200 to 4000 Hz, there is no such timing, or the delay or the
+            inertia is impossible.
         """
-        reading = {"torque_timing": timing, "torque_delay": float(torque_delay)}
-        known = Metadata.of({name: json.dumps(value) for name, value in reading.items()})
+        declared: dict[str, Any] = {"torque_timing": timing, "torque_delay": float(torque_delay)}
+        if robot_inertia is not None:
+            declared["robot_inertia"] = np.ravel(robot_inertia).tolist()
+            declared["robot_inertia_uncertainty"] = float(robot_inertia_uncertainty)
+        known = Metadata.of({name: json.dumps(value) for name, value in declared.items()})
         signals: list[Any] = [perturbation, position, torque]
         if command is not None:
             signals.append(command)

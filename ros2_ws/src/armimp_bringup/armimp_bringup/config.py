@@ -20,7 +20,7 @@ from pydantic import (
 from typing_extensions import Self
 
 from armimp_common.errors import ConfigurationError
-from armimp_common.schema import ModelT, Schema, check_names, explain, load_yaml
+from armimp_common.schema import ModelT, Schema, Vector, check_names, explain, load_yaml
 from armimp_common.topics import SIM_NODE
 from armimp_control.perturbation import PerturbationKind
 from armimp_estimation.atomic_write import read_text, require_text
@@ -161,6 +161,12 @@ class Declared(Schema):
     linearity_uncertainty: float | None = Field(default=None, ge=0.0)
     """Standard error of each torque due to hysteresis and nonlinearity of its transducer, N·m; by
     default as recorded with the bags, else what the records leave open."""
+    robot_inertia: Vector | None = None
+    """Element of the inertia of the robot in the posture, kg·m²; repeat, row by row; by default as
+    recorded with the bags, else unknown."""
+    robot_inertia_uncertainty: float | None = Field(default=None, ge=0.0, le=1.0)
+    """Standard error of each of these elements, relative to those on the diagonal; by default as
+    recorded with the bags, else 0.05."""
     model: Literal["auto", "mbk", "mbk_delay", "reflex", "cuff"] | None = Field(
         default=None, serialization_alias="arm_model"
     )

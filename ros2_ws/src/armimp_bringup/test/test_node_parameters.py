@@ -88,6 +88,7 @@ def test_the_realistic_rig_can_be_simulated_and_controlled_with_any_number_of_jo
     case = node_parameters(ExperimentConfig.model_validate(values), None)
     assert case.simulator.soft
     case.controller.check()
+    assert Metadata.of(case.estimator.bag_metadata()).robot_of(joints) is not None
 
 
 @pytest.mark.parametrize(("given", "share"), [("0", 0.0), ("2%", 0.02), ("0.02", 0.02)])

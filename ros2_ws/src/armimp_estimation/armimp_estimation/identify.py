@@ -239,7 +239,8 @@ def identify(
         if responses is None
         else responses.balance(order, hold, best.fit, known.calibration, apart)
     )
-    unbalanced, gains = judge_balance(names, balance, best.fit, known.calibration)
+    robot = known.robot_of(len(names))
+    unbalanced, gains = judge_balance(names, balance, best.fit, known.calibration, robot)
     doubts = [] if balance is None else balance.scales_in_doubt(best.fit)
     deviating: Sequence[Mapping[str, Deviation]] = [{} for _ in records]
     if best.estimate.unbiased:

@@ -20,8 +20,10 @@ from pydantic import (
     ValidationError,
 )
 
+from armimp_common.arrays import FloatArray
 from armimp_common.errors import ArmimpError, ConfigurationError, DataError
 from armimp_common.realtime import LATE_NS, TimingLimits
+from armimp_common.schema import matrix
 from armimp_common.status import TimingFigures
 from armimp_common.topics import CONTROLLER_NODE, RATE
 from armimp_estimation.arm_models import AUTO, require_model
@@ -50,6 +52,8 @@ READING_KEYS = {
 
 _LARGEST_TRUTH = 1e12
 """Limit of the elements of true matrices, SI units: beyond any arm, but squares don't overflow."""
+_MODEL_OF_LAW = 0.2
+"""Assumption: standard error of the robot's inertia that a law was given, as laws bear it."""
 RECORD_KEY = "timing"
 """Metadata key of the timing up to the end of a bag's trial, as JSON."""
 
@@ -135,6 +139,10 @@ class Metadata(BaseModel):
     """Declared sampling rate, if it is not a customary one, Hz."""
     arm_model: Annotated[str, AfterValidator(require_model)] = AUTO
     """Model of the arm that was requested."""
+    robot_inertia: tuple[float, ...] | None = None
+    """Declared inertia of the robot in the posture, row by row, kg·m²."""
+    robot_inertia_uncertainty: Annotated[float, Field(ge=0.0, le=1.0)] = 0.05
+    """Standard error of that, see :meth:`robot_of`; the default is an assumption."""
 
     @classmethod
     def of(cls, metadata: Mapping[str, str], joints: int | None = None) -> Metadata:
@@ -150,7 +158,7 @@ class Metadata(BaseModel):
         Raises
         ------
         DataError
-            If an entry is invalid, or the truth has another number of joints.
+            If an entry is invalid, or the truth or the robot has another number of joints.
         """
         keys = (*cls.model_fields, *READING_KEYS, *CALIBRATION_KEYS)
         entries = {key: _parsed(metadata, key) for key in keys if key in metadata}
@@ -162,6 +170,8 @@ class Metadata(BaseModel):
             properties = json.dumps(_named(entries, READING_KEYS))
             reading = TorqueReading.model_validate_json(properties, strict=True)
             found = cls.model_validate({**entries, "reading": reading, "calibration": sensors})
+            if joints is not None:
+                found.robot_of(joints)
         except ValidationError as error:
             given = f"{error.errors()[0]['input']!r:.60}"
             where, _, reason = first_complaint(error).partition(": ")
@@ -184,11 +194,36 @@ class Metadata(BaseModel):
             return RATE  # the only one at which that controller works
         return self.sampling_rate
 
+    def robot_of(self, joints: int) -> tuple[FloatArray, float] | None:
+        """Return the known inertia of the robot, kg·m², (joints, joints), with its standard error.
+
+        It is the declared one, else the one that the control law was given, else None. The standard
+        error of each element M_ij is relative to ``√(M_ii M_jj)``.
+
+        Raises
+        ------
+        ConfigurationError
+            If the declared one has another size.
+        """
+        if self.robot_inertia is not None:
+            declared = matrix("robot_inertia", self.robot_inertia, joints)
+            return declared, self.robot_inertia_uncertainty
+        try:
+            given = matrix("", self._law["known.robot_inertia"], joints).astype(np.float64)
+        except (LookupError, TypeError, ValueError, ArmimpError):
+            return None
+        return given, _MODEL_OF_LAW
+
+    @property
+    def _law(self) -> Mapping[str, Any]:
+        law = self.config.get(CONTROLLER_NODE)
+        return law if isinstance(law, Mapping) else {}
+
     @property
     def target(self) -> MBK | None:
         """Target impedance of the control law; None if the law has none or it is not known."""
-        law = self.config.get(CONTROLLER_NODE)
-        if not isinstance(law, Mapping) or law.get("law.kind") != "imbic":
+        law = self._law
+        if law.get("law.kind") != "imbic":
             return None
         try:
             parts = [np.diag(law[f"target.{one}"]) for one in ("inertia", "damping", "stiffness")]

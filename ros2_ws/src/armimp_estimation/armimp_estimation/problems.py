@@ -105,6 +105,7 @@ class ProblemCode(str, Enum):
     GAIN_UNCONFIRMED = "gain_unconfirmed"
     SCALES_DIFFER = "scales_differ"
     ROBOT_INERTIA_IMPOSSIBLE = "robot_inertia_impossible"
+    ROBOT_INERTIA_UNLIKE = "robot_inertia_unlike"
     CLIPPED = "clipped"
     STUCK = "stuck"
     DROPPED = "dropped"

@@ -45,7 +45,8 @@ _PULLED = 0.3
 """Assumption: negative stiffness by which gravity may pull a joint of the robot away from the
 posture, relative to the arm's stiffness."""
 _ALLOWED = 3.0
-"""Standard errors of the calibration of other shares by which a share may look wrong."""
+"""Standard errors by which shares may look wrong by the calibration of other ones, and inertias may
+differ from what is known of the robot."""
 _LIKELIER = 0.1
 """Share by which cross-talk must be more significant than a gain, which is off more often."""
 _REFUTED = 3.0
@@ -225,11 +226,17 @@ def _explained_better(shares: FloatArray, errors: FloatArray) -> BoolArray:
 
 
 def judge_balance(
-    names: Sequence[str], balance: RobotBalance | None, arm: MBKFit, calibration: Calibration
+    names: Sequence[str],
+    balance: RobotBalance | None,
+    arm: MBKFit,
+    calibration: Calibration,
+    known: tuple[FloatArray, float] | None = None,
 ) -> tuple[list[Problem], FloatArray]:
     """Find transducers and commands that don't balance.
 
     `arm` is fitted to the same trials. `balance` is None if no commands of them confirm gains.
+    `known` is the inertia of the robot, kg·m², with the standard error of its elements relative to
+    ``√(M_ii M_jj)``.
 
     Returns
     -------
@@ -268,10 +275,10 @@ def judge_balance(
     robots, arms = np.diag(balance.M), np.abs(np.diag(arm.mbk.M))
     weightless = robots + ERRORS * np.diag(balance.M_se) < _WEIGHTLESS * arms
     if balance.impossible or weightless.any():
-        rows = "; ".join(" ".join(f"{x:.3g}" for x in row) for row in balance.M)
-        inertia, suspects = f"[{rows}] kg·m²", ", ".join(wrong or names)
-        code = ProblemCode.ROBOT_INERTIA_IMPOSSIBLE
-        problems.append(problem(code, inertia=inertia, name=suspects))
+        code, inertia = ProblemCode.ROBOT_INERTIA_IMPOSSIBLE, _rows(balance.M)
+        problems.append(problem(code, inertia=inertia, name=", ".join(wrong or names)))
+    if known is not None:
+        problems += _unlike(names, balance, *known)
     if wrong:
         return problems, np.zeros(own.shape)
     ratio, ratio_error = balance.scales
@@ -285,6 +292,26 @@ def judge_balance(
     for name, share, error, doubt in zip(names, own_shares, own_errors, own_doubts, strict=True):
         problems += _doubted(name, share, error, doubt, calibration)
     return problems, doubts
+
+
+def _unlike(
+    names: Sequence[str], balance: RobotBalance, known: FloatArray, uncertainty: float
+) -> Iterator[Problem]:
+    """Find joints that the commands move as if they had another inertia than the known one."""
+    own = np.sqrt(np.abs(np.diag(known)))
+    allowed = _ALLOWED * uncertainty * np.outer(own, own)
+    allowed += ERRORS * np.hypot(balance.M_se, balance.unsure)
+    # Negated so that NaN counts as beyond.
+    beyond = ~(np.abs(balance.M - known) <= allowed)
+    if beyond.any():
+        code, found = ProblemCode.ROBOT_INERTIA_UNLIKE, _rows(balance.M)
+        name = ", ".join(name for name, row in zip(names, beyond, strict=True) if row.any())
+        yield problem(code, inertia=found, known=_rows(known), name=name)
+
+
+def _rows(inertia: FloatArray) -> str:
+    rows = "; ".join(" ".join(f"{x:.3g}" for x in row) for row in inertia)
+    return f"[{rows}] kg·m²"
 
 
 def judge_answers(

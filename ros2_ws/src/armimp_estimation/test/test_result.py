@@ -160,6 +160,7 @@ ONE = "[[1, 0], [0, 1]]"
         ("torque_order", "1.5", "torque_order: Input should be a valid integer, got 1.5"),
         ("torque_uncertainty", "-1", "torque_uncertainty: Input should be greater .*got -1"),
         ("torque_timing", '"later"', "torque_timing: Input should be 'unknown', 'before_update'"),
+        ("robot_inertia", "[0.3]", "parameter 'robot_inertia' has 1 values for 2 joints"),
         (RECORD_KEY, "3", "timing: Input should be"),
         (RECORD_KEY, '{"ticks": 3}', "timing.*late: Field required"),
     ],

@@ -7,6 +7,7 @@ from scipy import signal
 
 import armimp
 from armimp_common.arrays import FloatArray
+from armimp_common.schema import row_by_row
 from armimp_estimation.estimators.welch import multiply
 from armimp_estimation.fit import Calibration
 from armimp_estimation.hold_correction import answers_to_rounding
@@ -116,6 +117,22 @@ def test_torques_that_are_the_commands_of_the_drives_leave_a_robot_of_no_inertia
     result = identified(records, UNDECLARED)
     assert not result.verdict.impedance
     assert ProblemCode.ROBOT_INERTIA_IMPOSSIBLE in {one.code for one in result.problems}
+
+
+@pytest.mark.parametrize(
+    ("gain", "uncertainty", "refused"),
+    [(1.0, 0.0, False), (0.75, 0.05, True), (0.9, 0.05, False), (0.9, 0.01, True)],
+)
+def test_a_gain_that_commands_and_torques_share_is_refused_where_the_robot_is_known_well_enough(
+    gain: float, uncertainty: float, *, refused: bool
+) -> None:
+    records = recorded(ROBOT, np.full(2, gain))
+    records = [dataclasses.replace(one, command=gain * np.array(one.command)) for one in records]
+    robot = {"robot_inertia": row_by_row(ROBOT.M), "robot_inertia_uncertainty": uncertainty}
+    known = Metadata.model_validate({"calibration": EXACT, **robot})
+    result = identify([TrialData.of(one) for one in records], ("lpm_full",), known)
+    found = [one for one in result.problems if one.code is ProblemCode.ROBOT_INERTIA_UNLIKE]
+    assert bool(found) == refused == (not result.valid)
 
 
 def pulsed(friction: float) -> TrialRecord:
