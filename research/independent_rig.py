@@ -119,6 +119,8 @@ class Mismatch:
     """Share by which stiffness is larger at first; its time constant is 1/15 of the trial."""
     tensed: float = 0.0
     """The same of damping."""
+    tenser: float = 0.0
+    """Share by which stiffness is larger while the last joint is perturbed; damping by the root."""
     waxing: float = 0.0
     """Share by which stiffness grows over the trial."""
     rubbing: float = 0.0
@@ -163,14 +165,19 @@ class Recording:
     command_shift: int = 0
 
 
-def arm_of(mismatch: Mismatch) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return M, B and K of the arm at small amplitude."""
+def arm_of(
+    mismatch: Mismatch, trial: int | None = None
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return M, B and K of the arm at small amplitude: in one trial, or each column in its own."""
     n = mismatch.joints
+    tension = 1.0 + mismatch.tenser * (np.arange(n) == n - 1)
+    if trial is not None:
+        tension = np.full(n, tension[trial])
     uneven = 1.0 + mismatch.asymmetry * (np.triu(np.ones((n, n)), 1) - np.tril(np.ones((n, n)), -1))
     return (
         INERTIA[:n, :n] * mismatch.inertia,
-        DAMPING[:n, :n] * mismatch.damping,
-        STIFFNESS[:n, :n] * mismatch.stiffness * uneven,
+        DAMPING[:n, :n] * mismatch.damping * np.sqrt(tension),
+        STIFFNESS[:n, :n] * mismatch.stiffness * uneven * tension,
     )
 
 
@@ -348,7 +355,7 @@ def simulate_trial(mismatch: Mismatch, joint: int, seed: int) -> Recording:
     perturbation[joint, settle : settle + ticks] = noise / noise.std() * size
     perturbation[joint, settle + ticks - round(mismatch.pause * mismatch.rate) :] = 0.0
 
-    M, B, K = arm_of(mismatch)
+    M, B, K = arm_of(mismatch, joint)
     states, A, G, torque_of = _state_space(mismatch, M, B, K, period / SUBSTEPS)
     disturbance = _disturbance(mismatch, total, rng)
     disturbance += (K @ np.full(n, mismatch.preload))[:, None]

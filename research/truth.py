@@ -640,6 +640,15 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         brief: dict[str, Any] = {"duration": 20.0, "voluntary": size, "level": 0.4}
         add(NOISE, "short trial", (f"{size:g} N·m", brief))
     # Readings lead where the law responds to the steps of a coarse encoder.
+    for share, lock in product((0.2, 0.5, 1.0), (10.0, 25.0)):
+        tenser: dict[str, Any] = {"tenser": share, "lock": lock, "voluntary": 0.05}
+        label = f"{share:g}, {lock:g} rad/s"
+        add(
+            MUST,
+            "tenser in one trial",
+            (label, tenser),
+            (f"{label}, 0.3 N·m", tenser | {"voluntary": 0.3}),
+        )
     coarse: dict[str, Any] = {"angle_step": 1.6e-4, "lock": 80.0, "level": 0.5}
     for size in (0.1, 0.5):
         add(NOISE, "leading readings", (f"{size:g} N·m", coarse | {"voluntary": size}))

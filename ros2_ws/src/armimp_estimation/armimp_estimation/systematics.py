@@ -23,7 +23,7 @@ _RUBBING = 0.3
 """The same for the torque that overcomes friction, while chattering commands reverse the motion
 within a control period, so that friction responds within the period."""
 _TENSED = 0.05
-"""Assumption: share by which the stiffness and viscosity of a person differ between trials."""
+"""Assumption: share by which stiffness and viscosity of any person differ between trials."""
 _FRICTION, _OVERCOME = 2.0, 3.0
 """Assumption: largest Coulomb friction F_c of a robot's joint, N·m, and relative to the rms of a
 perturbation that moves it nonetheless."""
@@ -50,7 +50,13 @@ def systematic_errors(
     correction: ComplexArray,
     reference: MBK,
     jump: HoldCorrection | None,
-) -> tuple[ComplexArray, list[ComplexArray], list[ComplexArray], FloatArray | float]:
+) -> tuple[
+    ComplexArray,
+    list[ComplexArray],
+    list[ComplexArray],
+    FloatArray | float,
+    tuple[ComplexArray, ...],
+]:
     """Correct an impedance for readings that lead the motion, and find its systematic errors.
 
     Parameters
@@ -76,11 +82,13 @@ def systematic_errors(
         data can tell their size.
     shapeless : ndarray, shape (n, m, n_freq), or float
         Variance by those of the others whose shape is hardly known.
+    tensions : tuple of ndarray, shape (n, m, n_freq)
+        Changes if stiffness and viscosity are twice as large in one trial; one for each trial.
     """
     reversing, bending = _reversals(records, impedance, f)
     skew = _skew_errors(correction, f, jump, reversing, bending)
     if len(records) < len(impedance):
-        return impedance, [], skew, 0.0
+        return impedance, [], skew, 0.0, ()
     hidden = HiddenMotion(records, R, multiply(impedance, R), inverse, f)
     ahead, bounds, others = hidden.effects(impedance)
     shapeless = sum((np.abs(one) ** 2 for one in others), 0.0)
@@ -88,8 +96,8 @@ def systematic_errors(
     if jump is None and not records[0].reading.without_jumps:
         bounds += _joints_held(impedance, f, 0.5 / records[0].rate)
         others += _untold_friction(records, impedance, f, bending)
-    others += _trials_apart(records, reference, R, inverse, f)
-    return impedance, bounds, others + skew, shapeless
+    tensions, apart = _trials_apart(records, reference, R, inverse, f)
+    return impedance, bounds, others + apart + skew, shapeless, tuple(tensions)
 
 
 def _skew_errors(
@@ -166,30 +174,33 @@ def _trials_apart(
     R: ComplexArray,
     inverse: ComplexArray,
     f: FloatArray,
-) -> list[ComplexArray]:
-    """Errors of the impedance where the arm differs between trials.
+) -> tuple[list[ComplexArray], list[ComplexArray]]:
+    """Changes of the impedance where the arm differs between trials.
 
     The small motion R_jk of a joint j that is locked in trial k acts on the arm of trial k, not on
-    that of trial j. A person's stiffness and viscosity differ by `_TENSED` (assumption). Between
-    postures a distance apart, in rad, M_ij changes by at most that times ``√(M_ii M_jj)``, in
-    proportion for all rows i. The data don't tell the size of this: where joints are held softly,
-    the person causes most of R_jk.
+    that of trial j. Returned first are changes by a person whose stiffness and viscosity are larger
+    in one trial, for each trial, by all of what they are. The others are standard errors. Any
+    person's differ by `_TENSED` (assumption). Between postures a distance apart, in rad, M_ij
+    changes by at most that times ``√(M_ii M_jj)``, in proportion for all rows i.
     """
     postures = np.stack([record.position.mean(axis=1) for record in records])
     s = 2j * np.pi * f
     size = np.sqrt(np.abs(np.diag(arm.M)))
-    tension = _TENSED * MBK(M=np.zeros_like(arm.M), B=arm.B, K=arm.K).impedance(f)
-    effects = list[ComplexArray]()
+    tension = MBK(M=np.zeros_like(arm.M), B=arm.B, K=arm.K).impedance(f)
+    tensions, effects = [np.zeros_like(R) for _ in records], list[ComplexArray]()
     for j, k in np.ndindex(R.shape[:2]):
         if j == k:
             continue
         moved = R[j, k] * inverse[k]
-        effects.append(tension[:, None, j] * moved)
+        tenser = tension[:, None, j] * moved
+        effects.append(_TENSED * tenser)
+        tensions[k] += tenser
+        tensions[j] -= tenser
         apart = float(np.linalg.norm(postures[j] - postures[k]))
         if apart > APART:
             change = size * size[j] * apart / np.sqrt(3.0)
             effects.append(change[:, None, None] * s**2 * moved)
-    return effects
+    return tensions, effects
 
 
 def _reversals(

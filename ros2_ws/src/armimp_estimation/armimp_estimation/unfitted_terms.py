@@ -12,7 +12,7 @@ from functools import partial
 from itertools import product
 
 import numpy as np
-from scipy.special import log_ndtr, ndtr, softmax
+from scipy.special import expit, log_ndtr, ndtr, softmax
 
 from armimp_common.arrays import TINY, BoolArray, ComplexArray, FloatArray
 from armimp_estimation.weighted_fit import WeightedFit
@@ -48,6 +48,9 @@ _CREEPING, _CREEPS = 0.2, (0.05, 0.3)
 _CREEP = (0.02, 0.06, 0.2, -0.02, -0.06)
 """Assumption: prior probability that a transducer of undeclared linearity creeps, time constants of
 that, s, and shares of the torque."""
+_TENSE, _TENSION = 0.3, 0.35
+"""Assumption: prior probability that a person tenses or relaxes between trials, and share by which
+stiffness and viscosity of each trial then differ from the mean."""
 _LOW, _FEWEST = 1.0 / 3.0, 8
 """Lowest part of the band that is fitted alone for comparison, as a share, and its fewest bins."""
 
@@ -61,7 +64,7 @@ def squared_changes(fit: WeightedFit, *, may_creep: bool = False) -> FloatArray:
     squares = _by_curvature(fit) + _by_frequency(fit)
     hidden = np.maximum(_by_reflexes(fit), _by_second_mode(fit))
     if n == columns and n <= _MOST_CUFFS:
-        squares = squares + _by_sensors_and_cuffs(fit)
+        squares = squares + _by_sensors_and_cuffs(fit) + _by_tension(fit)
         hidden = hidden + _by_channels(fit, may_creep=may_creep)
     squares = squares + hidden
     # A change within rounding errors is none.
@@ -236,6 +239,32 @@ def _by_channels(fit: WeightedFit, *, may_creep: bool) -> FloatArray:
             square, _ = judged(*one, elsewhere=max(sum(evidence) - of_one, 0.0))
             change = np.maximum(change, square * fit.shifts(terms) ** 2)
     return change
+
+
+def _by_tension(fit: WeightedFit) -> FloatArray:
+    """Squared change by a person who is tenser in some trials, which joints held softly show.
+
+    A delay that was fitted before looks like a part of it, so one is fitted anew beside it.
+    """
+    count = len(fit.estimate.tensions)
+    if not count:
+        return np.zeros_like(fit.values)
+    late = fit.estimate.delay_unknown * 1j * fit.omega * fit.impedance(fit.values)
+    terms = np.stack((*(_TENSION * one for one in fit.estimate.tensions), late))
+    (mean, covariance, both), (_, _, one) = (
+        _posterior(fit, chosen) for chosen in (terms, terms[count:])
+    )
+    present = expit(math.log(_TENSE / (1.0 - _TENSE)) + both - one)
+    shifts = np.stack([fit.shifts(term) for term in terms[:count]])
+    square = (np.outer(mean, mean) + covariance)[:count, :count]
+    return np.asarray(present * np.einsum("pmij,pq,qmij->mij", shifts, square, shifts))
+
+
+def _posterior(fit: WeightedFit, terms: ComplexArray) -> tuple[FloatArray, FloatArray, float]:
+    """Coefficients 0 ± 1 of common terms, (p,), their covariance, and the log of the evidence."""
+    mean, covariance = fit.common_coefficients(terms, np.zeros(len(terms)))
+    likely = mean @ np.linalg.solve(covariance, mean) + np.linalg.slogdet(covariance)[1]
+    return mean, covariance, 0.5 * float(likely)
 
 
 def _noticed(value: FloatArray | float, error: FloatArray | float) -> FloatArray:

@@ -119,6 +119,9 @@ class ImpedanceEstimate:
     shapeless: FloatArray | float = 0.0
     """Variance, (N·m/rad)², by those `systematics` whose shape over frequency is hardly known, so
     that they may look like a lack of fit; shape (n, n, n_freq)."""
+    tensions: tuple[ComplexArray, ...] = ()
+    """Changes, N·m/rad, if stiffness and viscosity are twice as large in one trial as in others,
+    in which the joints move that it locks; one of shape (n, n, n_freq) for each trial."""
     covariance: ComplexArray | None = None
     """``E[δ_a conj(δ_b)]`` of the errors of ``R_1k … R_nk, T_1k … T_nk``, for each trial k;
     responses from different trials are independent. None if that is not so; shape

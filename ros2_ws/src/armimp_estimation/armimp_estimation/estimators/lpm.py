@@ -131,7 +131,7 @@ class LpmFull:
         every = _unit(2 * n, 3 * n, f)
         coefficients = every[n:].copy()
         every[n:, :n], coefficients[:, joints] = reference.impedance(f), -offset
-        impedance, bounds, others, shapeless = systematic_errors(
+        impedance, bounds, others, shapeless, tensions = systematic_errors(
             records,
             impedance,
             R,
@@ -155,6 +155,7 @@ class LpmFull:
             systematics=(*bounds, *others),
             bounded=len(bounds),
             shapeless=shapeless,
+            tensions=tensions,
             power=1.0 / np.stack([column.gain for column in columns]),
             weight_floor=_FLOOR,
             friction_skew=added.real.astype(np.complex128) if whole else None,
