@@ -13,6 +13,7 @@ import sys
 import time
 from contextlib import suppress
 from functools import partial
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import TransitionEvent
@@ -43,12 +44,14 @@ class Witness(Node):
 
     def __init__(self, *, context: Context) -> None:
         super().__init__("witness", context=context)
-        self._torques: list[float] = []
-        self._resting = True
-        self._stamps: list[tuple[float, int]] = []
+        self._seen: dict[str, Any] = {
+            "torques": [],
+            "resting": True,
+            "stamps": [],
+            "statuses": [],
+            "reports": [],
+        }
         self._perturbed = 0
-        self._statuses: list[tuple[float, dict[str, str]]] = []
-        self._reports: list[tuple[float, str, str]] = []
         subscribe_decoded(self, topics.COMMANDS, JOINTS, self._on_command, raised)
         subscribe_decoded(self, topics.PERTURBATION, JOINTS, self._on_perturbation, raised)
         subscribe(self, topics.TRIAL, self._on_trial)
@@ -71,37 +74,30 @@ class Witness(Node):
         _tell(event.goal_state.label, name)
 
     def _on_perturbation(self, stamp_ns: int, torque: tuple[float, ...]) -> None:
-        self._stamps.append((time.monotonic(), stamp_ns))
+        self._seen["stamps"].append((time.monotonic(), stamp_ns))
         self._perturbed += any(torque)
         if self._perturbed == _MOVING:
             _tell("moving")
 
     def _on_command(self, _: int, command: tuple[float, ...]) -> None:
-        self._resting = not any(command)
-        if not self._resting:
-            self._torques.append(time.monotonic())
+        self._seen["resting"] = not any(command)
+        if any(command):
+            self._seen["torques"].append(time.monotonic())
 
     def _on_trial(self, message: DiagnosticStatus) -> None:
         values = values_of(message)
-        self._statuses.append((time.monotonic(), values))
+        self._seen["statuses"].append((time.monotonic(), values))
         _tell(values["phase"], values["trial"])
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             if status.name.startswith(SIM_NODE):
                 applied = values_of(status).get("applied", "")
-                self._reports.append((time.monotonic(), status.message, applied))
+                self._seen["reports"].append((time.monotonic(), status.message, applied))
 
     def destroy_node(self) -> None:
         """Print what was seen, then destroy the node."""
-        seen = {
-            "torques": self._torques,
-            "resting": self._resting,
-            "stamps": self._stamps,
-            "statuses": self._statuses,
-            "reports": self._reports,
-        }
-        _tell(json.dumps(seen))
+        _tell(json.dumps(self._seen))
         super().destroy_node()
 
 

@@ -13,7 +13,7 @@ from armimp_common.executor import Spinner
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.topics import SIM_NODE
 from support.graph import PATIENCE
-from support.places import PACKAGES, SOURCES
+from support.places import PACKAGES, SOURCES, contents
 from support.processes import run_python
 
 pytestmark = pytest.mark.slow
@@ -32,15 +32,6 @@ def install(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root / "install"
 
 
-def content(folder: Path) -> dict[Path, bytes]:
-    """Files by their path, without what Python has compiled."""
-    return {
-        path.relative_to(folder): path.read_bytes()
-        for path in folder.rglob("*")
-        if path.is_file() and "__pycache__" not in path.parts
-    }
-
-
 @pytest.mark.parametrize("package", PACKAGES)
 def test_every_package_is_installed_where_ros_looks(install: Path, package: str) -> None:
     prefix, source = install / package, SOURCES[package]
@@ -52,9 +43,9 @@ def test_every_package_is_installed_where_ros_looks(install: Path, package: str)
     found = {path.name for path in executables.iterdir()} if executables.exists() else set()
     assert found == set(re.findall(r"^    (\w+) = ", setup, flags=re.MULTILINE))
     (modules,) = (prefix / "lib").glob("python*/site-packages")
-    assert content(modules / package) == content(source / package)
+    assert contents(modules / package) == contents(source / package)
     for folder in SHARED:
-        assert content(share / folder) == content(source / folder)
+        assert contents(share / folder) == contents(source / folder)
 
 
 def test_an_installed_node_takes_part_in_the_graph(install: Path, node: Node) -> None:

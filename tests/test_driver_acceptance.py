@@ -12,12 +12,12 @@ from armimp_bringup.offline_estimate import estimate_bags
 from armimp_bringup.orchestrator import run_experiment
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE
 from armimp_estimation.bags.reader import read_bag
-from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.result import Result
 from armimp_estimation.scores import vaf
-from armimp_sim.presets import human_arm
-from support.synthetic_trials import made_estimate, worst_errors
+from support import known
+from support.problems import codes
+from support.synthetic_trials import TWO_JOINT_ARM, made_estimate, worst_errors
 
 pytestmark = [pytest.mark.usefixtures("environment"), pytest.mark.slow]
 
@@ -39,21 +39,20 @@ CALIBRATION: dict[str, Any] = {
 LEAST = {"VAF": 99.98, "R2": 0.9998, "coherence": 0.94}
 
 
-def figures(told: Result) -> dict[str, float]:
-    """Worst figures of merit of `lpm_full` over all elements; the test knows the arm.
+def good_figures(told: Result) -> dict[str, float]:
+    """Worst figures of merit of `lpm_full` over all elements, which must be good.
 
-    They are printed as docs/drivers.md has them; M, B and K are errors, %.
+    The test knows the arm. They are printed as docs/drivers.md has them; M, B and K are errors, %.
     """
     result, estimate = told.summary.estimators["lpm_full"], told.curves["lpm_full"]
-    rig = human_arm(2)
-    arm = MBK(M=rig.M, B=rig.B, K=rig.K)
     found = {
-        "VAF": float(np.min(vaf(made_estimate(estimate.f, estimate.Z), arm))),
+        "VAF": float(np.min(vaf(made_estimate(estimate.f, estimate.Z), TWO_JOINT_ARM))),
         "R2": float(np.min(np.array(result.r2))),
         "coherence": float(np.min(result.coherence_derived)),
-        **{name: 100.0 * error for name, error in worst_errors(result, arm).items()},
+        **{name: 100.0 * error for name, error in worst_errors(result, TWO_JOINT_ARM).items()},
     }
     print(*(f"{name} {value:.5g}" for name, value in found.items()))
+    assert [name for name, least in LEAST.items() if found[name] < least] == []
     return found
 
 
@@ -71,12 +70,11 @@ def test_offset_drift_delay_filter_and_lag_are_calibrated_out_or_found(
 
     assert summary.valid
     # Nobody declared how well the transducers are calibrated.
-    codes = {one.code for one in summary.problems}
-    assert ProblemCode.CALIBRATION_ASSUMED in codes
-    assert codes <= {ProblemCode.CALIBRATION_ASSUMED, ProblemCode.GAIN_UNCONFIRMED}
+    found_wrong = set(codes(summary.problems))
+    assert ProblemCode.CALIBRATION_ASSUMED in found_wrong
+    assert found_wrong <= {ProblemCode.CALIBRATION_ASSUMED, ProblemCode.GAIN_UNCONFIRMED}
     assert summary.truth is None
-    assert summary.torque_reading is not None
-    assert summary.torque_reading.delay == 0.0017
+    assert known(summary.torque_reading).delay == 0.0017
     bags = [tmp_path / "out" / str(trial.bag) for trial in summary.trials]
     # The tare is in the bag, and the torques are raw.
     for number, bag in enumerate(bags):
@@ -87,16 +85,14 @@ def test_offset_drift_delay_filter_and_lag_are_calibrated_out_or_found(
 
     told = estimate_bags(bags, ("lpm_full",))
     assert told.summary.estimators["lpm_full"] == summary.estimators["lpm_full"]
-    found = figures(told)
-    assert [name for name, least in LEAST.items() if found[name] < least] == []
+    found = good_figures(told)
     assert max(found[name] for name in ("M", "B", "K")) <= 0.15
 
     not_told = estimate_bags(bags, ("lpm_full",), declared=Declared(torque_delay=0.0))
     # The records refute that delay, and correct it.
     assert not_told.summary.valid, not_told.summary.problems
-    assert ProblemCode.DELAY_CORRECTED in {one.code for one in not_told.summary.problems}
-    found = figures(not_told)
-    assert [name for name, least in LEAST.items() if found[name] < least] == []
+    assert ProblemCode.DELAY_CORRECTED in codes(not_told.summary.problems)
+    found = good_figures(not_told)
     assert found["M"] <= 0.8
     assert found["B"] <= 1.8
     assert found["K"] <= 0.3

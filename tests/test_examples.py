@@ -15,6 +15,7 @@ import pytest
 
 from armimp_bringup.replay import BagPlayer, replay_bags
 from armimp_estimation.bags.reader import BagContent
+from support import known
 from support.graph import free_domain
 from support.places import ROOT
 
@@ -85,11 +86,9 @@ def test_a_node_hears_the_results(ran: tuple[Path, str], monkeypatch: pytest.Mon
     with subprocess.Popen(
         command, env=environment, stdout=pipe, stderr=pipe, text=True
     ) as listener:
-        assert listener.stdout is not None
-        assert listener.stderr is not None
-        hearing = threading.Thread(target=heard.extend, args=(listener.stdout,))
+        hearing = threading.Thread(target=heard.extend, args=(known(listener.stdout),))
         try:
-            assert "listens" in listener.stderr.readline()
+            assert "listens" in known(listener.stderr).readline()
             hearing.start()
             bags = sorted((ran[0] / "bags").iterdir())
             summary = replay_bags(bags, ("lpm_full",), None, domain_id=domain).summary

@@ -21,19 +21,49 @@ def offline(**options: Any) -> list[TrialRecord]:
     return run_offline([node_parameters(config, None)])[0]
 
 
+BOUND, LEAST, PLANNED = 0.05, 8_000, 30_000
+EARLY = {
+    "duration": PLANNED / 1000,
+    "target_error": BOUND,
+    "impedance_estimator": {"least_duration": LEAST / 1000},
+}
+"""Trials end once their standard errors are small enough."""
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, pytest.param(EARLY, marks=pytest.mark.slow)],
+    ids=["default", "early end"],
+)
 def test_composed_and_separate_processes_record_the_same_bits_and_give_the_same_results(
-    composed: FinishedRun, run: Run
+    run: Run, options: dict[str, Any]
 ) -> None:
-    separate = run(processes="separate")
+    composed, separate = run(**options), run(**options, processes="separate")
     composed.assert_same_streams(separate)
     assert composed.summary.problems == separate.summary.problems
     assert composed.summary.estimators == separate.summary.estimators
     assert composed.summary.truth == separate.summary.truth
-    curves, others = (read_frf(run.directory / "frf.npz") for run in (composed, separate))
+    curves, others = (read_frf(one.directory / "frf.npz") for one in (composed, separate))
     assert set(curves) == set(others) == set(composed.summary.estimators) != set()
     for name, curve in curves.items():
         np.testing.assert_array_equal(curve.Z, others[name].Z)
         np.testing.assert_array_equal(curve.variance, others[name].variance)
+
+
+@pytest.mark.slow
+def test_trials_end_early_and_the_result_is_valid_and_as_good_as_was_asked_for(run: Run) -> None:
+    early = run(**EARLY)
+    assert early.summary.problems == []
+    for trial in early.summary.trials:
+        assert LEAST <= trial.ticks < PLANNED
+        assert trial.saved == (PLANNED - trial.ticks) / 1000
+        assert trial.lost == 0
+        assert {count.received for count in trial.streams.values()} == {trial.ticks}
+    # The result knows the other columns, which changes the errors a little.
+    result = early.summary.estimators["lpm_full"]
+    for name in "MBK":
+        errors = np.array(getattr(result, f"{name}_se")) / np.abs(getattr(result, name))
+        assert errors.max() < 1.05 * BOUND
 
 
 def test_graph_and_loop_without_ros_give_the_same_bits(composed: FinishedRun) -> None:

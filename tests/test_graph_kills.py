@@ -21,6 +21,7 @@ from armimp_bringup.nodes import MODULES, NODES
 from armimp_common.status import Phase, TrialStatus
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
 from armimp_estimation.bags.reader import read_bag
+from support import known
 from support.bag_files import assert_other_readers_open
 from support.command import program
 from support.fault_figures import Figures
@@ -80,8 +81,8 @@ class Kill:
 
 def hear(witness: "subprocess.Popen[str]", words: str) -> None:
     """Wait until the witness says something that begins with these words."""
-    assert witness.stdout is not None
-    while not (line := witness.stdout.readline()).startswith(words):
+    output = known(witness.stdout)
+    while not (line := output.readline()).startswith(words):
         assert line, "the witness has ended"
 
 
@@ -201,8 +202,7 @@ def assert_recorded(done: Kill, figures: Figures) -> None:
     assert_other_readers_open(bag)
     if samples > LOST:
         (trial,) = read_bag(bag).trials
-        assert trial.record is not None
-        lost = max(samples - trial.record.samples, 0)
+        lost = max(samples - known(trial.record).samples, 0)
         figures.add(f"{done.victim} killed while it was recorded", lost_samples=(lost, ""))
         assert lost <= LOST
 

@@ -24,7 +24,9 @@ from armimp_common.status import Progress, TimingFigures, values_of
 from armimp_common.topics import CONTROLLER_NODE, DIAGNOSTICS, PERIOD_NS, SIM_NODE
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.summary import Summary
+from support import known
 from support.bag_files import iterate_messages
+from support.problems import codes
 from support.processes import permitted_priority, processes_of
 
 SECONDS = 2.0
@@ -32,21 +34,21 @@ PATIENCE = 100
 """Periods after which watchdogs take the torque away: as many as can be chosen."""
 HELD = 0.4
 """For how long a process is stopped (s): four times as long."""
+LATE = {ProblemCode.SAMPLES_LATE, ProblemCode.COMMANDS_LATE, ProblemCode.LATENCY}
 pytestmark = pytest.mark.usefixtures("environment")
 
 
 def assert_verdict_fits(summary: Summary) -> None:
     """One problem for each limit that is exceeded, and none of them in a valid result."""
-    timing = summary.timing
-    assert timing is not None
+    timing = known(summary.timing)
     exceeded = {
         ProblemCode.SAMPLES_LATE: timing.late > 0.01 * timing.ticks,
         ProblemCode.COMMANDS_LATE: timing.missed > 0.01 * timing.ticks,
         ProblemCode.LATENCY: not timing.latency_p99 <= 0.001,
     }
-    codes = [one.code for one in summary.problems if one.code in exceeded]
-    assert codes == [code for code, beyond in exceeded.items() if beyond]
-    assert not (summary.valid and codes)
+    found = [code for code in codes(summary.problems) if code in LATE]
+    assert found == [code for code, beyond in exceeded.items() if beyond]
+    assert not (summary.valid and found)
 
 
 def told_of_timing(bag: Path) -> Iterator[TimingFigures]:
@@ -80,17 +82,15 @@ def test_a_run_reports_its_timing_and_is_valid_unless_that_is_beyond_a_limit(
     summary = run_experiment(config, tmp_path / "out").summary
 
     assert_verdict_fits(summary)
-    assert summary.timing is not None
     bags = [tmp_path / "out" / trial.bag for trial in summary.trials if trial.bag is not None]
-    told = [*itertools.chain.from_iterable(map(told_of_timing, bags)), summary.timing]
+    told = [*itertools.chain.from_iterable(map(told_of_timing, bags)), known(summary.timing)]
     assert len(told) > sum(trial.ticks for trial in summary.trials) / 1000
     for one, later in itertools.pairwise(told):
         more = later.ticks - one.ticks
         assert 0 <= later.late - one.late <= more
         assert 0 <= later.missed - one.missed <= more
         assert later.period_max >= one.period_max
-    late = {ProblemCode.SAMPLES_LATE, ProblemCode.COMMANDS_LATE, ProblemCode.LATENCY}
-    assert summary.valid or late & {one.code for one in summary.problems}, summary.problems
+    assert summary.valid or LATE & set(codes(summary.problems)), summary.problems
 
 
 @pytest.mark.alone
@@ -123,10 +123,9 @@ def test_when_one_side_is_held_up_for_long_expect_the_other_to_end_the_run(
     assert any(reason in problem.sentence for reason in reasons for problem in summary.problems), (
         summary.problems
     )
-    late = {ProblemCode.SAMPLES_LATE, ProblemCode.COMMANDS_LATE, ProblemCode.LATENCY}
     if summary.timing is not None:
         assert_verdict_fits(summary)
     else:  # the run ended before the rig reported any
-        assert not late & {one.code for one in summary.problems}
+        assert not LATE & set(codes(summary.problems))
     # The run does not go on when its result cannot be valid any more.
     assert all(trial.ticks < SECONDS * 1000 for trial in summary.trials)

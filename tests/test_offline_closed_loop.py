@@ -1,7 +1,6 @@
 """The law on the plant: targets shown, joints held, also from afar, and stops that do not push."""
 
-from collections.abc import Callable, Mapping
-from types import MappingProxyType
+from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
@@ -36,9 +35,12 @@ def _run(
     tau_delta: Array,
     joint: int,
     safety: SafetyParameters = TORQUE_ONLY,
-    acts: Mapping[int, Callable[[Controller], object]] = MappingProxyType({}),
+    stop: tuple[int, Callable[[Controller], object]] | None = None,
 ) -> Array:
-    """Deflections, torques on the arm and commands (3, n, N) under ``tau_delta`` (N,)."""
+    """Deflections, torques on the arm and commands (3, n, N) under ``tau_delta`` (N,).
+
+    `stop` is a tick and what the controller is made to do then.
+    """
     plant, controller = Plant([plant_config]), Controller(law, safety=safety)
     controller.perturb_joint(joint)
     record = np.zeros((3, law.joints, tau_delta.size))
@@ -47,8 +49,8 @@ def _run(
         push[joint] = value
         record[0, :, k] = plant.position[0] - plant_config.arm.theta_0
         record[1, :, k] = plant.torque[0]
-        if k in acts:
-            acts[k](controller)
+        if stop is not None and k == stop[0]:
+            stop[1](controller)
         controller.sample[:] = plant.position[0], plant.torque[0], push
         controller.compute()
         record[2, :, k] = controller.command
@@ -147,11 +149,9 @@ def _fastest(friction: int, resolution: int, stop_tick: int, ramp_time: float) -
     safety = control_presets.safety(2, 9.0).model_copy(update={"ramp_time": ramp_time})
     nodes = node_parameters(ExperimentConfig(), None)
     signal = nodes.controller.signal(0, trial=1, ticks=stop_tick)
-    stop = Controller.stop if ramp_time > 0.0 else Controller.cut
+    stop = stop_tick, Controller.stop if ramp_time > 0.0 else Controller.cut
     tau_delta = np.append(signal, np.zeros(AFTER))
-    theta, _, command = _run(
-        config, _law(config, "observer"), tau_delta, 0, safety, {stop_tick: stop}
-    )
+    theta, _, command = _run(config, _law(config, "observer"), tau_delta, 0, safety, stop)
     assert not command[:, -1].any()
     speed = np.abs(theta[:, 5:] - theta[:, :-5]).max(axis=0) / 5e-3
     return float(speed[stop_tick - 50 : stop_tick - 4].max()), float(speed[stop_tick - 4 :].max())

@@ -19,7 +19,7 @@ from armimp_estimation.bags.reader import BAGS
 from armimp_estimation.bags.writer import BagWriter, finish_bag
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.recorder import TrialRecorder
-from support.bag_files import assert_other_readers_open, iterate_messages, write_all
+from support.bag_files import assert_other_readers_open, iterate_messages, readable, write_all
 from support.streams import record
 from support.synthetic_bags import synthetic_recording
 from support.telling import tell_by_samples
@@ -118,11 +118,7 @@ def test_wherever_writing_stops_the_file_holds_whole_records_only(
         # Even messages that were waiting when the disk was full have been written.
         assert assert_finished(bag) == written + 1
         return
-    try:
-        read = list(iterate_messages(bag))
-    except BagError:  # not one chunk found room
-        read = []
-    else:
+    if read := readable(bag):  # or not one chunk found room
         finish_bag(bag)
         assert assert_finished(bag) == len(read)
     assert read == list(MESSAGES[: len(read)])

@@ -105,6 +105,14 @@ def iterate_messages(path: Path, *, namespace: str | None = None) -> Iterator[Me
     )
 
 
+def readable(path: Path) -> list[Message]:
+    """The messages of the contract in a bag; none if it is refused."""
+    try:
+        return list(iterate_messages(path))
+    except BagError:
+        return []
+
+
 def records_of(content: BagContent) -> list[TrialRecord]:
     """Return the records of all trials; raise for the first that must not be estimated."""
     return [record for trial in content.trials for record in trial.intact()]

@@ -1,4 +1,4 @@
-"""Controller parameters for short trials, and a stand-in for those who talk to a rig."""
+"""Controller parameters for short trials, and a stand-ins for those who talk to a node."""
 
 from collections.abc import Callable
 from functools import partial
@@ -58,11 +58,30 @@ def wobble(ticks: int) -> list[tuple[tuple[float, ...], tuple[float, ...]]]:
     return [(tuple(a), tuple(b)) for a, b in zip(theta.tolist(), tau_h.tolist(), strict=True)]
 
 
-class ScriptedController:
-    """Stand-in for controller, recorder and operator: commands a rig and keeps its messages."""
+class Partner:
+    """A node of a test that talks to those which are tested."""
 
     def __init__(self, node: Node, spinner: Spinner) -> None:
         self.node, self.spinner = node, spinner
+
+    def until(self, condition: Callable[[], bool], what: str) -> None:
+        eventually(self.spinner, condition, what)
+
+    def call(self, service: str) -> tuple[bool, str]:
+        """Call a service without arguments; return whether it succeeded, and its message."""
+        client = self.node.create_client(Trigger, service)
+        self.until(client.service_is_ready, f"the service {service}")
+        future = client.call_async(Trigger.Request())
+        assert self.spinner.spin_until(future, PATIENCE)
+        response = future.result()
+        return response.success, response.message
+
+
+class ScriptedController(Partner):
+    """Stand-in for controller, recorder and operator: commands a rig and keeps its messages."""
+
+    def __init__(self, node: Node, spinner: Spinner) -> None:
+        super().__init__(node, spinner)
         self.answer: tuple[float, ...] | None = None
         self.diagnostics: list[DiagnosticStatus] = []
         self.positions: list[Sample] = []
@@ -102,9 +121,6 @@ class ScriptedController:
         found = [one for one in self.diagnostics if one.level == error]
         return [(one.message, values_of(one).get("applied", "")) for one in found]
 
-    def until(self, condition: Callable[[], bool], what: str) -> None:
-        eventually(self.spinner, condition, what)
-
     def await_samples(self, number: int) -> None:
         self.until(lambda: self.count >= number, f"{number} samples")
 
@@ -122,16 +138,3 @@ class ScriptedController:
 
         self.until(lambda: bool(found()), f"the fault {words}")
         return found()[0]
-
-    def call(self, service: str) -> tuple[bool, str]:
-        return ask(self.node, self.spinner, service)
-
-
-def ask(node: Node, spinner: Spinner, service: str) -> tuple[bool, str]:
-    """Call a service without arguments; return whether it succeeded, and its message."""
-    client = node.create_client(Trigger, service)
-    eventually(spinner, client.service_is_ready, f"the service {service}")
-    future = client.call_async(Trigger.Request())
-    assert spinner.spin_until(future, PATIENCE)
-    response = future.result()
-    return response.success, response.message

@@ -6,14 +6,13 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import Any, TypeAlias, TypeVar
 
 import pytest
 import rclpy
-from diagnostic_msgs.msg import DiagnosticStatus
 from pydantic import BaseModel
 from rclpy.context import Context
 from rclpy.duration import Duration
@@ -21,21 +20,13 @@ from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
-from rclpy.subscription import Subscription
 
 from armimp_bringup.graph import DomainClaim
 from armimp_common import topics
 from armimp_common.errors import MalformedMessageError
 from armimp_common.executor import Spinner
 from armimp_common.heartbeat import HeartbeatMonitor
-from armimp_common.pubsub import (
-    JointStatePublisher,
-    subscribe,
-    subscribe_decoded,
-    wait_for_partners,
-)
 from armimp_common.schema import Value, flatten
-from armimp_common.status import Phase, TrialStatus, values_of
 
 NodeT = TypeVar("NodeT", bound=Node)
 PATIENCE = 30.0
@@ -160,10 +151,9 @@ def other(domain_id: int) -> Iterator[subprocess.Popen[bytes]]:
     # The nodes discover each other with the middleware's defaults, which are slow.
     environment = {**os.environ, "ROS_DOMAIN_ID": str(domain_id)}
     environment.pop("FASTRTPS_DEFAULT_PROFILES_FILE", None)
-    process = subprocess.Popen([sys.executable, "-c", OTHER], env=environment)
-    yield process
-    process.kill()
-    process.wait()
+    with subprocess.Popen([sys.executable, "-c", OTHER], env=environment) as process:
+        yield process
+        process.kill()
 
 
 def eventually(spinner: Spinner, condition: Callable[[], bool], what: str) -> None:
@@ -215,109 +205,9 @@ def set_clock(node: Node, step: float) -> None:
     clock.set_ros_time_override(now + Duration(nanoseconds=round(step * topics.NS_PER_S)))
 
 
-class HandedClock:
-    """Replaces the module ``time`` of a node, so that the load of the machine has no effect."""
-
-    def __init__(self) -> None:
-        self.now = 1000.0
-        self.pace = 0.0
-
-    def monotonic(self) -> float:
-        """Return the time (s)."""
-        self.now += self.pace
-        return self.now
-
-
-@pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> HandedClock:
-    """The clock of controllers in this process, which stands still until a test advances it."""
-    clock = HandedClock()
-    monkeypatch.setattr("armimp_control.node.time", clock)
-    return clock
-
-
 def raised(error: MalformedMessageError) -> None:
     """Raise the error of a malformed message, so that it reaches the caller of ``spin``."""
     raise error
-
-
-class ScriptedDriver:
-    """Stand-in for the rig: feeds samples to a controller and keeps its answers."""
-
-    def __init__(self, node: Node, names: Sequence[str], *, start_ns: int = 0) -> None:
-        self.names = tuple(names)
-        self.start_ns = start_ns
-        self.tick = 0
-        self.channels = {
-            topic: JointStatePublisher(node, topic, names)
-            for topic in (topics.JOINT_STATES, topics.TORQUE_SENSORS)
-        }
-        self.commands: list[tuple[float, ...]] = []
-        self.perturbations: list[tuple[int, tuple[float, ...]]] = []
-        self.messages: list[DiagnosticStatus] = []
-        self._node = node
-        self._subscriptions = [
-            subscribe_decoded(
-                node,
-                topics.COMMANDS,
-                names,
-                lambda _, command: self.commands.append(command),
-                raised,
-            ),
-            subscribe_decoded(
-                node,
-                topics.PERTURBATION,
-                names,
-                lambda stamp_ns, values: self.perturbations.append((stamp_ns, values)),
-                raised,
-            ),
-        ]
-        self.trial: Subscription = subscribe(node, topics.TRIAL, self.messages.append)
-
-    def wait_for_controller(self) -> None:
-        """Wait until a controller listens and is heard."""
-        wait_for_partners(
-            self._node,
-            publishers=self.channels.values(),
-            subscriptions=[*self._subscriptions, self.trial],
-        )
-
-    @property
-    def stamp_ns(self) -> int:
-        """Stamp of the next sample (ns)."""
-        return self.start_ns + self.tick * topics.PERIOD_NS
-
-    @property
-    def statuses(self) -> list[TrialStatus]:
-        """Trial statuses received."""
-        return [TrialStatus.from_values(values_of(message)) for message in self.messages]
-
-    def has_said(self, phase: Phase) -> bool:
-        """Whether the controller announced this phase."""
-        return any(status.phase is phase for status in self.statuses)
-
-    @property
-    def answered(self) -> bool:
-        """Whether every sample has an answer."""
-        return min(len(self.commands), len(self.perturbations)) >= self.tick
-
-    def feed(
-        self, theta: Sequence[float], tau_h: Sequence[float] = (0.0, 0.0), ticks: int = 1
-    ) -> None:
-        """Publish identical samples: angles (rad) and torques on the arm (N·m)."""
-        for _ in range(ticks):
-            self.channels[topics.JOINT_STATES].publish(self.stamp_ns, theta)
-            self.channels[topics.TORQUE_SENSORS].publish(self.stamp_ns, tau_h)
-            self.tick += 1
-
-    def await_answers(self, spinner: Spinner) -> None:
-        """Wait until every sample has an answer."""
-        eventually(spinner, lambda: self.answered, "an answer to every sample")
-
-    def await_phase(self, phase: Phase, spinner: Spinner) -> TrialStatus:
-        """Wait until the controller announces a phase, and return its first status of it."""
-        eventually(spinner, lambda: self.has_said(phase), f"the phase {phase.value}")
-        return next(status for status in self.statuses if status.phase is phase)
 
 
 Launch: TypeAlias = Callable[..., Any]

@@ -30,6 +30,7 @@ from armimp_common.topics import DATA_STREAMS, PERIOD_NS, TOPICS, TRIAL
 from armimp_estimation.bags.mcap_reader import MAGIC
 from armimp_estimation.bags.writer import HEAD as OUR_HEAD
 from support.command import Told, call
+from support.places import contents
 from support.streams import trial_status
 from support.synthetic_bags import Message, recorded_arm, synthetic_recording
 
@@ -407,12 +408,6 @@ def _alone(work: Callable[..., T], *arguments: object) -> T:
         return process.submit(work, *arguments).result()
 
 
-def witnessed(directory: Path) -> dict[str, bytes]:
-    """Contents of the files that must stay untouched."""
-    inside = (directory / WITNESS).rglob("*")
-    return {str(path): path.read_bytes() for path in inside if path.is_file()}
-
-
 def tried(name: str, directory: Path) -> Outcome:
     """Let the command read the file of an attack in an empty directory, and measure."""
     inside = directory / "inside"
@@ -421,7 +416,7 @@ def tried(name: str, directory: Path) -> Outcome:
     for name_of_file in ("canary", ".canary"):
         (directory / WITNESS / name_of_file).write_bytes(b"ten years of work")
     arguments = _alone(_written, name, inside)
-    before = witnessed(directory)
+    before = contents(directory / WITNESS)
     cutter = _SERVER.Process(target=_cut, args=arguments[1:2])
     if "cut while it is read" in name:
         cutter.start()
@@ -431,5 +426,5 @@ def tried(name: str, directory: Path) -> Outcome:
         if cutter.is_alive():
             cutter.kill()
             cutter.join()
-    untouched = witnessed(directory) == before
+    untouched = contents(directory / WITNESS) == before
     return Outcome(told=told, seconds=seconds, memory=memory, untouched=untouched)

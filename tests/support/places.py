@@ -1,4 +1,4 @@
-"""Where the parts of the project are."""
+"""Where the parts of the project are, and what is in a folder."""
 
 from pathlib import Path
 
@@ -10,3 +10,12 @@ SOURCES = {
 }
 """Folders of the packages, those of the examples included."""
 PACKAGES = sorted(SOURCES)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Files of a folder by their path in it, without what Python has compiled."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }

@@ -16,6 +16,9 @@ from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import Plant, read
 from armimp_sim.simulator import SimulatedRig
 
+COMMANDS = np.random.default_rng(4).uniform(-5.0, 5.0, (60, 2))
+"""Random commands for two joints, N·m, (ticks, 2)."""
+
 
 def rig(arm: HumanArm, robot: PlanarChain, **parts: Any) -> SimulatorParameters:
     """A rig of an arm and a robot, ideal but for the other parts that are given."""
@@ -39,6 +42,17 @@ def state_of(plant: Plant) -> Array:
     n, lanes = len(plant.batch.joints), len(plant.position)
     states: Array = plant.batch.w[:, : 3 * n].swapaxes(1, 2).reshape(-1, 3, n)
     return np.array(states[:lanes])
+
+
+def run(rig: SimulatorParameters | Plant, commands: Array = COMMANDS) -> tuple[Array, Array]:
+    """States and torque readings of each tick: (ticks, ...)."""
+    plant = rig if isinstance(rig, Plant) else Plant([rig])
+    states, torques = [], []
+    for command in commands:
+        plant.tick(command[None], np.zeros((1, command.size)))
+        states.append(state_of(plant)[0])
+        torques.append(plant.torque[0].copy())
+    return np.array(states), np.array(torques)
 
 
 def set_state(plant: Plant, state: Array) -> None:

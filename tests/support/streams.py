@@ -1,18 +1,37 @@
-"""Streams fed with messages by hand, without a middleware."""
+"""Streams fed with messages by hand, without a middleware, and trials assembled from them."""
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 from pydantic import BaseModel
 
-from armimp_common.cdr import decode_trial_status
+from armimp_common.cdr import decode_trial_status, decode_trial_statuses
 from armimp_common.status import Phase, TrialStatus
 from armimp_common.topics import DATA_STREAMS, PERTURBATION, TRIAL
+from armimp_estimation.alignment.assemble import Trial, assemble_trials
+from armimp_estimation.alignment.streams import decode_streams
 from armimp_estimation.alignment.synchronizer import StreamSynchronizer
 from armimp_estimation.recorder import TrialRecorder
 from support.synthetic_bags import Message
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
+Topics: TypeAlias = dict[str, list[bytes]]
+
+
+def statuses_of(topics: Topics) -> list[TrialStatus]:
+    statuses, problem = decode_trial_statuses(topics.get(TRIAL, []))
+    assert not problem
+    return statuses
+
+
+def trials_of(
+    topics: Topics,
+    statuses: Sequence[TrialStatus] | None = None,
+    joint_names: Sequence[str] = ("shoulder", "elbow"),
+) -> list[Trial]:
+    """Trials assembled from messages, with other statuses than theirs if these are given."""
+    streams = decode_streams(joint_names, topics)
+    return list(assemble_trials(streams, statuses_of(topics) if statuses is None else statuses))
 
 
 def fed_synchronizer() -> tuple[StreamSynchronizer, dict[str, Callable[[bytes], None]]]:

@@ -18,6 +18,7 @@ from armimp_driver_template.parameters import (
 )
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.simulator import SimulatedRig
+from support import known
 
 
 def make(mode: str = "lockstep", **options: Any) -> MockDevice:
@@ -48,8 +49,7 @@ def test_converted_counts_are_the_readings_of_the_simulated_rig_to_the_last_bit(
     transducers = Sensors("transducer", parameters.transducer, 2)
     rig, script = SimulatedRig(SimulatorParameters.preset()), commands(300)
 
-    for number, frame in enumerate(answers(make(), script)):
-        assert frame is not None
+    for number, frame in enumerate(map(known, answers(make(), script))):
         assert frame.counter == number
         assert encoders.angles(frame.encoder) == tuple(rig.position.tolist())
         assert transducers.values(frame.transducer) == tuple(rig.torque.tolist())
@@ -93,8 +93,7 @@ def test_readings_and_commands_survive_any_wiring_signs_and_gears() -> None:
         transducers = Sensors("transducer", parameters.transducer, 2)
         found = []
         for torque in [(0.0, 0.0), *commands(200)]:
-            frame = device.receive(0.1)
-            assert frame is not None
+            frame = known(device.receive(0.1))
             angles = encoders.angles(wiring.to_joints(frame.encoder))
             found.append((*angles, *transducers.values(wiring.to_joints(frame.transducer))))
             device.send(wiring.to_device(drives.of_drives(torque)))

@@ -407,9 +407,6 @@ def test_nothing_is_judged_by_motion_where_nothing_moved(sound: Record) -> None:
     assert {MIXED, SIGN, "torque: delay"} <= unsure(record)
 
 
-LEFT = set(REPORTED[1:])
-
-
 def test_when_commands_are_held_up_and_the_driver_stops_expect_no_judgement() -> None:
     record = moved(Driver(held_up=lambda tick: tick in range(1500, 1510)))
     assert record.moves.missing.startswith("the driver stopped: arm_sim: rig: no command")
@@ -432,7 +429,7 @@ def test_a_driver_that_stops_by_itself_or_goes_astray_is_named_and_the_rest_is_i
     driver = Driver(**defects)
     record = moved(driver)
     assert failed(record) == [named]
-    assert unsure(record) >= LEFT
+    assert unsure(record) >= set(REPORTED[1:])
     assert driver.rig.fault == fault
 
 

@@ -7,7 +7,6 @@ import sys
 from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 from rich.console import Console
@@ -20,6 +19,7 @@ from armimp_common.topics import COMMANDS
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.result import Result, load_result
 from armimp_estimation.summary import read_summary
+from support import known
 from support.results import make_result
 from support.streams import changed
 from support.synthetic_bags import recorded_arm
@@ -54,9 +54,9 @@ def test_wall_times_and_origin_become_part_of_the_summary_and_change_nothing_els
     before = read_summary(directory / "summary.json")
     assert present(Result(summary=before), directory, as_json=False, stopwatch=stopwatch) == 0
     after = read_summary(directory / "summary.json")
-    assert after.wall is not None
-    assert after.wall.before > 1.0
-    assert (after.wall.trials, after.wall.result, after.wall.after) == (1.0, 1.0, 2.0)
+    wall = known(after.wall)
+    assert wall.before > 1.0
+    assert (wall.trials, wall.result, wall.after) == (1.0, 1.0, 2.0)
     assert after.origin is not None
     assert after.model_copy(update={"wall": None, "origin": None}) == before
     assert "until the first sample" in capsys.readouterr().out
@@ -85,15 +85,10 @@ def test_trials_last_from_the_first_sample_to_the_last_one_that_is_perturbed(
 
 
 def test_problems_are_listed_by_their_effect_and_one_cause_takes_one_line(directory: Path) -> None:
-    late: dict[str, Any] = {
-        "count": 300,
-        "ticks": 20_000,
-        "late_ms": 0.25,
-        "percent": 1.5,
-        "limit": 1.0,
-    }
     problems = [
-        problem(ProblemCode.SAMPLES_LATE, **late),
+        problem(
+            ProblemCode.SAMPLES_LATE, count=300, ticks=20_000, late_ms=0.25, percent=1.5, limit=1.0
+        ),
         problem(ProblemCode.STALLED, seconds=30.0),
         problem(ProblemCode.LATENCY, ms=2.0, limit=1.0),
         Problem(
@@ -101,16 +96,11 @@ def test_problems_are_listed_by_their_effect_and_one_cause_takes_one_line(direct
             estimator="welch_siso",
             values={"name": "a", "perturbed": "b", "percent": 4.0, "limit": 2.0, "estimator": "x"},
         ),
-        Problem(
-            code=ProblemCode.DELAY_CORRECTED,
-            severity=Severity.NOTE,
-            values={"delay_ms": 1.0, "error_ms": 0.1},
-        ),
+        problem(ProblemCode.DELAY_CORRECTED, severity=Severity.NOTE, delay_ms=1.0, error_ms=0.1),
     ]
     summary = read_summary(directory / "summary.json")
     deciding = {
-        name: one.model_copy(update={"decides": name != "welch_siso"})
-        for name, one in summary.estimators.items()
+        name: changed(one, decides=name != "welch_siso") for name, one in summary.estimators.items()
     }
     told = complaints(summary.model_copy(update={"problems": problems, "estimators": deciding}))
     kinds = [line.partition(": ")[0] for line in told]

@@ -22,6 +22,7 @@ from armimp_bringup.study.scores import (
 from armimp_bringup.study.study import run_study
 from armimp_common.errors import ConfigurationError
 from armimp_estimation.summary import read_frf
+from support.places import contents
 from support.results import read_study, threads
 
 BASE = ExperimentConfig(duration=4.0, estimators=("welch_siso", "lpm_full"))
@@ -42,10 +43,6 @@ def entries(study: Path) -> list[StudyEntry]:
     return read_study(study / "study.json")
 
 
-def _bytes(directory: Path) -> dict[str, bytes]:
-    return {name: (directory / name).read_bytes() for name in TABLES}
-
-
 def test_study_leaves_all_its_files_and_no_others(study: Path) -> None:
     found = {path.name for path in study.iterdir()}
     assert found == {*TABLES, "conditions"}
@@ -58,14 +55,14 @@ def test_number_of_workers_makes_no_difference(study: Path, tmp_path: Path) -> N
     verdict = run_study(BASE, CONDITIONS, tmp_path / "out", threads(3), figures=False)
     stored = StudyVerdict.model_validate_json((study / "verdict.json").read_bytes())
     assert stored == verdict
-    assert _bytes(tmp_path / "out") == _bytes(study)
+    assert contents(tmp_path / "out") == contents(study)
 
 
 def test_a_directory_that_holds_something_is_refused_and_left_alone(study: Path) -> None:
-    before = _bytes(study)
+    before = contents(study)
     with pytest.raises(ConfigurationError, match="is not empty, nothing is overwritten"):
         run_study(BASE, CONDITIONS, study, threads(1), figures=False)
-    assert _bytes(study) == before
+    assert contents(study) == before
 
 
 def test_report_is_written_without_figures_and_says_how_far_each_missed_target_is(

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,28 +13,41 @@ from std_msgs.msg import UInt64
 from armimp_common import heartbeat, topics
 from armimp_common.cdr import JointStateEncoder
 from armimp_common.executor import Spinner
-from armimp_common.pubsub import create_publisher, subscribe
+from armimp_common.pubsub import (
+    JointStatePublisher,
+    create_publisher,
+    subscribe,
+    subscribe_decoded,
+    wait_for_partners,
+)
 from armimp_common.schema import Value
 from armimp_common.status import (
     NOTICE_TICKS,
     Level,
     Phase,
     StoppingDecision,
+    TrialStatus,
     status_message,
     values_of,
 )
 from armimp_common.topics import ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
 from armimp_control.node import ImbicControllerNode
 from armimp_control.safety_limiter import SafetyParameters
-from support.controller import FAILURE, NAMES, POSTURE, SUCCESS, ask, controller_parameters, wobble
+from support.controller import (
+    FAILURE,
+    NAMES,
+    POSTURE,
+    SUCCESS,
+    Partner,
+    controller_parameters,
+    wobble,
+)
 from support.graph import (
     CLOCK_STEPS,
-    HandedClock,
     Launch,
-    ScriptedDriver,
     a_moment,
     assert_locked_while_active,
-    eventually,
+    raised,
     report,
     set_clock,
 )
@@ -50,51 +64,117 @@ SILENCE = "gave no sign of life for 6 s: it is dead or stopped"
 IMPATIENT: dict[str, Value] = {"safety.slowest_tick": 0.06, "safety.watchdog_ticks": 5}
 
 
-class World:
-    """A scripted rig, and the controllers that are launched for it."""
+class World(Partner):
+    """A rig that feeds samples to a controller and keeps its answers."""
 
     before = 60
     """Answers from before a test expects an abort."""
 
     def __init__(self, node: Node, spinner: Spinner, launch: Launch) -> None:
-        self.node, self.spinner, self.launch = node, spinner, launch
-        self.driver = ScriptedDriver(node, NAMES, start_ns=START)
+        super().__init__(node, spinner)
+        self.launch, self.tick = launch, 0
+        self.channels = {
+            topic: JointStatePublisher(node, topic, NAMES)
+            for topic in (topics.JOINT_STATES, topics.TORQUE_SENSORS)
+        }
+        self.commands: list[tuple[float, ...]] = []
+        self.perturbations: list[tuple[float, ...]] = []
+        self.messages: list[DiagnosticStatus] = []
+        self.subscriptions = [
+            subscribe_decoded(node, topic, NAMES, partial(self.keep, answers), raised)
+            for topic, answers in (
+                (topics.COMMANDS, self.commands),
+                (topics.PERTURBATION, self.perturbations),
+            )
+        ]
+        self.subscriptions.append(subscribe(node, topics.TRIAL, self.messages.append))
+
+    def keep(self, answers: list[tuple[float, ...]], _: int, values: tuple[float, ...]) -> None:
+        answers.append(values)
 
     def bring_up(self, changes: Mapping[str, Value] | None = None) -> ImbicControllerNode:
-        """A controller that is active, and that the driver reaches."""
+        """A controller that is active, and that the rig reaches."""
         controller: ImbicControllerNode = self.launch(ImbicControllerNode, PARAMETERS, changes)
         assert controller.trigger_configure() is SUCCESS, controller.transition_error
         assert controller.trigger_activate() is SUCCESS, controller.transition_error
-        self.driver.wait_for_controller()
+        channels = self.channels.values()
+        wait_for_partners(self.node, publishers=channels, subscriptions=self.subscriptions)
         return controller
 
     def start(self, changes: Mapping[str, Value] | None = None) -> ImbicControllerNode:
         """Bring a controller up, and have it command torque in 60 answers."""
         controller = self.bring_up(changes)
         for theta, tau_h in wobble(60):
-            self.driver.feed(theta, tau_h)
-        self.driver.await_answers(self.spinner)
-        assert self.driver.commands[-1] != ZERO
+            self.publish(theta, tau_h)
+        self.await_answers()
+        assert self.commands[-1] != ZERO
         return controller
 
+    @property
+    def stamp_ns(self) -> int:
+        """Stamp of the next sample (ns)."""
+        return START + self.tick * topics.PERIOD_NS
+
+    @property
+    def statuses(self) -> list[TrialStatus]:
+        """Trial statuses received."""
+        return [TrialStatus.from_values(values_of(message)) for message in self.messages]
+
+    def has_said(self, phase: Phase) -> bool:
+        """Whether the controller announced this phase."""
+        return any(status.phase is phase for status in self.statuses)
+
+    def publish(
+        self, theta: Sequence[float] = POSTURE, tau_h: Sequence[float] = ZERO, ticks: int = 1
+    ) -> None:
+        """Publish identical samples: angles (rad) and torques on the arm (N·m)."""
+        for _ in range(ticks):
+            for channel, values in zip(self.channels.values(), (theta, tau_h), strict=True):
+                channel.publish(self.stamp_ns, values)
+            self.tick += 1
+
     def feed(self, ticks: int, theta: Sequence[float] = POSTURE) -> None:
-        """Feed samples that are alike, and wait for the answers."""
-        self.driver.feed(theta, ticks=ticks)
-        self.driver.await_answers(self.spinner)
+        """Publish samples that are alike, and wait for the answers."""
+        self.publish(theta, ticks=ticks)
+        self.await_answers()
+
+    def await_answers(self) -> None:
+        answers = (self.commands, self.perturbations)
+        self.until(lambda: min(map(len, answers)) >= self.tick, "an answer to every sample")
+
+    def await_phase(self, phase: Phase) -> TrialStatus:
+        """Wait until the controller announces a phase, and return its first status of it."""
+        self.until(lambda: self.has_said(phase), f"the phase {phase.value}")
+        return next(status for status in self.statuses if status.phase is phase)
 
     def await_abort(self) -> str:
         """Wait for the end of the trial with at least one more command, and return the reason."""
-        driver = self.driver
-        eventually(
-            self.spinner,
-            lambda: driver.has_said(Phase.ABORTED) and len(driver.commands) > self.before,
-            "an abort",
+        self.until(
+            lambda: self.has_said(Phase.ABORTED) and len(self.commands) > self.before, "an abort"
         )
-        assert driver.messages[-1].level == bytes([Level.ERROR])
-        return driver.statuses[-1].reason
+        assert self.messages[-1].level == bytes([Level.ERROR])
+        return self.statuses[-1].reason
 
-    def ask(self, service: str) -> tuple[bool, str]:
-        return ask(self.node, self.spinner, service)
+
+class HandedClock:
+    """Replaces the module ``time`` of a node, so that the load of the machine has no effect."""
+
+    def __init__(self) -> None:
+        self.now = 1000.0
+        self.pace = 0.0
+
+    def monotonic(self) -> float:
+        """Return the time (s)."""
+        self.now += self.pace
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> HandedClock:
+    """The clock of controllers in this process, which stands still until a test advances it."""
+    clock = HandedClock()
+    monkeypatch.setattr("armimp_control.node.time", clock)
+    return clock
 
 
 @pytest.fixture
@@ -116,17 +196,16 @@ def test_when_a_sample_is_malformed_expect_zero_torque_and_an_abort(
     world: World, topic: str, message: bytes
 ) -> None:
     world.start()
-    driver = world.driver
 
-    driver.channels[topic].publisher.publish(message)
+    world.channels[topic].publisher.publish(message)
     reason = world.await_abort()
 
-    assert driver.commands[60:] == [ZERO]
+    assert world.commands[60:] == [ZERO]
     assert reason.startswith("malformed sensor message: JointState")
     assert "\n" not in reason
     world.feed(10)
-    assert set(driver.commands[60:]) == {ZERO}
-    assert {values for _, values in driver.perturbations[60:]} == {ZERO}
+    assert set(world.commands[60:]) == {ZERO}
+    assert set(world.perturbations[60:]) == {ZERO}
 
 
 @pytest.mark.parametrize(
@@ -137,18 +216,17 @@ def test_when_a_reading_without_a_partner_is_not_finite_expect_zero_torque_at_on
     world: World, topic: str, what: str
 ) -> None:
     world.start()
-    driver = world.driver
 
     for _ in range(3):
-        driver.channels[topic].publish(driver.stamp_ns + 10**15, (math.nan, 1.0))
+        world.channels[topic].publish(world.stamp_ns + 10**15, (math.nan, 1.0))
     reason = world.await_abort()
     assert reason == f"{what} of joint 1 is not finite: nan"
-    driver.feed(POSTURE, ticks=3)
-    eventually(world.spinner, lambda: len(driver.perturbations) >= 63, "an answer to every sample")
+    world.publish(ticks=3)
+    world.until(lambda: len(world.perturbations) >= 63, "an answer to every sample")
 
     # One command is enough beside the answers: in lockstep each is a step.
-    eventually(world.spinner, lambda: len(driver.commands) >= 64, "the commands")
-    assert driver.commands[60:] == [ZERO] * 4
+    world.until(lambda: len(world.commands) >= 64, "the commands")
+    assert world.commands[60:] == [ZERO] * 4
 
 
 @pytest.mark.parametrize("clock_step", [None, *CLOCK_STEPS])
@@ -156,33 +234,32 @@ def test_when_samples_stay_away_expect_the_torque_ramped_to_zero_and_an_abort(
     world: World, clock: HandedClock, clock_step: float | None
 ) -> None:
     controller = world.start({**IMPATIENT, "safety.ramp_time": 0.05})
-    driver = world.driver
     if clock_step is not None:
         set_clock(controller, clock_step)
 
-    last = np.abs(driver.commands[59])
+    last = np.abs(world.commands[59])
     a_moment(world.spinner)
-    assert len(driver.commands) == 60
+    assert len(world.commands) == 60
     clock.pace = 0.005
     reason = world.await_abort()
-    eventually(world.spinner, lambda: driver.commands[-1] == ZERO, "zero torque")
+    world.until(lambda: world.commands[-1] == ZERO, "zero torque")
     a_moment(world.spinner)
 
-    ramp = np.array([last, *np.abs(driver.commands[60:])])
+    ramp = np.array([last, *np.abs(world.commands[60:])])
     assert (np.diff(ramp, axis=0) <= 0.0).all()
     assert len(np.unique(ramp)) > 5
-    assert driver.commands[-1] == ZERO
+    assert world.commands[-1] == ZERO
     assert reason == "no sensor sample arrived any more"
 
 
 def test_emergency_stop_takes_the_torque_away_at_once_and_for_good(world: World) -> None:
     controller = world.start()
 
-    success, message = world.ask(topics.CONTROLLER_STOP_SERVICE)
+    success, message = world.call(topics.CONTROLLER_STOP_SERVICE)
     assert success
     assert message == "no torque until imbic_controller/reset is called"
     assert world.await_abort() == "emergency stop"
-    assert world.driver.commands[60:] == [ZERO]
+    assert world.commands[60:] == [ZERO]
     world.feed(20)
     assert controller.trigger_deactivate() is SUCCESS
     assert controller.trigger_activate() is FAILURE
@@ -192,10 +269,10 @@ def test_emergency_stop_takes_the_torque_away_at_once_and_for_good(world: World)
     assert controller.trigger_cleanup() is SUCCESS
     assert controller.trigger_configure() is SUCCESS
     assert controller.trigger_activate() is FAILURE
-    assert set(world.driver.commands[60:]) == {ZERO}
+    assert set(world.commands[60:]) == {ZERO}
 
     told = "reset: emergency stop; the next activation begins a new experiment"
-    assert world.ask(topics.CONTROLLER_RESET_SERVICE) == (True, told)
+    assert world.call(topics.CONTROLLER_RESET_SERVICE) == (True, told)
     assert controller.trigger_activate() is SUCCESS, controller.transition_error
 
 
@@ -211,21 +288,20 @@ def test_while_the_cause_persists_expect_reset_refused(
 ) -> None:
     world.start()
     world.feed(20, theta)
-    assert world.driver.commands[-1] == ZERO
-    success, message = world.ask(topics.CONTROLLER_RESET_SERVICE)
+    assert world.commands[-1] == ZERO
+    success, message = world.call(topics.CONTROLLER_RESET_SERVICE)
     assert not success
     assert message.startswith(f"not reset: the cause persists: {reason}")
 
     world.feed(20)
-    success, message = world.ask(topics.CONTROLLER_RESET_SERVICE)
+    success, message = world.call(topics.CONTROLLER_RESET_SERVICE)
     assert success
     assert message.startswith(f"reset: {reason}")
-    assert world.ask(topics.CONTROLLER_RESET_SERVICE) == (True, "there was no fault")
+    assert world.call(topics.CONTROLLER_RESET_SERVICE) == (True, "there was no fault")
 
 
 def test_clips_and_fault_go_out_at_a_low_rate_and_at_once_on_a_fault(world: World) -> None:
     heard: list[DiagnosticStatus] = []
-    driver = world.driver
 
     def hear(message: DiagnosticArray) -> None:
         heard.extend(message.status)
@@ -233,17 +309,17 @@ def test_clips_and_fault_go_out_at_a_low_rate_and_at_once_on_a_fault(world: Worl
     subscribe(world.node, topics.DIAGNOSTICS, hear)
     world.bring_up({"safety.torque_limit": 1e-3, "sequence.duration": 2.0})
     for tick, (theta, tau_h) in enumerate(wobble(1010)):
-        driver.feed(theta, tau_h)
+        world.publish(theta, tau_h)
         if tick % 100 == 0:
-            driver.await_answers(world.spinner)
-    eventually(world.spinner, lambda: len(heard) == 1, "diagnostics")
+            world.await_answers()
+    world.until(lambda: len(heard) == 1, "diagnostics")
     values = values_of(heard[0])
     assert (heard[0].level, heard[0].message) == (bytes([Level.WARN]), "commands were clipped")
     assert values["tick"] == "1000"
     assert int(values["clipped_torque"]) > 0
 
-    driver.feed((math.nan, 0.0))
-    eventually(world.spinner, lambda: len(heard) == 2, "diagnostics of the fault")
+    world.publish((math.nan, 0.0))
+    world.until(lambda: len(heard) == 2, "diagnostics of the fault")
     assert heard[1].level == bytes([Level.ERROR])
     assert heard[1].message == values_of(heard[1])["fault"]
     assert heard[1].message == "position of joint 1 is not finite: nan"
@@ -257,7 +333,7 @@ def test_while_active_changes_are_refused_with_a_reason(world: World) -> None:
 def test_when_ended_during_a_trial_expect_zero_torque_and_an_abort(world: World, how: str) -> None:
     getattr(world.start(), how)()
     world.await_abort()
-    assert world.driver.commands[60:] == [ZERO]
+    assert world.commands[60:] == [ZERO]
 
 
 # --- The surroundings: the experiment ends when one of the others is lost -----------------------
@@ -278,15 +354,15 @@ class Surrounded(World):
     def assert_going_on(self) -> None:
         """The answer to one more sample is a torque."""
         self.feed(1, OFF)
-        self.before = self.driver.tick
-        assert self.driver.commands[-1] != ZERO
-        assert not self.driver.has_said(Phase.ABORTED)
+        self.before = self.tick
+        assert self.commands[-1] != ZERO
+        assert not self.has_said(Phase.ABORTED)
 
     def assert_aborted(self, reason: str) -> None:
         assert self.await_abort() == reason
-        self.driver.feed(OFF)
-        eventually(self.spinner, lambda: len(self.driver.commands) > self.before + 1, "an answer")
-        assert set(self.driver.commands[self.before :]) == {ZERO}
+        self.publish(OFF)
+        self.until(lambda: len(self.commands) > self.before + 1, "an answer")
+        assert set(self.commands[self.before :]) == {ZERO}
 
 
 @pytest.fixture
@@ -332,7 +408,7 @@ def test_when_this_process_was_held_up_expect_no_torque_for_a_rig_that_has_died_
         monitor._timer.cancel()
         monitor.checked = clock.now - 0.1
 
-    around.driver.feed(OFF)
+    around.publish(OFF)
 
     around.assert_aborted(f"{SIM_NODE} is dead")
 
@@ -340,7 +416,7 @@ def test_when_this_process_was_held_up_expect_no_torque_for_a_rig_that_has_died_
 def test_when_the_recorder_takes_leave_expect_zero_torque(around: Surrounded) -> None:
     around.surround()
     around.received.publish(UInt64(data=0))
-    eventually(around.spinner, lambda: around.controller._recorded, "the recorder is known")
+    around.until(lambda: around.controller._recorded, "the recorder is known")
     around.assert_going_on()
 
     around.received.publish(UInt64(data=topics.RECORDER_GONE))
@@ -355,8 +431,8 @@ def test_when_a_sample_comes_after_a_stall_before_anyone_looked_expect_an_abort_
 
     # Nothing is spun: the process is held up, and finds timer and sample waiting afterwards.
     clock.now += 0.02
-    around.controller._on_reading(0, around.driver.stamp_ns, OFF)
-    around.controller._on_reading(1, around.driver.stamp_ns, ZERO)
+    around.controller._on_reading(0, around.stamp_ns, OFF)
+    around.controller._on_reading(1, around.stamp_ns, ZERO)
 
     assert around.await_abort() == "no sensor sample arrived any more"
 
@@ -381,20 +457,20 @@ class Judged(World):
         self.judge = create_publisher(node, topics.STOPPING)
         trial: dict[str, Value] = {"sequence.duration": LONG / 1000, "sequence.may_end_early": True}
         self.controller = self.bring_up(trial)
-        eventually(spinner, lambda: self.judge.get_subscription_count() == 1, "who is judged")
-        self.driver.feed(POSTURE, ticks=SETTLE + 1)
-        self.driver.await_phase(Phase.PERTURB, spinner)
+        self.until(lambda: self.judge.get_subscription_count() == 1, "who is judged")
+        self.publish(ticks=SETTLE + 1)
+        self.await_phase(Phase.PERTURB)
         self.judge.publish(status_message(ANNOUNCED))
         sequencer = self.controller._sequencer
         assert sequencer is not None
-        eventually(spinner, lambda: sequencer._due is not None, "the decision to come is known")
+        self.until(lambda: sequencer._due is not None, "the decision to come is known")
 
     def feed_up_to_the_decision(self) -> None:
         """Feed all samples before the one at which the trial may end, and then that one."""
         self.feed(END - 1)
-        self.driver.feed(POSTURE)
-        eventually(self.spinner, lambda: self.controller._held is not None, "a sample that waits")
-        assert len(self.driver.commands) == len(self.driver.perturbations) == SETTLE + END
+        self.publish()
+        self.until(lambda: self.controller._held is not None, "a sample that waits")
+        assert len(self.commands) == len(self.perturbations) == SETTLE + END
 
 
 @pytest.fixture
@@ -409,9 +485,9 @@ def test_in_lockstep_the_sample_that_a_decision_is_about_is_answered_after_it(
     judged.feed_up_to_the_decision()
 
     judged.judge.publish(status_message(decision))
-    judged.driver.await_answers(judged.spinner)
-    judged.driver.feed(POSTURE, ticks=LONG)
-    rest = judged.driver.await_phase(Phase.REST, judged.spinner)
+    judged.await_answers()
+    judged.publish(ticks=LONG)
+    rest = judged.await_phase(Phase.REST)
 
     assert (rest.tick, rest.ticks, rest.valid) == (SETTLE + ticks, ticks, True)
 
@@ -422,7 +498,7 @@ def test_when_an_announced_decision_does_not_come_expect_the_end_with_that_reaso
     judged.feed_up_to_the_decision()
     clock.now += 60.0
 
-    aborted = judged.driver.await_phase(Phase.ABORTED, judged.spinner)
+    aborted = judged.await_phase(Phase.ABORTED)
 
     assert aborted.reason == "the estimator does not say whether the trial is over"
-    eventually(judged.spinner, lambda: judged.driver.commands[-1] == (0.0, 0.0), "zero torque")
+    judged.until(lambda: judged.commands[-1] == (0.0, 0.0), "zero torque")

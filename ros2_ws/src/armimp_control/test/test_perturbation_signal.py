@@ -1,6 +1,5 @@
 """Perturbations: noise, multisines and optimal ones, and the low-pass of the first."""
 
-from functools import partial
 from itertools import product
 
 import numpy as np
@@ -26,12 +25,26 @@ from armimp_control.perturbation import (
     perturbation,
 )
 
-CONFIG = PerturbationParameters(peak=(9.0, 5.4))
 PRIORS = (
     JointPrior(arm=(0.187, 0.9, 12.0), target=(0.2, 2.0, 10.0)),
     JointPrior(arm=(0.06, 0.29, 3.8), target=(0.1, 1.0, 10.0)),
 )
-_signal = partial(perturbation, CONFIG, joint=0, trial=1, seed=1, prior=PRIORS[0])
+MULTISINE = presets.perturbation(3, 2, "multisine")
+
+
+def _signal(
+    kind: PerturbationKind = "noise",
+    *angles: float,
+    joint: int = 0,
+    trial: int = 0,
+    ticks: int = 50_000,
+    seed: int = 1,
+) -> Array:
+    """A perturbation at level 3 with limits of the rms angles, rad, in the trial of its joint."""
+    limits = {"angle_limit": angles or (0.0,)}
+    parameters = presets.perturbation(3, 2, kind).model_copy(update=limits)
+    prior, trial = PRIORS[joint], trial or joint + 1
+    return perturbation(parameters, joint=joint, trial=trial, ticks=ticks, seed=seed, prior=prior)
 
 
 @settings(deadline=None)
@@ -48,7 +61,7 @@ def test_largest_value_is_the_peak_exactly(peak: float, ticks: int, seed: int) -
 
 
 def test_trials_and_seeds_have_independent_streams() -> None:
-    streams = [_signal(trial=trial, seed=seed, ticks=50_000) for trial in (1, 2) for seed in (1, 2)]
+    streams = [_signal(trial=trial, seed=seed) for trial in (1, 2) for seed in (1, 2)]
     correlation = np.corrcoef(streams) - np.eye(4)
     # 50 s at 15 Hz are about 1500 independent values: chance correlation is about 0.026.
     assert np.max(np.abs(correlation)) < 0.12
@@ -76,13 +89,9 @@ def test_the_filter_and_what_leaves_it_are_those_of_scipy_to_the_last_bit(cutoff
     assert np.array_equal(filtered(sections, white), signal.sosfilt(sections, white))
 
 
-MULTISINE = presets.perturbation(3, 2, "multisine")
 DURATIONS = [(50_000, 7142), (12_000, 3000), (2000, 1000)]
 """Samples of some trials, and of the period that each gets."""
 PERIOD = DURATIONS[0][1]
-_multisine = partial(
-    perturbation, MULTISINE, joint=0, trial=1, ticks=50_000, seed=1, prior=PRIORS[0]
-)
 
 
 def _lines_of(period: Array) -> NDArray[np.intp]:
@@ -92,7 +101,7 @@ def _lines_of(period: Array) -> NDArray[np.intp]:
 
 @pytest.mark.parametrize(("ticks", "period"), DURATIONS)
 def test_multisines_repeat_to_the_bit_and_begin_near_zero(ticks: int, period: int) -> None:
-    signal = _multisine(ticks=ticks)
+    signal = _signal("multisine", ticks=ticks)
     assert np.array_equal(signal[period:], signal[:-period])
     assert abs(signal[0]) == np.min(np.abs(signal))
 
@@ -109,14 +118,14 @@ def test_a_whole_number_of_periods_fills_the_trial_but_for_a_few_samples(ticks: 
 @pytest.mark.parametrize("ticks", dict(DURATIONS))
 def test_crest_factor_is_below_1_8_at_the_rms_of_the_noise(ticks: int) -> None:
     for seed, joint in product(range(10), range(2)):
-        signal = _multisine(joint=joint, trial=joint + 1, ticks=ticks, seed=seed)
+        signal = _signal("multisine", joint=joint, ticks=ticks, seed=seed)
         rms = float(np.sqrt(np.mean(signal[: dict(DURATIONS)[ticks]] ** 2)))
         assert np.max(np.abs(signal)) < 1.8 * rms
         assert rms == pytest.approx(MULTISINE.peak[joint] / CREST_OF_NOISE, rel=0.01)
 
 
 def test_lines_are_odd_of_equal_amplitude_and_one_of_four_is_left_out() -> None:
-    period = _multisine()[:PERIOD]
+    period = _signal("multisine")[:PERIOD]
     lines = _lines_of(period)
     assert (lines % 2 == 1).all()
     amplitudes = np.abs(np.fft.rfft(period))[lines]
@@ -131,29 +140,17 @@ def test_lines_are_odd_of_equal_amplitude_and_one_of_four_is_left_out() -> None:
 
 
 def test_trials_have_their_own_phases_and_the_same_lines_and_seeds_have_other_ones() -> None:
-    first, second = (_multisine(trial=trial)[:PERIOD] for trial in (1, 2))
+    first, second = (_signal("multisine", trial=trial)[:PERIOD] for trial in (1, 2))
     assert np.array_equal(_lines_of(first), _lines_of(second))
     assert abs(np.corrcoef(first, second)[0, 1]) < 0.5
-    assert not np.array_equal(_lines_of(first), _lines_of(_multisine(seed=2)[:PERIOD]))
-    assert np.array_equal(first, _multisine(trial=1)[:PERIOD])
+    assert not np.array_equal(_lines_of(first), _lines_of(_signal("multisine", seed=2)[:PERIOD]))
+    assert np.array_equal(first, _signal("multisine", trial=1)[:PERIOD])
 
 
 # --- The optimal multisine: more informative about M, B and K within the same limits ------------
 
 ANGLES = (0.044, 0.037)
 """Limits of the rms angle of each joint, rad."""
-
-
-def _parameters(kind: PerturbationKind, *angles: float) -> PerturbationParameters:
-    flat = presets.perturbation(3, 2, kind)
-    return flat.model_copy(update={"angle_limit": angles or (0.0,)})
-
-
-def _best(parameters: PerturbationParameters, *, joint: int, ticks: int, seed: int = 1) -> Array:
-    prior = PRIORS[joint]
-    return perturbation(
-        parameters, joint=joint, trial=joint + 1, ticks=ticks, seed=seed, prior=prior
-    )
 
 
 def _spectrum(period: Array) -> tuple[Array, Array]:
@@ -178,9 +175,9 @@ def _worst_variance(period: Array, prior: JointPrior) -> float:
 def test_an_optimal_multisine_is_more_informative_than_a_flat_one_at_the_same_limits(
     joint: int, ticks: int, period: int
 ) -> None:
-    prior, peak = PRIORS[joint], presets.perturbation(3, 2).peak[joint]
-    best = _best(_parameters("optimal", *ANGLES), joint=joint, ticks=ticks)[:period]
-    flat = _best(_parameters("multisine"), joint=joint, ticks=ticks)[:period]
+    prior, peak = PRIORS[joint], MULTISINE.peak[joint]
+    best = _signal("optimal", *ANGLES, joint=joint, ticks=ticks)[:period]
+    flat = _signal("multisine", joint=joint, ticks=ticks)[:period]
     flat *= min(peak / np.max(np.abs(flat)), ANGLES[joint] / prior.rms_angle(*_spectrum(flat)))
     worst = [_worst_variance(one, prior) for one in (best, flat)]
     assert worst[0] < 0.7 * worst[1]
@@ -188,25 +185,22 @@ def test_an_optimal_multisine_is_more_informative_than_a_flat_one_at_the_same_li
 
 @pytest.mark.parametrize(("ticks", "period"), DURATIONS)
 def test_limits_of_torque_angle_and_crest_factor_are_held(ticks: int, period: int) -> None:
-    for seed in range(4):
-        for joint in range(2):
-            whole = _best(_parameters("optimal", *ANGLES), joint=joint, ticks=ticks, seed=seed)
-            one = whole[:period]
-            assert np.array_equal(whole[period:], whole[:-period])
-            assert crest_factor(one) < CREST
-            torque = np.max(np.abs(one)) / presets.perturbation(3, 2).peak[joint]
-            angle = PRIORS[joint].rms_angle(*_spectrum(one)) / ANGLES[joint]
-            assert max(torque, angle) == pytest.approx(1.0, abs=1e-9)
-            assert min(torque, angle) > 0.75
+    for seed, joint in product(range(4), range(2)):
+        whole = _signal("optimal", *ANGLES, joint=joint, ticks=ticks, seed=seed)
+        one = whole[:period]
+        assert np.array_equal(whole[period:], whole[:-period])
+        assert crest_factor(one) < CREST
+        torque = np.max(np.abs(one)) / MULTISINE.peak[joint]
+        angle = PRIORS[joint].rms_angle(*_spectrum(one)) / ANGLES[joint]
+        assert max(torque, angle) == pytest.approx(1.0, abs=1e-9)
+        assert min(torque, angle) > 0.75
 
 
 @pytest.mark.parametrize("kind", ["noise", "multisine"])
 def test_other_kinds_are_made_smaller_where_they_move_a_joint_too_far(
     kind: PerturbationKind,
 ) -> None:
-    free = _best(_parameters(kind), joint=0, ticks=50_000)
-    held = _best(_parameters(kind, 0.02), joint=0, ticks=50_000)
-    wide = _best(_parameters(kind, 0.5), joint=0, ticks=50_000)
+    free, held, wide = _signal(kind), _signal(kind, 0.02), _signal(kind, 0.5)
     assert np.array_equal(wide, free)
     part = 50_000 if kind == "noise" else PERIOD
     assert PRIORS[0].rms_angle(*_spectrum(held[:part])) == pytest.approx(0.02, rel=1e-6)

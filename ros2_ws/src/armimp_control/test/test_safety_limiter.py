@@ -125,17 +125,12 @@ def ramp_up(speed: float, ticks: int) -> list[Vector]:
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_velocity_beyond_its_limit_stops(sign: float) -> None:
-    limiter = SafetyLimiter(velocity_limit=(4.0,))
-    for theta in ramp_up(sign * 3.9, 20):
-        limiter.tick((1.0, 1.0), theta)
-    assert not limiter.stopped
-    limiter = SafetyLimiter(velocity_limit=(4.0,))
-    for theta in ramp_up(sign * 4.1, 20):
-        limiter.tick((1.0, 1.0), theta)
-    assert limiter.stopped
-    assert (
-        limiter.fault == f"velocity of joint 1 is {sign * 4.1} rad/s, beyond the limit of 4 rad/s"
-    )
+    said = f"velocity of joint 1 is {sign * 4.1} rad/s, beyond the limit of 4 rad/s"
+    for speed, fault in ((3.9, ""), (4.1, said)):
+        limiter = SafetyLimiter(velocity_limit=(4.0,))
+        for theta in ramp_up(sign * speed, 20):
+            limiter.tick((1.0, 1.0), theta)
+        assert (limiter.stopped, limiter.fault) == (fault != "", fault)
 
 
 def test_velocity_is_a_difference_over_the_window_so_one_count_does_not_stop() -> None:
@@ -215,16 +210,11 @@ def intervals(ledger: SaturationCounter) -> list[tuple[int, int]]:
 
 
 def test_when_there_are_too_many_intervals_expect_the_nearest_to_become_one() -> None:
-    ticks = {10 * k: 1 for k in range(SaturationCounter.MOST_INTERVALS)}
-    ticks[10 * SaturationCounter.MOST_INTERVALS - 8] = 1
-    ledger = ledger_of(ticks)
-    found = intervals(ledger)
-    assert len(found) == SaturationCounter.MOST_INTERVALS
-    assert found[-1] == (
-        10 * SaturationCounter.MOST_INTERVALS - 10,
-        10 * SaturationCounter.MOST_INTERVALS - 8,
-    )
-    assert found[:-1] == [(10 * k, 10 * k) for k in range(SaturationCounter.MOST_INTERVALS - 1)]
+    most = SaturationCounter.MOST_INTERVALS
+    found = intervals(ledger_of(dict.fromkeys((*range(0, 10 * most, 10), 10 * most - 8), 1)))
+    assert len(found) == most
+    assert found[-1] == (10 * most - 10, 10 * most - 8)
+    assert found[:-1] == [(10 * k, 10 * k) for k in range(most - 1)]
 
 
 @given(st.dictionaries(st.integers(0, 2000), st.integers(1, 7), max_size=400))

@@ -361,14 +361,16 @@ def test_a_tare_beyond_its_limits_ends_the_experiment_before_anything_is_perturb
     assert bench.experiment.at_rest
 
 
-def _watchdog(*, ticks: int = 5, slowest: float = 1e-3) -> Watchdog:
+def _watchdog(now: float, *, ticks: int = 5, slowest: float = 1e-3) -> Watchdog:
+    """A watchdog that was fed now (s)."""
     config = SafetyParameters(watchdog_ticks=ticks, ramp_time=0.05)
-    return Watchdog(config, slowest_tick=slowest)
+    watchdog = Watchdog(config, slowest_tick=slowest)
+    watchdog.feed(now)
+    return watchdog
 
 
 def test_after_the_patience_the_ramp_keeps_pace_with_the_clock() -> None:
-    watchdog = _watchdog()
-    watchdog.feed(10.0)
+    watchdog = _watchdog(10.0)
     assert not watchdog.expired(10.0049)
     assert watchdog.expired(10.0051)
     assert [watchdog.ticks_due(now) for now in (10.0051, 10.0052, 10.0071, 10.0301)] == [
@@ -379,8 +381,7 @@ def test_after_the_patience_the_ramp_keeps_pace_with_the_clock() -> None:
 
 
 def test_a_sample_after_a_silence_starts_the_patience_anew() -> None:
-    watchdog = _watchdog()
-    watchdog.feed(0.0)
+    watchdog = _watchdog(0.0)
     assert watchdog.ticks_due(0.0201) == 16
     watchdog.feed(0.020)
     assert not watchdog.expired(0.0249)
@@ -389,22 +390,17 @@ def test_a_sample_after_a_silence_starts_the_patience_anew() -> None:
 
 @pytest.mark.parametrize("nonsense", [float("nan"), float("inf")])
 def test_a_clock_that_is_not_finite_makes_the_whole_ramp_due(nonsense: float) -> None:
-    watchdog = _watchdog()
-    watchdog.feed(0.0)
+    watchdog = _watchdog(0.0)
     assert watchdog.expired(nonsense)
     assert watchdog.ticks_due(nonsense) == 50
 
 
 def test_longest_allowed_setting_is_over_within_two_hundred_milliseconds() -> None:
-    watchdog = _watchdog(ticks=100)
-    watchdog.feed(0.0)
-    assert watchdog.ticks_due(0.2) == 50
+    assert _watchdog(0.0, ticks=100).ticks_due(0.2) == 50
 
 
 def test_by_default_a_rig_in_lockstep_may_be_silent_for_almost_five_seconds() -> None:
     safety = SafetyParameters()
-    watchdog = _watchdog(ticks=safety.watchdog_ticks, slowest=safety.slowest_tick)
-    watchdog.feed(100.0)
-
+    watchdog = _watchdog(100.0, ticks=safety.watchdog_ticks, slowest=safety.slowest_tick)
     assert not watchdog.expired(104.99)
     assert watchdog.expired(105.0)

@@ -8,12 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armimp_common.cdr import (
-    CommandDecoder,
-    CommandEncoder,
-    JointStateEncoder,
-    decode_trial_statuses,
-)
+from armimp_common.cdr import CommandDecoder, CommandEncoder, JointStateEncoder
 from armimp_common.errors import DataError
 from armimp_common.status import Cause, Phase, TrialStatus
 from armimp_common.topics import (
@@ -23,10 +18,8 @@ from armimp_common.topics import (
     PERIOD_NS,
     PERTURBATION,
     TORQUE_SENSORS,
-    TRIAL,
 )
-from armimp_estimation.alignment.assemble import MOST_EXCLUDED, Trial, assemble_trials
-from armimp_estimation.alignment.streams import decode_streams
+from armimp_estimation.alignment.assemble import MOST_EXCLUDED, Trial
 from armimp_estimation.alignment.trial_windows import (
     MOST_TICKS,
     infer_windows,
@@ -35,7 +28,8 @@ from armimp_estimation.alignment.trial_windows import (
     windows_from_statuses,
 )
 from armimp_estimation.problems import Problem, ProblemCode, Severity
-from support.streams import changed
+from support.problems import codes, having
+from support.streams import Topics, changed, statuses_of, trials_of
 from support.synthetic_bags import SyntheticRecording, assert_same, synthetic_recording
 
 NAMES = ("shoulder", "elbow")
@@ -46,27 +40,13 @@ WHOLE = synthetic_recording(ticks=TICKS)
 """A recording of the trial alone."""
 FIRST = 10
 START = RECORDING.records[0].start_ns
-
-Topics = dict[str, list[bytes]]
-
-
-def statuses_of(recording: SyntheticRecording) -> list[TrialStatus]:
-    statuses, problem = decode_trial_statuses(recording.by_topic()[TRIAL])
-    assert not problem
-    return statuses
-
-
-def trials_of(topics: Topics, statuses: Sequence[TrialStatus]) -> tuple[Trial, ...]:
-    return assemble_trials(decode_streams(NAMES, topics), statuses)
+STATUSES = statuses_of(RECORDING.by_topic())
+ENCODE = CommandEncoder(len(NAMES)).encode
 
 
 def assemble(topics: Topics, statuses: Sequence[TrialStatus] | None = None) -> Trial:
-    (trial,) = trials_of(topics, statuses_of(RECORDING) if statuses is None else statuses)
+    (trial,) = trials_of(topics, statuses)
     return trial
-
-
-def codes(trial: Trial) -> list[ProblemCode]:
-    return [one.code for one in trial.problems]
 
 
 def only(trial: Trial, code: ProblemCode) -> Problem:
@@ -81,10 +61,10 @@ def assert_refused(trial: Trial, code: ProblemCode, *, healed: bool) -> None:
     with pytest.raises(DataError) as caught:
         trial.intact()
     assert ("--allow-gaps" in str(caught.value)) == healed
-    assert [one.code for one in trial.refusals] == [code]
+    assert codes(trial.refusals) == [code]
     allowed = replace(trial, allow_gaps=True)
-    assert [one.code for one in allowed.refusals] == [code] * (not healed)
-    judged = next(one for one in allowed.judged if one.code is code)
+    assert codes(allowed.refusals) == [code] * (not healed)
+    judged, *_ = having(allowed.judged, code)
     assert (judged.severity is Severity.NOTE) == healed
 
 
@@ -93,13 +73,12 @@ def effort(stamp_ns: int, values: Sequence[float]) -> bytes:
 
 
 def numbered(count: int) -> list[bytes]:
-    encode = CommandEncoder(len(NAMES)).encode
-    return [encode((0.0, 0.0), number) for number in range(1, count + 1)]
+    return [ENCODE((0.0, 0.0), number) for number in range(1, count + 1)]
 
 
 def test_statuses_give_one_window_per_perturbation_however_often_they_are_repeated() -> None:
     several = synthetic_recording(perturbed=(1, 0), ticks=9, settle=3, rest=2)
-    statuses = statuses_of(several)
+    statuses = statuses_of(several.by_topic())
     windows = windows_from_statuses(statuses)
     assert [(one.trial, one.joint, one.ended) for one in windows] == [(1, 1, True), (2, 0, True)]
     # A latched topic repeats statuses, and others tell of progress.
@@ -114,8 +93,7 @@ def test_statuses_give_one_window_per_perturbation_however_often_they_are_repeat
 @pytest.mark.parametrize(("ticks", "start"), [(MOST_TICKS + 1, START), (10, 10**30)])
 def test_impossible_announcements_are_refused(ticks: int, start: int) -> None:
     statuses = [
-        changed(status, ticks=ticks, start_ns=status.start_ns and start)
-        for status in statuses_of(RECORDING)
+        changed(status, ticks=ticks, start_ns=status.start_ns and start) for status in STATUSES
     ]
     with pytest.raises(DataError, match="trial 1 cannot"):
         windows_from_statuses(statuses)
@@ -164,7 +142,7 @@ def test_every_injected_fault_is_counted_and_only_those(data: st.DataObject) -> 
         topics[topic] = kept
         missing |= lost
     trial = assemble(topics)
-    found = [one for one in trial.problems if one.code is ProblemCode.SAMPLES_MISSING]
+    found = having(trial.problems, ProblemCode.SAMPLES_MISSING)
     assert sum(int(one.values["count"]) for one in found) <= trial.statistics.lost
     assert bool(found) == bool(missing)
     assert trial.statistics.excluded == len(missing)
@@ -202,7 +180,7 @@ def test_of_two_messages_that_contradict_each_other_none_is_used(after: int, val
     count = trial.statistics.streams[TORQUE_SENSORS]
     assert (count.lost, count.duplicated, count.contradictory) == (0, 1, 1)
     assert trial.statistics.excluded == 1
-    assert ProblemCode.SAMPLES_CONTRADICTORY in codes(trial)
+    assert ProblemCode.SAMPLES_CONTRADICTORY in codes(trial.problems)
     assert not replace(trial, allow_gaps=True).refusals
 
 
@@ -211,7 +189,7 @@ def test_malformed_messages_count_as_lost_and_are_named() -> None:
     topics[JOINT_STATES][FIRST + 2 : FIRST + 4] = [b"\0\1\0\0rubbish", b""]
     trial = assemble(topics)
     assert trial.statistics.streams[JOINT_STATES].lost == 2
-    malformed = trial.problems[codes(trial).index(ProblemCode.SAMPLES_MALFORMED)]
+    malformed = trial.problems[codes(trial.problems).index(ProblemCode.SAMPLES_MALFORMED)]
     assert malformed.values["count"] == 2
     assert "JointState is truncated" in str(malformed.values["reason"])
 
@@ -271,7 +249,7 @@ def test_perturbation_of_zero_is_refused() -> None:
 
 
 def test_unknown_perturbed_joint_is_refused() -> None:
-    statuses = [changed(status, joint_name="wrist") for status in statuses_of(RECORDING)]
+    statuses = [changed(status, joint_name="wrist") for status in STATUSES]
     trial = assemble(RECORDING.by_topic(), statuses)
     assert trial.problems[0].values == {"name": "wrist", "known": "shoulder, elbow"}
     assert trial.segments == ()
@@ -303,7 +281,7 @@ def test_each_sample_has_the_command_that_answered_it_unless_that_is_not_known(
     several = synthetic_recording(perturbed=(0, 1), ticks=40, settle=10, rest=5)
     topics = several.by_topic()
     topics[COMMANDS] = spoil(topics[COMMANDS])
-    records = [trial.segments[0] for trial in trials_of(topics, statuses_of(several))]
+    records = [trial.segments[0] for trial in trials_of(topics)]
     assert [record.command is not None for record in records] == known
     for record in records:
         if record.command is not None:
@@ -317,7 +295,7 @@ def test_fewer_commands_than_samples_are_a_problem_that_gaps_may_heal(with_numbe
     if with_numbers:
         topics[COMMANDS] = numbered(TICKS)
     del topics[COMMANDS][7:9]
-    trial = assemble(topics, statuses_of(WHOLE))
+    trial = assemble(topics)
     assert trial.statistics.streams[COMMANDS].lost == trial.statistics.lost == 2
     assert only(trial, ProblemCode.COMMANDS_MISSING).values == {"count": 2}
     assert_refused(trial, ProblemCode.COMMANDS_MISSING, healed=True)
@@ -327,7 +305,7 @@ def test_fewer_commands_than_samples_are_a_problem_that_gaps_may_heal(with_numbe
 def test_more_commands_than_samples_are_a_problem_that_nothing_heals() -> None:
     topics = WHOLE.by_topic()
     topics[COMMANDS][7:7] = topics[COMMANDS][:3]
-    assert_refused(assemble(topics, statuses_of(WHOLE)), ProblemCode.COMMANDS_FOREIGN, healed=False)
+    assert_refused(assemble(topics), ProblemCode.COMMANDS_FOREIGN, healed=False)
 
 
 @pytest.mark.parametrize(
@@ -340,24 +318,23 @@ def test_a_numbered_command_of_somebody_else_is_found_though_as_many_are_left(
 ) -> None:
     topics = recording.by_topic()
     commands = topics[COMMANDS] = numbered(len(topics[COMMANDS]))
-    assert not assemble(topics, statuses_of(recording)).problems
-    stray = CommandEncoder(len(NAMES)).encode((0.0, 0.0), number)
+    assert not assemble(topics).problems
+    stray = ENCODE((0.0, 0.0), number)
     topics[COMMANDS] = [*commands[:place], stray, *commands[place:-1]]
-    assert ProblemCode.COMMANDS_FOREIGN in codes(assemble(topics, statuses_of(recording)))
+    assert ProblemCode.COMMANDS_FOREIGN in codes(assemble(topics).problems)
 
 
 @pytest.mark.parametrize("rest", [0, 4])
 def test_commands_that_are_numbered_anew_for_each_trial_belong_to_their_samples(rest: int) -> None:
     several = synthetic_recording(perturbed=(0, 1), ticks=TICKS, settle=rest)
     topics = several.by_topic()
-    expected = [trial.intact()[0].command for trial in trials_of(topics, statuses_of(several))]
+    expected = [trial.intact()[0].command for trial in trials_of(topics)]
     decode = CommandDecoder(len(NAMES)).decode
-    encode = CommandEncoder(len(NAMES)).encode
     topics[COMMANDS] = [
-        encode(decode(raw)[1], index % (TICKS + rest) + 1)
+        ENCODE(decode(raw)[1], index % (TICKS + rest) + 1)
         for index, raw in enumerate(topics[COMMANDS])
     ]
-    trials = trials_of(topics, statuses_of(several))
+    trials = trials_of(topics)
     for trial, command in zip(trials, expected, strict=True):
         (found,) = trial.intact()
         assert found.command is not None
@@ -371,7 +348,7 @@ def test_commands_that_are_numbered_anew_for_each_trial_belong_to_their_samples(
 def test_what_follows_clipped_commands_is_left_out_without_being_asked(
     intervals: str, count: int, parts: list[int], excluded: int
 ) -> None:
-    *others, last = statuses_of(RECORDING)
+    *others, last = STATUSES
     statuses = [*others, changed(last, clipped=count, clipped_intervals=intervals)]
     trial = assemble(RECORDING.by_topic(), statuses)
     # Each acts until the next sample.
@@ -386,14 +363,11 @@ def test_what_follows_clipped_commands_is_left_out_without_being_asked(
 @given(cut=st.integers(1, 4 * (TICKS + 10)))
 def test_cut_recording_gives_all_complete_periods(cut: int) -> None:
     recording = synthetic_recording(ticks=TICKS, settle=10)
-    topics: Topics = {}
-    for topic, _, raw in recording.messages[:-cut]:
-        topics.setdefault(topic, []).append(raw)
-    statuses, _ = decode_trial_statuses(topics.get(TRIAL, []))
-    if not any(status.phase is Phase.PERTURB for status in statuses):
-        assert PERTURBATION not in topics or trials_of(topics, statuses) == ()
+    topics = replace(recording, messages=recording.messages[:-cut]).by_topic()
+    if not any(status.phase is Phase.PERTURB for status in statuses_of(topics)):
+        assert PERTURBATION not in topics or trials_of(topics) == []
         return
-    (trial,) = trials_of(topics, statuses)
+    trial = assemble(topics)
     complete = min(len(topics[topic]) for topic in STAMPED) - 10
     assert trial.statistics.span == complete
     assert trial.statistics.lost == 0
@@ -415,9 +389,8 @@ def test_cut_recording_gives_all_complete_periods(cut: int) -> None:
 def test_trial_that_the_controller_finds_not_valid_is_refused(
     cause: Cause, code: ProblemCode, healed: bool
 ) -> None:
-    statuses = statuses_of(RECORDING)
-    statuses.insert(2, changed(statuses[1], valid=False, cause=cause, reason="so it is"))
-    trial = assemble(RECORDING.by_topic(), statuses)
+    spoiled = changed(STATUSES[1], valid=False, cause=cause, reason="so it is")
+    trial = assemble(RECORDING.by_topic(), [*STATUSES[:2], spoiled, *STATUSES[2:]])
     assert only(trial, code).values == {"reason": "so it is"}
     assert_refused(trial, code, healed=healed)
     assert trial.segments[0].samples == TICKS
@@ -429,7 +402,7 @@ def test_trials_before_the_recording_began_are_passed_over() -> None:
     topics = several.by_topic()
     for topic in DATA_STREAMS:
         del topics[topic][: TICKS + 15]
-    (trial,) = trials_of(topics, statuses_of(several))
+    (trial,) = trials_of(topics)
     assert_same(trial.intact()[0], several.records[1], 0, TICKS)
 
 
@@ -441,9 +414,9 @@ def test_trial_without_any_sample_is_refused(statuses: int, code: ProblemCode) -
     topics = RECORDING.by_topic()
     for topic in STAMPED:
         del topics[topic][FIRST:]
-    trial = assemble(topics, statuses_of(RECORDING)[:statuses])
+    trial = assemble(topics, STATUSES[:statuses])
     assert trial.segments == ()
-    assert code in codes(trial)
+    assert code in codes(trial.problems)
     with pytest.raises(DataError, match="trial 1"):
         replace(trial, allow_gaps=True).intact()
 
@@ -481,7 +454,7 @@ def test_the_rate_is_that_of_the_stamps_with_all_that_is_wrong_with_them(
     streams = {"joint_states": values}
     period = sampling_period(streams)
     assert 1e9 / period == pytest.approx(rate, rel=1e-4)
-    assert [one.code for one in judge_stamps(streams, period)] == expected
+    assert codes(judge_stamps(streams, period)) == expected
 
 
 def test_when_streams_have_different_rates_expect_the_one_that_differs() -> None:

@@ -105,10 +105,8 @@ def test_intervals_of_a_model_hold_what_was_planted(name: str) -> None:
     for seed in range(12):
         (fit,) = fits_of(measured(name, seed), asked=name).values()
         for one in set(RESULTS) & set(truth):
-            values, errors = (
-                np.array(fit.parameters[one].values),
-                np.array(fit.parameters[one].errors),
-            )
+            fitted = fit.parameters[one]
+            values, errors = np.array(fitted.values), np.array(fitted.errors)
             free = errors > 0.0
             scores += list(((values - truth[one].ravel()) / errors)[free])
     assert 0.8 < np.std(scores) < 1.2

@@ -1,5 +1,5 @@
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -22,8 +22,11 @@ from armimp_estimation.bags.writer import (
     finish_bags,
     require_free_space,
 )
-from support.bag_files import iterate_messages, write_all, write_bag
+from support import known
+from support.bag_files import iterate_messages, readable, write_all, write_bag
 from support.fault_figures import Figures
+from support.places import contents
+from support.streams import Topics
 from support.synthetic_bags import Message, synthetic_recording
 
 METADATA = {"seed": "7", "joint_names": '["shoulder", "elbow"]', "note": "12:30\nü"}
@@ -35,33 +38,31 @@ def one_line(error: pytest.ExceptionInfo[BagError]) -> str:
     return text
 
 
-class TestFormat:
-    def test_mcap_file_has_profile_schemas_channels_and_statistics(self, tmp_path: Path) -> None:
-        messages = synthetic_recording(ticks=300).messages
-        path = write_bag(tmp_path / "bag", messages, METADATA)
-        with (path / "bag_0.mcap").open("rb") as file:
-            reader = make_reader(file, validate_crcs=True)
-            assert reader.get_header().profile == "ros2"
-            summary = reader.get_summary()
-            assert summary is not None
-            assert summary.statistics is not None
-            records = list(reader.iter_metadata())
-            only = [m.data for _, _, m in reader.iter_messages(topics=["/torque_sensors"])]
-        assert summary.statistics.message_count == len(messages)
-        assert summary.statistics.message_start_time == messages[0][1]
-        assert summary.statistics.message_end_time == messages[-1][1]
-        assert summary.statistics.chunk_count == len(summary.chunk_indexes) > 1
-        schema = next(s for s in summary.schemas.values() if s.name == "sensor_msgs/msg/JointState")
-        assert schema.encoding == "ros2msg"
-        assert b"MSG: builtin_interfaces/Time\nint32 sec" in schema.data
-        topics_by_name = {absolute(topic): topic for topic in RECORDED}
-        for channel in summary.channels.values():
-            assert channel.message_encoding == "cdr"
-            assert set(channel.metadata) == {"offered_qos_profiles", "topic_type_hash"}
-            qos = yaml.safe_load(channel.metadata["offered_qos_profiles"])
-            assert qos == qos_profiles(topics_by_name[channel.topic])
-        assert [(record.name, record.metadata) for record in records] == [("armimp", METADATA)]
-        assert only == [raw for topic, _, raw in messages if topic == TORQUE_SENSORS]
+def test_mcap_file_has_profile_schemas_channels_and_statistics(tmp_path: Path) -> None:
+    messages = synthetic_recording(ticks=300).messages
+    path = write_bag(tmp_path / "bag", messages, METADATA)
+    with (path / "bag_0.mcap").open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        assert reader.get_header().profile == "ros2"
+        summary = known(reader.get_summary())
+        records = list(reader.iter_metadata())
+        only = [m.data for _, _, m in reader.iter_messages(topics=["/torque_sensors"])]
+    statistics = known(summary.statistics)
+    assert statistics.message_count == len(messages)
+    assert statistics.message_start_time == messages[0][1]
+    assert statistics.message_end_time == messages[-1][1]
+    assert statistics.chunk_count == len(summary.chunk_indexes) > 1
+    schema = next(s for s in summary.schemas.values() if s.name == "sensor_msgs/msg/JointState")
+    assert schema.encoding == "ros2msg"
+    assert b"MSG: builtin_interfaces/Time\nint32 sec" in schema.data
+    topics_by_name = {absolute(topic): topic for topic in RECORDED}
+    for channel in summary.channels.values():
+        assert channel.message_encoding == "cdr"
+        assert set(channel.metadata) == {"offered_qos_profiles", "topic_type_hash"}
+        qos = yaml.safe_load(channel.metadata["offered_qos_profiles"])
+        assert qos == qos_profiles(topics_by_name[channel.topic])
+    assert [(record.name, record.metadata) for record in records] == [("armimp", METADATA)]
+    assert only == [raw for topic, _, raw in messages if topic == TORQUE_SENSORS]
 
 
 class TestRefusals:
@@ -123,19 +124,19 @@ class TestBlocks:
     TICKS = 733
 
     @pytest.fixture
-    def recording(self) -> dict[str, list[bytes]]:
+    def recording(self) -> Topics:
         topics = synthetic_recording(ticks=self.TICKS).by_topic()
         return {topic: topics[topic] for topic in DATA_STREAMS}
 
-    def write_blocks(self, writer: BagWriter, topics: dict[str, list[bytes]], size: int) -> None:
+    def blocks(self, topics: Topics, size: int) -> Iterator[tuple[list[int], Topics]]:
         times = [tick * PERIOD_NS for tick in range(self.TICKS)]
         for start in range(0, self.TICKS, size):
             part = slice(start, start + size)
-            writer.write_block(times[part], {topic: raws[part] for topic, raws in topics.items()})
+            yield times[part], {topic: raws[part] for topic, raws in topics.items()}
 
     @pytest.mark.parametrize("size", [1, 50, 500])
     def test_messages_and_times_are_those_of_messages_written_one_by_one(
-        self, tmp_path: Path, recording: dict[str, list[bytes]], size: int
+        self, tmp_path: Path, recording: Topics, size: int
     ) -> None:
         clock = (CLOCK, b"\0\1\0\0abcdefgh", 3 * PERIOD_NS)
         with BagWriter(tmp_path / "one", metadata=METADATA) as writer:
@@ -145,7 +146,8 @@ class TestBlocks:
                     writer.write(topic, raws[tick], tick * PERIOD_NS)
         with BagWriter(tmp_path / "blocks", metadata=METADATA) as writer:
             writer.write(*clock)
-            self.write_blocks(writer, recording, size)
+            for times, part in self.blocks(recording, size):
+                writer.write_block(times, part)
 
         one, blocks = (list(iterate_messages(tmp_path / name)) for name in ("one", "blocks"))
         assert blocks == one
@@ -159,19 +161,14 @@ class TestBlocks:
 
     @pytest.mark.parametrize("size", [7, 50])
     def test_what_is_not_yet_in_the_file_is_bounded(
-        self, tmp_path: Path, recording: dict[str, list[bytes]], size: int
+        self, tmp_path: Path, recording: Topics, size: int
     ) -> None:
         writer = BagWriter(tmp_path / "bag", metadata={})
         most = 0
-        for start in range(0, self.TICKS, size):
-            part = {topic: raws[start : start + size] for topic, raws in recording.items()}
-            ticks = range(start, min(start + size, self.TICKS))
-            times = [tick * PERIOD_NS for tick in ticks]
+        for times, part in self.blocks(recording, size):
             writer.write_block(times, part)
-            try:
-                last_ns = max(time for _, time, _ in iterate_messages(tmp_path / "bag"))
-            except BagError:
-                last_ns = -PERIOD_NS
+            read = readable(tmp_path / "bag")
+            last_ns = max((time for _, time, _ in read), default=-PERIOD_NS)
             most = max(most, times[-1] - last_ns)
         writer.close()
         assert most + size * PERIOD_NS <= FLUSH_INTERVAL_NS
@@ -194,27 +191,23 @@ def unfinished(path: Path, messages: Sequence[Message] = MESSAGES) -> Path:
     return path
 
 
-def content_of(path: Path) -> dict[str, bytes]:
-    return {entry.name: entry.read_bytes() for entry in path.iterdir()}
-
-
 def test_finished_bag_is_that_of_a_recorder_that_lived(tmp_path: Path) -> None:
     path = unfinished(tmp_path / "a" / "bag")
-    expected = content_of(write_bag(tmp_path / "b" / "bag", MESSAGES[:-LOST], METADATA))
+    expected = contents(write_bag(tmp_path / "b" / "bag", MESSAGES[:-LOST], METADATA))
     note = finish_bag(path)
     count = len(MESSAGES) - LOST
     assert note == f"{path}: its recorder did not finish it: finished now, with {count} messages"
-    assert content_of(path) == expected
+    assert contents(path) == expected
     assert finish_bag(path) == ""
-    assert content_of(path) == expected
+    assert contents(path) == expected
 
 
 def test_bag_that_is_being_recorded_is_left_alone(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag", metadata=METADATA) as writer:
         write_all(writer, MESSAGES)
-        before = content_of(tmp_path / "bag")
+        before = contents(tmp_path / "bag")
         assert finish_bag(tmp_path / "bag") == ""
-        assert content_of(tmp_path / "bag") == before
+        assert contents(tmp_path / "bag") == before
     assert list(iterate_messages(tmp_path / "bag")) == list(MESSAGES)
 
 
@@ -234,16 +227,16 @@ def test_unfinished_file_of_another_recorder_or_damaged_is_left_alone(
     path = unfinished(tmp_path / "bag")
     file = path / "bag_0.mcap"
     file.write_bytes(spoil(file.read_bytes()))
-    before = content_of(path)
+    before = contents(path)
     assert finish_bag(path) == ""
-    assert content_of(path) == before
+    assert contents(path) == before
 
 
 def test_bag_that_cannot_be_written_is_named_and_still_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = unfinished(tmp_path / "bag")
-    before = content_of(path)
+    before = contents(path)
 
     def refuse(*_: object) -> None:
         raise OSError(30, "Read-only file system")
@@ -252,7 +245,7 @@ def test_bag_that_cannot_be_written_is_named_and_still_read(
     note = finish_bag(path)
     assert note.startswith(f"{path}: its recorder did not finish it, and it cannot be finished now")
     assert note.endswith("Read-only file system")
-    assert content_of(path) == before
+    assert contents(path) == before
     assert read_bag(path).trials
 
 
@@ -268,10 +261,7 @@ def test_all_bags_of_a_result_are_finished_and_nothing_else_is_left(tmp_path: Pa
 def cut_at(whole: bytes, size: int, path: Path) -> int:
     """Number of messages in a cut bag, the same however it is read; -1 if it is not finished."""
     (path / "bag_0.mcap").write_bytes(whole[:size])
-    try:
-        before = list(iterate_messages(path))
-    except BagError:
-        before = []
+    before = readable(path)
     note = finish_bag(path)
     if not note:
         assert before == []

@@ -17,7 +17,9 @@ from armimp_estimation.weighted_fit import r_squared
 from support.synthetic_trials import TWO_JOINT_ARM, made_estimate, off, stacked
 
 F: FloatArray = np.linspace(0.122, 14.884, 122)
+S: ComplexArray = np.asarray(2j * np.pi * F, dtype=np.complex128)
 TRUTH = stacked(TWO_JOINT_ARM)
+TRUE = TWO_JOINT_ARM.impedance(F)
 
 
 def estimate_of(Z: ComplexArray, variance: FloatArray | None = None) -> ImpedanceEstimate:
@@ -69,7 +71,7 @@ def test_equal_variances_give_ordinary_least_squares_with_its_standard_errors() 
 
 def test_floor_of_weights_bounds_what_time_skew_does_to_viscosity() -> None:
     # Half a millisecond between torque and angle; variances tiny at high frequencies.
-    Z = TWO_JOINT_ARM.impedance(F) * np.exp(-1j * np.pi * F * 1e-3)
+    Z = TRUE * np.exp(-1j * np.pi * F * 1e-3)
     variance = np.full(Z.shape, 1e-4)
     viscosity = fit_mbk(estimate_of(Z, variance)).mbk.B / TWO_JOINT_ARM.B
     unlimited = fit_mbk(replace(estimate_of(Z, variance), weight_floor=0.0)).mbk.B
@@ -81,15 +83,9 @@ def test_floor_of_weights_bounds_what_time_skew_does_to_viscosity() -> None:
 def test_a_bounded_systematic_error_is_corrected_as_far_as_the_data_tell_it(
     noise: float, left: float
 ) -> None:
-    Z = TWO_JOINT_ARM.impedance(F)
-    turning = 2j * np.pi * F
-    bound = np.zeros_like(Z)
-    bound[:, 1] = 2e-6 * turning**3 * Z[:, 0]
-    rng = np.random.default_rng(5)
-    scatter = rng.standard_normal(Z.shape) + 1j * rng.standard_normal(Z.shape)
-    biased = estimate_of(
-        Z + 0.8 * bound + np.sqrt(0.5) * noise * scatter, np.full(Z.shape, noise**2)
-    )
+    bound = np.zeros_like(TRUE)
+    bound[:, 1] = 2e-6 * S**3 * TRUE[:, 0]
+    biased = noisy(TRUE + 0.8 * bound, noise * np.ones(F.size), seed=5)
     biased = replace(biased, systematics=(bound,))
     told, fit = fit_impedance(replace(biased, bounded=1))
     believed = fit_mbk(biased)
@@ -107,7 +103,7 @@ def test_an_unknown_low_pass_of_the_torques_is_corrected_where_noise_hides_low_f
 ) -> None:
     b, a = butter(order, 2.0 * np.pi * cutoff, analog=True)
     low_pass = freqs(b, a, 2.0 * np.pi * F)[1]
-    late = noisy(TWO_JOINT_ARM.impedance(F) * low_pass, np.where(F < 2.0, 10.0, 1.0))
+    late = noisy(TRUE * low_pass, np.where(F < 2.0, 10.0, 1.0))
     fit = fit_mbk(replace(late, delay_uncertainty=5e-4, delay_unknown=5e-4, weight_floor=0.005))
     assert off(fit).max() < 3.0
     assert (fit.errors < 0.4 * TRUTH).all()
@@ -117,11 +113,11 @@ def test_an_unknown_low_pass_of_the_torques_is_corrected_where_noise_hides_low_f
 def test_a_torque_that_passed_a_high_pass_where_noise_hides_it_is_in_the_standard_errors(
     seed: int,
 ) -> None:
-    s, w = 2j * np.pi * F, 2.0 * np.pi * 0.3
-    passed = np.array([s / (s + w), np.ones_like(s)])[:, None]
+    w = 2.0 * np.pi * 0.3
+    passed = np.array([S / (S + w), np.ones_like(S)])[:, None]
     first, errors = (np.array([True, False]), np.zeros(2, dtype=np.bool_)), []
     for share, possible in ((passed, first), (1.0, first), (1.0, ())):
-        found = noisy(share * TWO_JOINT_ARM.impedance(F), np.where(F < 2.0, 3.0, 0.3), seed)
+        found = noisy(share * TRUE, np.where(F < 2.0, 3.0, 0.3), seed)
         fit = fit_mbk(replace(found, without_slow=possible))
         assert off(fit).max() < 3.5
         errors.append(fit.errors[1, 0, 0])
@@ -129,8 +125,8 @@ def test_a_torque_that_passed_a_high_pass_where_noise_hides_it_is_in_the_standar
 
 
 def test_a_transducer_that_creeps_where_noise_hides_it_is_in_the_standard_errors_of_B() -> None:
-    creeping = 1.0 + 0.06 / (1.0 + 2j * np.pi * F * 0.1)
-    found = noisy(creeping * TWO_JOINT_ARM.impedance(F), np.where(F < 2.0, 0.6, 0.02), seed=1)
+    creeping = 1.0 + 0.06 / (1.0 + S * 0.1)
+    found = noisy(creeping * TRUE, np.where(F < 2.0, 0.6, 0.02), seed=1)
     _, linear = fit_impedance(found, Calibration(linearity=0.001))
     _, unknown = fit_impedance(found, Calibration())
     assert (linear.errors[1] < 0.8 * unknown.errors[1]).any()
@@ -138,20 +134,19 @@ def test_a_transducer_that_creeps_where_noise_hides_it_is_in_the_standard_errors
 
 
 def test_a_second_mode_where_noise_hides_it_is_in_the_standard_errors_of_M_and_B() -> None:
-    s, w = 2j * np.pi * F, 6.0 * np.pi
-    swinging = -0.1 * TWO_JOINT_ARM.M[:, :, None] * s**4 / (s**2 + 0.8 * w * s + w**2)
-    found = noisy(TWO_JOINT_ARM.impedance(F) + swinging, np.where(F < 6.0, 6.0, 0.2), seed=1)
+    w = 6.0 * np.pi
+    swinging = -0.1 * TWO_JOINT_ARM.M[:, :, None] * S**4 / (S**2 + 0.8 * w * S + w**2)
+    found = noisy(TRUE + swinging, np.where(F < 6.0, 6.0, 0.2), seed=1)
     plain, told = (fit_mbk(replace(found, unbiased=one)) for one in (False, True))
     assert off(plain)[0].max() > 20.0
     assert off(told).max() < 5.0
 
 
 def test_stiffness_that_relaxes_where_noise_hides_it_is_in_the_standard_errors_of_K() -> None:
-    s = 2j * np.pi * F
-    spring = np.diag([3.0, 3.0])[:, :, None] * s * 0.3 / (1.0 + s * 0.3)
+    spring = np.diag([3.0, 3.0])[:, :, None] * S * 0.3 / (1.0 + S * 0.3)
 
     def fit_of(relaxing: ComplexArray | float, low: float, high: float = 0.2) -> MBKFit:
-        return fit_mbk(noisy(TWO_JOINT_ARM.impedance(F) + relaxing, np.where(F < 1.0, low, high)))
+        return fit_mbk(noisy(TRUE + relaxing, np.where(F < 1.0, low, high)))
 
     assert off(fit_of(spring, 10.0, 0.05))[2].max() < 3.5
     seen = fit_of(spring, 0.2)
@@ -161,18 +156,17 @@ def test_stiffness_that_relaxes_where_noise_hides_it_is_in_the_standard_errors_o
 
 
 def test_a_reflex_whose_two_parts_nearly_cancel_is_in_the_standard_errors_of_B_and_K() -> None:
-    s, noise = 2j * np.pi * F, np.where(F < 5.0, 0.4, 10.0)
-    gains = 0.28 * TWO_JOINT_ARM.B[:, :, None] * s + 0.32 * TWO_JOINT_ARM.K[:, :, None]
-    reflex = np.eye(2)[:, :, None] * gains * np.exp(-0.03 * s) / (1.0 + s / 37.0) ** 2
-    fit, plain = (fit_mbk(noisy(TWO_JOINT_ARM.impedance(F) + one, noise)) for one in (reflex, 0.0))
+    noise = np.where(F < 5.0, 0.4, 10.0)
+    gains = 0.28 * TWO_JOINT_ARM.B[:, :, None] * S + 0.32 * TWO_JOINT_ARM.K[:, :, None]
+    reflex = np.eye(2)[:, :, None] * gains * np.exp(-0.03 * S) / (1.0 + S / 37.0) ** 2
+    fit, plain = (fit_mbk(noisy(TRUE + one, noise)) for one in (reflex, 0.0))
     assert (fit.lack < fit.lack_limit).all()
     assert (np.abs(fit.mbk.K - TWO_JOINT_ARM.K) > 3.0 * plain.errors[2]).any()
     assert off(fit).max() < 2.5
 
 
 def test_a_high_pass_of_the_torques_that_noise_hides_is_in_the_standard_errors() -> None:
-    s = 2j * np.pi * F
-    found = [noisy(TWO_JOINT_ARM.impedance(F) * s / (s + w), 0.3 / F**1.5) for w in (0.3, 0.0)]
+    found = [noisy(TRUE * S / (S + w), 0.3 / F**1.5) for w in (0.3, 0.0)]
     passed, plain = (fit_mbk(replace(one, weight_floor=0.005)) for one in found)
     assert (np.abs(stacked(passed.mbk) - TRUTH)[1] > 4.0 * plain.errors[1]).any()
     assert off(passed).max() < 3.0
@@ -193,11 +187,10 @@ def test_r_squared_is_one_for_a_perfect_fit_and_zero_for_the_mean() -> None:
 
 
 def test_when_values_are_not_finite_expect_data_error() -> None:
-    Z = TWO_JOINT_ARM.impedance(F)
-    variance = np.ones(Z.shape)
+    variance = np.ones(TRUE.shape)
     variance[1, 0, 5] = np.inf
     with pytest.raises(DataError, match="made: impedance or its variance is not finite"):
-        fit_mbk(estimate_of(Z, variance))
+        fit_mbk(estimate_of(TRUE, variance))
 
 
 def test_an_effect_that_noise_may_hide_counts_by_its_evidence_in_the_data() -> None:

@@ -17,6 +17,7 @@ from armimp_estimation.periods import Periods, common_lines
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.residual_torque import Residual
 from armimp_estimation.trial import SIGNIFICANT, cleaned, segment_for, slopes_of
+from support import known
 from support.synthetic_trials import LOOP, TWO_JOINT_ARM, made_record, part_of, synthetic_trial
 
 PERIOD = 4096
@@ -59,9 +60,7 @@ IN_TIME = {name for name, one in TERMS.items() if one.in_time}
 
 
 def found_in(record: TrialRecord, arm: MBK = ARM) -> list[dict[str, Deviation]]:
-    residual = Residual.of(record, arm)
-    assert residual is not None
-    return deviations(residual)
+    return deviations(known(Residual.of(record, arm)))
 
 
 def significant(record: TrialRecord, arm: MBK = ARM) -> dict[str, Deviation]:
@@ -69,28 +68,23 @@ def significant(record: TrialRecord, arm: MBK = ARM) -> dict[str, Deviation]:
 
 
 def test_periods_and_lines_are_found_in_the_signal_itself() -> None:
-    found = Periods.of(multisine(5.3))
-    assert found is not None
+    found = known(Periods.of(multisine(5.3)))
     assert (found.samples, found.count, found.used) == (PERIOD, 5, 5 * PERIOD)
     assert np.array_equal(found.lines, LINES)
     assert found.segment == PERIOD
-    full = Periods.of(multisine(5.3, np.arange(1, 20)))
-    assert full is not None
-    assert full.segment == 2 * PERIOD
+    assert known(Periods.of(multisine(5.3, np.arange(1, 20)))).segment == 2 * PERIOD
 
 
 def test_periods_are_those_between_fading_in_and_fading_out_or_a_rest() -> None:
     signal, fading = multisine(5.3), round(0.8 * PERIOD)
     signal[:fading] *= np.linspace(0.0, 1.0, fading)
-    found = Periods.of(signal)
-    assert found is not None
+    found = known(Periods.of(signal))
     assert (found.samples, found.count) == (PERIOD, 4)
     for after in (
         np.zeros(PERIOD // 3),
         signal[: PERIOD // 3] * np.linspace(0.9, 0.0, PERIOD // 3),
     ):
-        resting = Periods.of(np.append(signal, after))
-        assert resting is not None
+        resting = known(Periods.of(np.append(signal, after)))
         assert (resting.end, resting.count) == (found.end, found.count) == (signal.size, 4)
 
 
@@ -131,8 +125,7 @@ def test_lines_in_common_are_those_of_all_perturbations_that_are_periodic() -> N
         return Periods(samples=samples, count=4, lines=np.array(lines), end=4 * samples)
 
     every, second = periods(list(range(1, 41)), 4000), periods(list(range(1, 21)), 2000)
-    common = common_lines([every, None, second], 1000.0, (0.3, 9.0))
-    assert common is not None
+    common = known(common_lines([every, None, second], 1000.0, (0.3, 9.0)))
     np.testing.assert_allclose(common, np.arange(1, 19) * 0.5)
     few = periods([1, 3, 7], 4000)
     assert common_lines([few, few], 1000.0, (0.1, 9.0)) is not None
@@ -145,8 +138,7 @@ def test_a_drift_beside_a_periodic_perturbation_is_found_and_none_where_there_is
     slope: float,
 ) -> None:
     source = multisine(6.2)
-    pole = np.exp(-1e-3 / 0.2)
-    answer = lagging_behind(source, pole)
+    answer = lagging_behind(source, np.exp(-1e-3 / 0.2))
     random = np.random.default_rng(6)
     t = np.arange(source.size) / 1000.0
     angle = 0.05 * answer + 1e-4 * random.standard_normal(t.size)
@@ -168,11 +160,8 @@ def test_nonlinear_and_changing_arms_show_beside_a_lag_that_m_b_and_k_do_not_des
 ) -> None:
     """A torque with a lag, so that the fitted arm is wrong at every line."""
     source = multisine(12.2, np.delete(np.arange(1, 60, 2), [3, 6, 9, 14, 17, 21, 26]))
-    pole = np.exp(-1e-3 / 0.05)
-    angle = lagging_behind(source, pole)
+    angle = angle_of(source)
     lagging = lagging_behind(angle, 0.9)
-    scale = 0.045 / np.std(angle)
-    angle, lagging = scale * angle, scale * lagging
     t = np.linspace(0.0, 1.0, source.size)
     K = 8.0
     torque = K * (lagging + cubic * angle**3 + stiffening * t * angle)
@@ -259,8 +248,7 @@ def test_torque_that_an_arm_does_not_explain_is_sorted_by_its_origin(
     noise = 0.01 * lagging_behind(random.standard_normal(angle.size), 0.99)
     record = elbow(source, angle, 8.0 * angle + 0.02 * bend(angle / 0.045) + noise)
     spring = MBK(M=np.zeros((1, 1)), B=np.zeros((1, 1)), K=8.0 * np.eye(1))
-    sorted_out = Distortion.of(record, spring)
-    assert sorted_out is not None
+    sorted_out = known(Distortion.of(record, spring))
     others = {"odd": sorted_out.odd, "even": sorted_out.even}
     assert {kind for kind, one in others.items() if one.ratio > one.limit} == found
     assert sorted_out.count == 8
@@ -276,9 +264,7 @@ def test_torque_that_an_arm_does_not_explain_is_sorted_by_its_origin(
     assert sorted_out.noise == pytest.approx(whole, rel=0.1)
     resting = elbow(*(np.pad(one, (0, 900)) for one in (source, angle, record.torque[0])))
     assert cleaned([resting])[0][0].samples == source.size
-    rested = Distortion.of(resting, spring)
-    assert rested is not None
-    assert rested.noise == sorted_out.noise
+    assert known(Distortion.of(resting, spring)).noise == sorted_out.noise
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.05])

@@ -37,7 +37,9 @@ from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.problems import Problem, ProblemCode
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.recorder import TrialRecorder, largest_error, record_so_far
+from support import known
 from support.bag_files import iterate_messages
+from support.problems import codes
 from support.streams import changed, fed_synchronizer, record
 from support.synthetic_bags import (
     Message,
@@ -52,6 +54,7 @@ from support.synthetic_trials import TWO_JOINT_ARM as ARM
 SETTLE, TICKS, REST = 10, 100, 10
 MADE_UP = synthetic_recording(perturbed=(0, 1), ticks=TICKS, settle=SETTLE, rest=REST)
 NAMES = ("shoulder", "elbow")
+ENCODE = {t: JointStateEncoder(NAMES, VALUE_FIELD[t]).encode for t in VALUE_FIELD}
 METADATA = {"seed": "7", "joint_names": json.dumps(NAMES), "torque_timing": '"simultaneous"'}
 ARM_RECORDING = recorded_arm()
 ARM_NAMES = ARM_RECORDING.records[0].joint_names
@@ -80,21 +83,29 @@ class Desk:
     def feed(self, messages: Iterable[Message]) -> None:
         record(self.recorder, messages, self.together)
 
+    def record(self, messages: Iterable[Message]) -> None:
+        """Feed all there is."""
+        self.feed(messages)
+        self.recorder.stop()
+
     @property
     def bags(self) -> list[Path]:
-        assert self.directory is not None
-        return sorted((self.directory / "bags").iterdir())
+        return sorted((known(self.directory) / "bags").iterdir())
+
+    def assert_handed_over(self, records: Iterable[TrialRecord]) -> None:
+        for trial, expected in zip(self.finished, records, strict=True):
+            assert_same(trial.intact()[0], expected)
 
     def assert_bags_read_as_handed_over(self) -> None:
+        directory = known(self.directory)
         for trial in self.finished:
-            assert self.directory is not None
             assert trial.bag == f"bags/trial_{trial.trial}_joint_{trial.trial}"
             assert 0.0 < trial.rtf < math.inf
             if not all(trial.statistics.streams[topic].received for topic in STREAMS):
                 with pytest.raises(BagError, match="no "):
-                    read_bag(self.directory / trial.bag)
+                    read_bag(directory / trial.bag)
                 continue
-            content = read_bag(self.directory / trial.bag)
+            content = read_bag(directory / trial.bag)
             assert content.metadata.items() >= METADATA.items()
             (read,) = content.trials
             assert (read.window, read.statistics) == (trial.window, trial.statistics)
@@ -110,8 +121,7 @@ def test_messages_of_a_stream_may_differ_in_length(tmp_path: Path) -> None:
         for place, (topic, time_ns, raw) in enumerate(MADE_UP.messages)
     )
     desk.assert_bags_read_as_handed_over()
-    for trial, made in zip(desk.finished, MADE_UP.records, strict=True):
-        assert_same(trial.intact()[0], made)
+    desk.assert_handed_over(MADE_UP.records)
 
 
 @settings(max_examples=30, deadline=None)
@@ -125,14 +135,11 @@ def test_however_late_a_stream_is_each_trial_has_exactly_its_samples_also_replay
 ) -> None:
     recording = synthetic_recording(perturbed=(0, 1), ticks=TICKS, settle=rest, rest=rest)
     desk, again = Desk(tmp_path_factory.mktemp("late"), together=together), Desk(None, together=50)
-    desk.feed(sorted(recording.messages, key=lambda m: m[1] + late[m[0]] * PERIOD_NS))
-    desk.recorder.stop()
-    again.feed(message for bag in desk.bags for message in iterate_messages(bag))
-    again.recorder.stop()
-    for finished in (desk.finished, again.finished):
-        for trial, expected in zip(finished, recording.records, strict=True):
-            assert_same(trial.intact()[0], expected)
-            assert trial.segments[0].command is not None
+    desk.record(sorted(recording.messages, key=lambda m: m[1] + late[m[0]] * PERIOD_NS))
+    again.record(message for bag in desk.bags for message in iterate_messages(bag))
+    for one in (desk, again):
+        one.assert_handed_over(recording.records)
+        assert all(trial.segments[0].command is not None for trial in one.finished)
 
 
 @pytest.mark.parametrize("stamp_ns", [0, 60_000_000_000], ids=["past", "future"])
@@ -144,12 +151,11 @@ def test_a_perturbation_of_somebody_else_between_trials_is_found_and_costs_no_sa
         perturbed=(0, 1), ticks=TICKS, settle=SETTLE, rest=REST, start_ns=30_000_000_000
     )
     at_ns = recording.messages[0][1] + place * PERIOD_NS
-    stray = JointStateEncoder(NAMES, VALUE_FIELD[PERTURBATION]).encode(stamp_ns, (0.1, 0.1))
+    stray = ENCODE[PERTURBATION](stamp_ns, (0.1, 0.1))
     desk = Desk(None)
-    desk.feed(sorted((*recording.messages, (PERTURBATION, at_ns, stray)), key=lambda m: m[1]))
-    desk.recorder.stop()
-    codes = [{problem.code for problem in trial.problems} for trial in desk.finished]
-    assert codes == [set(), {ProblemCode.PERTURBATIONS_FOREIGN}]
+    desk.record(sorted((*recording.messages, (PERTURBATION, at_ns, stray)), key=lambda m: m[1]))
+    found = [set(codes(trial.problems)) for trial in desk.finished]
+    assert found == [set(), {ProblemCode.PERTURBATIONS_FOREIGN}]
     assert_same(desk.finished[1].segments[0], recording.records[1])
 
 
@@ -165,12 +171,11 @@ def test_bags_read_as_what_was_handed_over_whatever_was_lost(
 ) -> None:
     desk = Desk(tmp_path_factory.mktemp("lost"), together=together)
     start_ns = MADE_UP.messages[0][1]
-    desk.feed(
+    desk.record(
         message
         for message in MADE_UP.messages
         if (message[1] - start_ns) // PERIOD_NS not in lost.get(message[0], ())
     )
-    desk.recorder.stop()
     desk.assert_bags_read_as_handed_over()
     for trial, expected in zip(desk.finished, MADE_UP.records, strict=True):
         first = (expected.start_ns - start_ns) // PERIOD_NS
@@ -186,8 +191,7 @@ def test_when_a_stream_falls_silent_expect_the_next_trial_whole_but_for_that(
     recording = synthetic_recording(perturbed=(0, 1), ticks=50, settle=5, rest=2050)
     last_ns = recording.records[0].start_ns + 20 * PERIOD_NS
     desk = Desk(tmp_path, together=together)
-    desk.feed(m for m in recording.messages if m[0] != TORQUE_SENSORS or m[1] < last_ns)
-    desk.recorder.stop()
+    desk.record(m for m in recording.messages if m[0] != TORQUE_SENSORS or m[1] < last_ns)
     for trial, expected in zip(desk.finished, (30, 50), strict=True):
         lost = {topic: one.lost for topic, one in trial.statistics.streams.items()}
         assert lost == {**dict.fromkeys(DATA_STREAMS, 0), TORQUE_SENSORS: expected}
@@ -210,10 +214,8 @@ def test_trials_may_come_in_any_order_of_their_times(
         if topic == TRIAL and decode_trial_status(raw).trial == 2
     )
     desk = Desk(tmp_path, together=together)
-    desk.feed([*recording.messages[second:], *recording.messages[:second]])
-    desk.recorder.stop()
-    for trial, expected in zip(desk.finished, recording.records[::-1], strict=True):
-        assert_same(trial.intact()[0], expected)
+    desk.record([*recording.messages[second:], *recording.messages[:second]])
+    desk.assert_handed_over(recording.records[::-1])
     desk.assert_bags_read_as_handed_over()
 
 
@@ -232,24 +234,22 @@ def test_a_trial_that_ends_early_has_no_sample_of_the_rest_nor_has_its_bag(
 
     desk = Desk(tmp_path, together=together)
     desk.feed(told for message in MADE_UP.messages for told in longer(message))
-    for trial, expected in zip(desk.finished, MADE_UP.records, strict=True):
-        assert trial.window.saved == TICKS
-        assert_same(trial.intact()[0], expected)
+    desk.assert_handed_over(MADE_UP.records)
+    assert [trial.window.saved for trial in desk.finished] == [TICKS, TICKS]
     desk.recorder.stop()
     desk.assert_bags_read_as_handed_over()
 
 
 @pytest.mark.parametrize("drift", [-1e-4, 1e-4])
 def test_clock_of_a_driver_may_drift(drift: float) -> None:
-    encode = {t: JointStateEncoder(NAMES, VALUE_FIELD[t]).encode for t in VALUE_FIELD}
     recording = synthetic_recording(ticks=5000, settle=10, rest=10)
     start_ns = recording.records[0].start_ns
 
     def drifting(message: Message) -> Message:
         topic, time_ns, raw = message
-        if topic in encode:
+        if topic in ENCODE:
             stamp_ns, values = JointStateDecoder(NAMES, VALUE_FIELD[topic]).decode(raw)
-            raw = encode[topic](stamp_ns + round(drift * (stamp_ns - start_ns)), values)
+            raw = ENCODE[topic](stamp_ns + round(drift * (stamp_ns - start_ns)), values)
         return topic, time_ns, raw
 
     desk = Desk(None, together=50)
@@ -258,7 +258,7 @@ def test_clock_of_a_driver_may_drift(drift: float) -> None:
 
 
 def test_stamps_that_make_no_sense_hold_nothing_up_and_messages_without_are_refused() -> None:
-    wrong = JointStateEncoder(NAMES, "position").encode(10**15, (0.0, 0.0))
+    wrong = ENCODE[JOINT_STATES](10**15, (0.0, 0.0))
     messages = list(MADE_UP.messages)
     for raw in (wrong, b"\0\1"):
         messages.insert(4 * (SETTLE + 5) + 2, (JOINT_STATES, 0, raw))

@@ -3,6 +3,7 @@
 import functools
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -11,13 +12,11 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from armimp_common.cdr import decode_trial_statuses
 from armimp_common.errors import DataError
 from armimp_common.realtime import TimingLimits
 from armimp_common.status import TimingFigures
-from armimp_common.topics import CONTROLLER_NODE, JOINT_STATES, PERIOD_NS, TRIAL
-from armimp_estimation.alignment.assemble import Trial, assemble_trials
-from armimp_estimation.alignment.streams import decode_streams
+from armimp_common.topics import CONTROLLER_NODE, JOINT_STATES, PERIOD_NS
+from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.atomic_write import write_atomically
 from armimp_estimation.fit import Calibration
 from armimp_estimation.identify import Identification, identify
@@ -34,9 +33,12 @@ from armimp_estimation.summary import (
     write_summary,
 )
 from armimp_estimation.trial import TrialData
+from support import known
+from support.places import contents
+from support.problems import codes
 from support.results import METADATA as SHOWN
-from support.streams import changed
-from support.synthetic_bags import SyntheticRecording, recorded_arm
+from support.streams import changed, trials_of
+from support.synthetic_bags import recorded_arm
 from support.synthetic_trials import (
     SEGMENT,
     TWO_JOINT_ARM,
@@ -52,14 +54,7 @@ METADATA = {**SHOWN, "joint_names": json.dumps(NAMES)}
 NOISE = problem(ProblemCode.STALLED, seconds=30.0)
 
 
-def recorded(recording: SyntheticRecording = RECORDING) -> list[Trial]:
-    """The trials of a recording."""
-    topics = recording.by_topic()
-    statuses, _ = decode_trial_statuses(topics[TRIAL])
-    return list(assemble_trials(decode_streams(NAMES, topics), statuses))
-
-
-LIVE = recorded()
+LIVE = trials_of(RECORDING.by_topic(), joint_names=NAMES)
 LOST = {RECORDING.records[1].start_ns + tick * PERIOD_NS for tick in range(4000, 4037)}
 KEPT = tuple(one for one in RECORDING.messages if one[0] != JOINT_STATES or one[1] not in LOST)
 
@@ -72,8 +67,8 @@ def bits(result: Result) -> list[bytes]:
     return [part.tobytes() for one in result.curves.values() for part in (one.Z, one.variance)]
 
 
-def codes(result: Result) -> list[ProblemCode]:
-    return [one.code for one in result.summary.problems]
+def codes_of(trials: Sequence[Trial], **options: Any) -> list[ProblemCode]:
+    return codes(result_of(trials, **options).summary.problems)
 
 
 @functools.cache
@@ -89,7 +84,7 @@ def test_when_there_is_not_one_trial_for_each_joint_expect_a_result_without_esti
     assert not result.summary.valid
     assert not result.curves
     assert not result.summary.estimators
-    assert codes(result) == [ProblemCode.TRIALS_INCOMPLETE]
+    assert codes(result.summary.problems) == [ProblemCode.TRIALS_INCOMPLETE]
     assert len(result.summary.trials) == len(trials)
     assert result.summary.truth is not None
 
@@ -108,7 +103,7 @@ def test_known_problems_make_a_result_invalid_and_come_first() -> None:
     summary = result_of(LIVE, problems=[NOISE]).summary
     assert (summary.valid, summary.problems, summary.faults) == (False, [NOISE], [NOISE])
     assert tuple(summary.estimators) == ESTIMATORS
-    assert codes(result_of([], problems=[NOISE])) == [NOISE.code, ProblemCode.TRIALS_INCOMPLETE]
+    assert codes_of([], problems=[NOISE]) == [NOISE.code, ProblemCode.TRIALS_INCOMPLETE]
     # No problem is listed twice.
     spoiled = replace(LIVE[0], problems=(NOISE,))
     assert result_of([spoiled, LIVE[1]], problems=[NOISE]).summary.problems == [NOISE]
@@ -121,10 +116,10 @@ def test_trials_of_another_rate_are_refused_where_the_controller_that_made_them_
         replace(one, segments=tuple(replace(part, rate=2000.0) for part in one.segments))
         for one in LIVE
     ]
-    known = Metadata(config={CONTROLLER_NODE: {}})
-    assert ProblemCode.RATE_UNPLANNED not in codes(result_of(faster, known=Metadata()))
-    assert ProblemCode.RATE_UNPLANNED not in codes(result_of(LIVE, known=known))
-    assert codes(result_of(faster, known=known)).count(ProblemCode.RATE_UNPLANNED) == 2
+    planned = Metadata(config={CONTROLLER_NODE: {}})
+    assert ProblemCode.RATE_UNPLANNED not in codes_of(faster, known=Metadata())
+    assert ProblemCode.RATE_UNPLANNED not in codes_of(LIVE, known=planned)
+    assert codes_of(faster, known=planned).count(ProblemCode.RATE_UNPLANNED) == 2
 
 
 def test_notes_and_problems_of_an_estimator_that_decides_nothing_leave_the_result_valid() -> None:
@@ -174,10 +169,11 @@ def test_metadata_that_make_no_sense_are_refused_in_one_line(
 
 
 def test_trials_that_lost_samples_are_refused_or_estimated_from_their_intact_parts() -> None:
-    trials = recorded(replace(RECORDING, messages=KEPT))
+    trials = trials_of(replace(RECORDING, messages=KEPT).by_topic(), joint_names=NAMES)
     refused = result_of(trials)
     healed = result_of([replace(one, allow_gaps=True) for one in trials])
-    assert codes(refused) == codes(healed) == [ProblemCode.SAMPLES_MISSING]
+    for one in (refused, healed):
+        assert codes(one.summary.problems) == [ProblemCode.SAMPLES_MISSING]
     assert not refused.curves
     assert all(math.isnan(value) for value in refused.summary.trials[0].lock_ratio)
     (note,) = healed.summary.problems
@@ -189,8 +185,7 @@ def test_trials_that_lost_samples_are_refused_or_estimated_from_their_intact_par
     assert (first.lost, first.excluded, first.stretches) == (0, 0, 1)
     assert (second.lost, second.excluded, second.stretches) == (37, 37, 2)
     for estimator in healed.summary.estimators.values():
-        assert estimator.vaf is not None
-        assert np.min(estimator.vaf) > 99.0
+        assert np.min(known(estimator.vaf)) > 99.0
     # Of records without gaps the result is the same.
     assert bits(result_of([replace(one, allow_gaps=True) for one in LIVE])) == bits(complete())
 
@@ -249,12 +244,11 @@ def test_each_limit_that_is_exceeded_is_a_problem(
     changes: dict[str, float], expected: list[ProblemCode]
 ) -> None:
     told = timing(GOOD, **changes)
-    assert [one.code for one in told.problems] == expected
+    assert codes(told.problems) == expected
     # Without trials nothing is estimated.
     summary = result_of([], known=Metadata.of(METADATA | stored(told)[0])).summary
-    assert [one.code for one in summary.faults] == [*expected, ProblemCode.TRIALS_INCOMPLETE]
-    assert summary.timing is not None
-    assert summary.timing.model_dump_json() == told.model_dump_json()
+    assert codes(summary.faults) == [*expected, ProblemCode.TRIALS_INCOMPLETE]
+    assert known(summary.timing).model_dump_json() == told.model_dump_json()
 
 
 def test_of_several_bags_the_one_that_knows_most_of_the_run_tells_its_timing() -> None:
@@ -281,8 +275,8 @@ def test_when_a_bag_is_of_another_run_expect_the_worse_run_to_count(
 @pytest.fixture(scope="module")
 def identification() -> Identification:
     data = synthetic_trials(SyntheticConfig(rate=125.0, samples=6144, torque_noise=0.02))
-    known = Metadata(truth=TWO_JOINT_ARM, calibration=Calibration())
-    return identify(data, ["welch_siso", "welch_full"], known)
+    told = Metadata(truth=TWO_JOINT_ARM, calibration=Calibration())
+    return identify(data, ["welch_siso", "welch_full"], told)
 
 
 def test_summary_has_the_keys_of_schema_1_and_comes_back_bit_by_bit(tmp_path: Path) -> None:
@@ -306,20 +300,19 @@ def test_summary_has_the_keys_of_schema_1_and_comes_back_bit_by_bit(tmp_path: Pa
     assert [(one["bag"], one["rtf"]) for one in content["trials"]] == [("somewhere", 2.5)] * 2
     back = read_summary(path)
     assert back.model_dump_json() == summary.model_dump_json()
-    assert back.truth is not None
-    np.testing.assert_array_equal(back.truth.B, TWO_JOINT_ARM.B)
+    np.testing.assert_array_equal(known(back.truth).B, TWO_JOINT_ARM.B)
 
 
 def test_files_hold_the_result_and_are_never_overwritten(tmp_path: Path) -> None:
     complete().write(tmp_path)
-    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    before = contents(tmp_path)
     assert read_summary(tmp_path / "summary.json") == complete().summary
     assert set(read_frf(tmp_path / "frf.npz")) == set(ESTIMATORS)
     with pytest.raises(DataError, match=r"frf.npz: exists already"):
         complete().write(tmp_path)
     with pytest.raises(DataError, match=r"summary.json: exists already"):
         write_summary(tmp_path / "summary.json", complete().summary)
-    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+    assert contents(tmp_path) == before
     (tmp_path / "bare").mkdir()
     result_of([]).write(tmp_path / "bare")
     assert [path.name for path in (tmp_path / "bare").iterdir()] == ["summary.json"]
@@ -366,12 +359,9 @@ def test_covariances_of_responses_and_parameters_contain_the_standard_errors(
 ) -> None:
     for result in identification.estimators.values():
         estimate, fit = result.estimate, result.fit
-        assert estimate.disturbance is not None
-        assert estimate.inverse is not None
-        share = np.abs(estimate.inverse) ** 2
-        variance = np.einsum("kiif,kjf->ijf", estimate.disturbance, share).real
-        known = estimate.noise
-        np.testing.assert_allclose(variance, known, rtol=1e-6)
+        share = np.abs(known(estimate.inverse)) ** 2
+        variance = np.einsum("kiif,kjf->ijf", known(estimate.disturbance), share).real
+        np.testing.assert_allclose(variance, estimate.noise, rtol=1e-6)
         errors = fit.errors.ravel()
         correlation = fit.covariance / np.outer(errors, errors)
         assert np.linalg.eigvalsh(correlation).min() > 0.0

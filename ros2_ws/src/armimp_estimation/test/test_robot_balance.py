@@ -14,10 +14,12 @@ from armimp_estimation.hold_correction import answers_to_rounding
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.mbk import MBK
 from armimp_estimation.metadata import Metadata
-from armimp_estimation.problems import Problem, ProblemCode
+from armimp_estimation.problems import ProblemCode
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.trial import TrialData
 from armimp_sim.presets import human_arm, robot
+from support import known
+from support.problems import codes, having
 from support.synthetic_trials import (
     TWO_JOINT_ARM,
     SyntheticConfig,
@@ -33,6 +35,7 @@ ROBOT = MBK(
     K=np.zeros((2, 2)),
 )
 UNDECLARED, EXACT = Calibration.undeclared(), Calibration()
+COMPUTED, UNBALANCED = ProblemCode.TORQUE_FROM_COMMAND, ProblemCode.TORQUE_UNBALANCED
 
 
 def recorded(robot: MBK, gains: FloatArray, noise: float = 0.005) -> list[TrialRecord]:
@@ -53,17 +56,9 @@ def recorded(robot: MBK, gains: FloatArray, noise: float = 0.005) -> list[TrialR
     return records
 
 
-def identified(records: list[TrialRecord], calibration: Calibration) -> Identification:
+def identified(records: list[TrialRecord], calibration: Calibration = UNDECLARED) -> Identification:
     trials = [TrialData.of(one) for one in records]
     return identify(trials, ("lpm_full",), Metadata(calibration=calibration))
-
-
-def computed(result: Identification) -> list[Problem]:
-    return [one for one in result.problems if one.code is ProblemCode.TORQUE_FROM_COMMAND]
-
-
-def unbalanced(result: Identification) -> list[Problem]:
-    return [one for one in result.problems if one.code is ProblemCode.TORQUE_UNBALANCED]
 
 
 @pytest.mark.parametrize("calibration", [UNDECLARED, EXACT], ids=["undeclared", "declared"])
@@ -82,8 +77,8 @@ def test_with_gravity_a_wrong_gain_is_refused_with_its_size_and_error(
     gains: tuple[float, float],
 ) -> None:
     heavy = dataclasses.replace(ROBOT, K=-np.array([[2.0, 1.0], [1.0, 1.0]]))
-    result = identified(recorded(heavy, np.array(gains)), UNDECLARED)
-    found = {str(one.values["name"]): one.values for one in unbalanced(result)}
+    result = identified(recorded(heavy, np.array(gains)))
+    found = {str(one.values["name"]): one.values for one in having(result.problems, UNBALANCED)}
     for name, gain in zip(result.joint_names, gains, strict=True):
         assert (name in found) == (gain != 1.0)
         if name in found:
@@ -94,29 +89,23 @@ def test_with_gravity_a_wrong_gain_is_refused_with_its_size_and_error(
 
 def test_commands_in_another_order_than_the_joints_are_put_in_order() -> None:
     records = recorded(ROBOT, np.ones(2))
-    swapped = [
-        dataclasses.replace(one, command=one.command[::-1])
-        for one in records
-        if one.command is not None
-    ]
-    result = identified(swapped, UNDECLARED)
+    swapped = [dataclasses.replace(one, command=known(one.command)[::-1]) for one in records]
+    result = identified(swapped)
     assert result.valid, result.problems
-    assert ProblemCode.COMMANDS_PERMUTED in {one.code for one in result.problems}
-    told, given = result.balance, identified(records, UNDECLARED).balance
-    assert told is not None
-    assert given is not None
-    np.testing.assert_allclose(told.M, given.M, rtol=1e-9)
+    assert ProblemCode.COMMANDS_PERMUTED in codes(result.problems)
+    told, given = (known(one.balance).M for one in (result, identified(records)))
+    np.testing.assert_allclose(told, given, rtol=1e-9)
 
 
 def test_torques_that_are_the_commands_of_the_drives_leave_a_robot_of_no_inertia() -> None:
     rng, records = np.random.default_rng(3), recorded(ROBOT, np.ones(2))
     for k, record in enumerate(records):
-        assert record.command is not None
-        noise = 0.01 * np.std(record.command) * rng.standard_normal(record.command.shape)
-        records[k] = dataclasses.replace(record, torque=np.roll(record.command, 1, axis=1) + noise)
-    result = identified(records, UNDECLARED)
+        command = known(record.command)
+        noise = 0.01 * np.std(command) * rng.standard_normal(command.shape)
+        records[k] = dataclasses.replace(record, torque=np.roll(command, 1, axis=1) + noise)
+    result = identified(records)
     assert not result.verdict.impedance
-    assert ProblemCode.ROBOT_INERTIA_IMPOSSIBLE in {one.code for one in result.problems}
+    assert ProblemCode.ROBOT_INERTIA_IMPOSSIBLE in codes(result.problems)
 
 
 @pytest.mark.parametrize(
@@ -129,10 +118,10 @@ def test_a_gain_that_commands_and_torques_share_is_refused_where_the_robot_is_kn
     records = recorded(ROBOT, np.full(2, gain))
     records = [dataclasses.replace(one, command=gain * np.array(one.command)) for one in records]
     robot = {"robot_inertia": row_by_row(ROBOT.M), "robot_inertia_uncertainty": uncertainty}
-    known = Metadata.model_validate({"calibration": EXACT, **robot})
-    result = identify([TrialData.of(one) for one in records], ("lpm_full",), known)
-    found = [one for one in result.problems if one.code is ProblemCode.ROBOT_INERTIA_UNLIKE]
-    assert bool(found) == refused == (not result.valid)
+    declared = Metadata.model_validate({"calibration": EXACT, **robot})
+    result = identify([TrialData.of(one) for one in records], ("lpm_full",), declared)
+    assert (ProblemCode.ROBOT_INERTIA_UNLIKE in codes(result.problems)) == refused
+    assert result.valid == (not refused)
 
 
 def pulsed(friction: float) -> TrialRecord:
@@ -162,16 +151,16 @@ def pulsed(friction: float) -> TrialRecord:
 
 @pytest.mark.parametrize("friction", [0.3, 1.0])
 def test_friction_of_a_joint_that_is_pushed_and_then_rests_is_no_gain(friction: float) -> None:
-    result = identified([pulsed(friction)], UNDECLARED)
-    assert not unbalanced(result)
-    assert result.balance is not None
-    assert result.balance.K[0, 0] < -4.0 * result.balance.K_se[0, 0], "it looks like a gain above 1"
+    result = identified([pulsed(friction)])
+    assert UNBALANCED not in codes(result.problems)
+    balance = known(result.balance)
+    assert balance.K[0, 0] < -4.0 * balance.K_se[0, 0], "it looks like a gain above 1"
 
 
 def test_a_gain_above_one_of_a_single_joint_leaves_the_robot_a_negative_viscosity() -> None:
     record = pulsed(friction=0.0)
-    result = identified([dataclasses.replace(record, torque=1.5 * record.torque)], UNDECLARED)
-    (found,) = unbalanced(result)
+    result = identified([dataclasses.replace(record, torque=1.5 * record.torque)])
+    (found,) = having(result.problems, UNBALANCED)
     assert float(found.values["share"]) == pytest.approx(1.5, abs=0.1)
     assert 0.0 < float(found.values["error"]) < 0.1
 
@@ -189,19 +178,18 @@ def simulated(law: str = "tde", noise: float = 0.05) -> TrialRecord:
 def modelled(share: float) -> TrialRecord:
     """A trial whose torques are the commands less what a model with a share of inertia takes."""
     record = simulated()
-    assert record.command is not None
     smooth = signal.butter(2, 40.0, fs=record.rate, output="sos")
     speed = np.gradient(signal.sosfiltfilt(smooth, record.position), 1.0 / record.rate, axis=1)
     taken = share * robot(1).moments[0] * np.gradient(speed, 1.0 / record.rate, axis=1)
     noise = 0.01 * np.random.default_rng(5).standard_normal(speed.shape)
-    torque = np.roll(record.command, 1, axis=1) - taken - 0.1 * speed + noise
+    torque = np.roll(known(record.command), 1, axis=1) - taken - 0.1 * speed + noise
     return dataclasses.replace(record, torque=torque)
 
 
 @pytest.mark.parametrize("share", [0.8, 0.9])
 def test_a_torque_that_is_computed_from_the_command_is_refused(share: float) -> None:
-    result = identified([modelled(share)], UNDECLARED)
-    (found,) = computed(result)
+    result = identified([modelled(share)])
+    (found,) = having(result.problems, COMPUTED)
     assert not result.verdict.impedance
     assert float(found.values["percent"]) == pytest.approx(100.0, abs=30.0)
     assert float(found.values["most"]) < 60.0
@@ -210,7 +198,7 @@ def test_a_torque_that_is_computed_from_the_command_is_refused(share: float) -> 
 @pytest.mark.parametrize(("law", "noise"), [("tde", 0.01), ("observer", 0.05)])
 def test_a_law_that_feeds_noisy_torques_back_computes_none(law: str, noise: float) -> None:
     record = simulated(law, noise)
-    assert not computed(identified([record], UNDECLARED))
+    assert COMPUTED not in codes(identified([record]).problems)
     answers, errors = answers_to_rounding([record])
     arm = human_arm(1).inertia[0]
     at_once = arm / (arm + robot(1).moments[0])
@@ -221,32 +209,33 @@ def test_a_law_that_feeds_noisy_torques_back_computes_none(law: str, noise: floa
 @pytest.mark.parametrize("late", [2, 3, 5, 7, 10])
 def test_commands_that_are_recorded_periods_late_compute_no_torque(late: int) -> None:
     record = simulated()
-    assert record.command is not None
-    command = np.roll(record.command, late, axis=1)
-    assert not computed(identified([dataclasses.replace(record, command=command)], UNDECLARED))
+    command = np.roll(known(record.command), late, axis=1)
+    assert COMPUTED not in codes(
+        identified([dataclasses.replace(record, command=command)]).problems
+    )
 
 
 def test_where_angles_tell_nothing_of_commands_no_torque_is_said_to_be_computed() -> None:
     record = modelled(0.8)
     fine = record.position + 1e-6 * np.random.default_rng(1).standard_normal(record.position.shape)
-    assert not computed(identified([dataclasses.replace(record, position=fine)], UNDECLARED))
+    assert COMPUTED not in codes(identified([dataclasses.replace(record, position=fine)]).problems)
 
 
 @pytest.mark.parametrize("unit", [0.102, 9.81, 100.0])
 def test_torques_in_another_unit_than_the_commands_are_refused(unit: float) -> None:
-    result = identified(recorded(ROBOT, np.full(2, unit)), UNDECLARED)
+    result = identified(recorded(ROBOT, np.full(2, unit)))
     told = {ProblemCode.TORQUE_UNBALANCED, ProblemCode.TORQUES_CROSS}
     if unit == 100.0:  # which nobody could tell from any other large number
         told = {ProblemCode.COMMANDS_UNRELATED}
     assert not result.verdict.impedance
-    assert told & {one.code for one in result.problems}
+    assert told & set(codes(result.problems))
 
 
 def test_commands_of_other_trials_confirm_nothing_and_refute_nothing() -> None:
     records = recorded(ROBOT, np.ones(2))
     noise = np.random.default_rng(2).standard_normal(records[0].torque.shape)
     foreign = [dataclasses.replace(one, command=noise) for one in records]
-    result = identified(foreign, UNDECLARED)
+    result = identified(foreign)
     assert result.valid
-    noted = [one for one in result.problems if one.code is ProblemCode.GAIN_UNCONFIRMED]
+    noted = having(result.problems, ProblemCode.GAIN_UNCONFIRMED)
     assert len(noted) == 2

@@ -26,6 +26,7 @@ from armimp_estimation.signal_quality import (
 )
 from armimp_estimation.systematics import lost_motion
 from armimp_estimation.trial import TrialData
+from support.problems import codes, having
 from support.synthetic_trials import made_record, part_of
 
 RATE = 1000.0
@@ -282,7 +283,7 @@ def test_a_copy_of_command_or_perturbation_is_told_from_a_torque_on_the_arm(
     torque = factor * np.roll(given, 1, axis=1) - inertia * motion(5, 1e-3)
     streams: dict[str, Any] = {"torque": torque, source: given}
     found = judge_signals(replace(record, **streams))
-    copied = [one for one in found if one.code is ProblemCode.TORQUE_IS_COMMAND]
+    copied = having(found, ProblemCode.TORQUE_IS_COMMAND)
     assert [one.values["source"] for one in copied] == [source] * told
 
 
@@ -338,7 +339,7 @@ def pushed(keep: int, *, hold: int = 1, person: float = 0.0) -> TrialRecord:
 @pytest.mark.parametrize(("keep", "hold"), [(4, 1), (5, 1), (10, 2)])
 def test_a_perturbation_of_which_samples_were_dropped_is_reported(keep: int, hold: int) -> None:
     assert aliased(pushed(keep, hold=hold)) < 0.6
-    assert ProblemCode.ALIASED in {one.code for one in judge_signals(pushed(keep, hold=hold))}
+    assert ProblemCode.ALIASED in codes(judge_signals(pushed(keep, hold=hold)))
 
 
 @pytest.mark.parametrize(("keep", "hold", "person"), [(1, 1, 0.3), (5, 5, 0.3), (5, 30, 1.0)])
@@ -405,4 +406,4 @@ def test_a_joint_that_moves_within_loose_cuffs_is_reported(kind: str, gap: float
     record = made_record(angle[None], (1.0 + torque)[None])
     off = np.abs(np.subtract(floating(record), (1.0, 0.7)))
     assert (off < (0.15 * torque.std(), 0.3)).all()
-    assert ProblemCode.ARM_FLOATS in {one.code for one in judge_signals(record)}
+    assert ProblemCode.ARM_FLOATS in codes(judge_signals(record))

@@ -12,20 +12,19 @@ from scipy import signal
 import armimp
 from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_estimation.estimators.lpm import LpmFull
-from armimp_estimation.fit import fit_mbk
+from armimp_estimation.fit import MBKFit, fit_mbk
 from armimp_estimation.hold_correction import update_jump
-from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
-from armimp_sim.presets import human_arm, robot
+from support import known
+from support.laws import ROBOT
+from support.synthetic_trials import TWO_JOINT_ARM as ARM
 from support.synthetic_trials import off, worst_errors
 
 RATE = 1e3
 F = np.array([0.122, 1.0, 5.0, 15.0])
-RIG = human_arm(2)
-ARM = MBK(M=RIG.M, B=RIG.B, K=RIG.K)
-TRANSMISSION = ARM.M @ np.linalg.inv(ARM.M + robot(2).mass_matrix(RIG.theta_0))
+TRANSMISSION = ARM.M @ np.linalg.inv(ARM.M + ROBOT)
 """Share of a command that is torque on the arm at once."""
 PROMPT = TorqueReading()
 
@@ -74,6 +73,10 @@ def told(records: Sequence[TrialRecord], reading: TorqueReading) -> list[TrialRe
     return [replace(record, reading=reading) for record in records]
 
 
+def fitted(records: Sequence[TrialRecord]) -> MBKFit:
+    return fit_mbk(LpmFull().estimate([TrialData.of(record) for record in records]))
+
+
 def images(reading: TorqueReading, power: int) -> ComplexArray:
     """What sampling folds back, as the sum over the images of the spectrum, symmetric about 0."""
     m = np.concatenate([np.arange(-100_000, 0), np.arange(1, 100_001)])[:, None]
@@ -101,23 +104,19 @@ def test_drives_may_lag_by_the_time_constant_of_the_filter(order: int) -> None:
 
 @latest
 def test_jumps_are_found_behind_delay_and_filter(reading: TorqueReading) -> None:
-    jump = update_jump(told(rig_records(reading), reading))
-    assert jump is not None
+    jump = known(update_jump(told(rig_records(reading), reading)))
     np.testing.assert_allclose(jump.torque, TRANSMISSION, atol=0.03 * np.max(TRANSMISSION))
 
 
 @latest
 def test_known_delay_and_filter_leave_no_error_and_unknown_ones_do(reading: TorqueReading) -> None:
     records = rig_records(reading)
-    known = [TrialData.of(record) for record in told(records, reading)]
-    worst = worst_errors(fit_mbk(LpmFull().estimate(known)).mbk, ARM)
+    worst = worst_errors(fitted(told(records, reading)).mbk, ARM)
     assert worst["M"] < 0.002
     assert worst["B"] < 0.005
     assert worst["K"] < 0.002
     # Undeclared, it is found as a common delay or is in the standard errors.
-    data = [TrialData.of(record) for record in records]
-    fit = fit_mbk(LpmFull().estimate(data))
-    assert off(fit, ARM).max() < 3.5
+    assert off(fitted(records)).max() < 3.5
 
 
 def test_spectra_are_corrected_for_delay_and_filter_and_coherences_stay() -> None:
@@ -149,14 +148,12 @@ def test_spectra_are_corrected_for_delay_and_filter_and_coherences_stay() -> Non
 
 def viscosity(records: list[TrialRecord]) -> FloatArray:
     """Fitted viscosity relative to the true one."""
-    data = [TrialData.of(record) for record in records]
-    return fit_mbk(LpmFull().estimate(data)).mbk.B / ARM.B
+    return fitted(records).mbk.B / ARM.B
 
 
 @pytest.mark.parametrize("law", ["tde", "observer"])
 def test_chatter_of_the_command_or_else_the_motion_tells_how_far_torques_jump(law: str) -> None:
-    found = update_jump(rig_records(law=law))
-    assert found is not None
+    found = known(update_jump(rig_records(law=law)))
     np.testing.assert_allclose(found.torque, TRANSMISSION, atol=0.01 * np.max(TRANSMISSION))
 
 

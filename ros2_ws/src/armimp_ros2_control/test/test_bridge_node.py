@@ -17,7 +17,7 @@ from armimp_common.topics import PERIOD_NS
 from armimp_ros2_control.node import EFFORTS, STATES, Ros2ControlBridge
 from armimp_ros2_control.parameters import BridgeParameters
 from support.controller import SUCCESS, ScriptedController
-from support.graph import CLOCK_STEPS, Launch, eventually, set_clock
+from support.graph import CLOCK_STEPS, Launch, set_clock
 
 ZERO, PUSH = (0.0, 0.0), (5.0, -2.0)
 
@@ -106,7 +106,7 @@ def waiting(node: Node, spinner: Spinner, bridge: PatientBridge) -> World:
 @pytest.fixture
 def world(waiting: World, node: Node, bridge: PatientBridge) -> World:
     assert bridge.trigger_activate() is SUCCESS
-    eventually(waiting.spinner, lambda: waiting.told == [ZERO], "no torque to begin with")
+    waiting.until(lambda: waiting.told == [ZERO], "no torque to begin with")
     wait_for_partners(node, publishers=[waiting.states])
     wait_for_partners(bridge, subscriptions=[bridge._states])
     return waiting
@@ -125,14 +125,14 @@ def test_joint_states_that_came_before_the_activation_are_not_passed_on_in_a_bur
     monkeypatch.setattr("armimp_common.driver_base.wait_for_partners", wait)
     assert bridge.trigger_activate() is SUCCESS
     waiting.feed()
-    eventually(waiting.spinner, lambda: bool(waiting.torques), "the next sample")
+    waiting.until(lambda: bool(waiting.torques), "the next sample")
     assert [stamp for stamp, _ in waiting.torques] == [101 * PERIOD_NS]
 
 
 def test_joint_states_are_split_in_pairs_with_the_stamps_that_came(world: World) -> None:
     for _ in range(3):
         world.feed()
-    eventually(world.spinner, lambda: len(world.torques) == 3, "three samples")
+    world.until(lambda: len(world.torques) == 3, "three samples")
     stamps = [PERIOD_NS * k for k in (1, 2, 3)]
     assert world.positions == [(stamp, (1.1, 1.3)) for stamp in stamps]
     assert world.torques == [(stamp, (-0.5, 0.5)) for stamp in stamps]
@@ -177,7 +177,7 @@ def test_the_emergency_stop_zeroes_torque_again_and_again_until_a_reset_refused_
     world.await_fault("emergency stop")
     # Torque is still commanded. Even without samples, fault and zero torque are published.
     world.running, before = False, len(world.told)
-    eventually(world.spinner, lambda: len(world.faults) >= 3, "the fault, three times")
+    world.until(lambda: len(world.faults) >= 3, "the fault, three times")
     assert set(world.told[before:]) == {ZERO}
     assert len(world.told) - before > 10
     world.running = True
@@ -188,7 +188,7 @@ def test_the_emergency_stop_zeroes_torque_again_and_again_until_a_reset_refused_
     world.answer = ZERO
     # Commands and services are not heard in the order in which they were sent.
     heard = len(world.torques)
-    eventually(world.spinner, lambda: len(world.torques) > heard + 2, "that zero torque is heard")
+    world.until(lambda: len(world.torques) > heard + 2, "that zero torque is heard")
     assert world.call(topics.SIM_RESET_SERVICE)[0]
     world.answer = PUSH
     world.until_told(*PUSH)

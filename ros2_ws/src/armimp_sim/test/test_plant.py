@@ -13,7 +13,7 @@ from armimp_sim.model.robot import PlanarChain
 from armimp_sim.model.sensors import Sampling
 from armimp_sim.parameters import RK4_RADIUS, SimulatorParameters
 from armimp_sim.plant import IntegrationError, Plant
-from support.plants import changed, load, random_plant, set_state, slopes, state_of, study_plant
+from support.plants import changed, load, random_plant, run, set_state, slopes, study_plant
 
 START = np.array([[1.3, 0.9], [4.0, -7.0], [0.0, 0.0]])
 TORQUE = np.array([1.5, -2.0])
@@ -41,10 +41,8 @@ def test_trajectory_agrees_with_scipy(friction: int) -> None:
     expected = START
     # Sliding, stopping and turning back: the bristles bend both ways.
     for torque, ticks in ((TORQUE, 60), (np.array([-25.0, 15.0]), 80), (np.zeros(2), 60)):
-        for _ in range(ticks):
-            plant.tick(torque[None], np.zeros((1, 2)))
+        state = run(plant, np.tile(torque, (ticks, 1)))[0][-1]
         expected = _exact(config, expected, torque, ticks * PERIOD)
-        state = state_of(plant)[0]
         assert state[0] == pytest.approx(expected[0], abs=1e-8)
         assert state[1] == pytest.approx(expected[1], abs=1e-6)
         if friction:
@@ -67,10 +65,8 @@ def test_coarsest_accepted_step_is_stable_and_no_step_beyond_the_limit_is_accept
     coarsest = accepted[0]
     assert 4 < coarsest.substeps < 39
     assert fastest * PERIOD / coarsest.substeps < RK4_RADIUS
-    plant = Plant([coarsest])
-    for _ in range(100):
-        plant.tick(np.full((1, 2), 0.1), np.zeros((1, 2)))
-    assert np.max(np.abs(state_of(plant)[0, 1])) < 1e-3
+    states, _ = run(coarsest, np.full((100, 2), 0.1))
+    assert np.max(np.abs(states[-1, 1])) < 1e-3
 
 
 def test_speed_beyond_the_stability_of_the_bristles_is_reported_instead_of_blowing_up() -> None:

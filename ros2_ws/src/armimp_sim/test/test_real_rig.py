@@ -1,7 +1,5 @@
 """Transducers and drives of a real rig: each imperfection against its closed form."""
 
-from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -17,32 +15,15 @@ from armimp_sim.model.robot import ActuatorParameters, PlanarChain
 from armimp_sim.model.sensors import ReadingParameters, Sampling, SensorParameters
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import Plant
-from support.plants import changed, load, rig, state_of, stepwise, study_plant
+from support.plants import COMMANDS, changed, load, rig, run, state_of, stepwise, study_plant
 
 SUBSTEPS = 20
-COMMANDS = np.random.default_rng(4).uniform(-5.0, 5.0, (60, 2))
 
 
-def config(
-    sampling: Sampling = Sampling.BEFORE_UPDATE,
-    *,
-    parts: Mapping[str, Any] = MappingProxyType({}),
-    **torque: Any,
-) -> SimulatorParameters:
-    """The rig of the study without resolution, with this transducer and other parts."""
+def config(sampling: Sampling = Sampling.BEFORE_UPDATE, **torque: Any) -> SimulatorParameters:
+    """The rig of the study without resolution, with this transducer."""
     sensors = SensorParameters(sampling=sampling, torque=ReadingParameters(**torque))
-    return study_plant(1, sensors=sensors, substeps=SUBSTEPS, **parts)
-
-
-def run(rig: SimulatorParameters | Plant, commands: Array = COMMANDS) -> tuple[Array, Array]:
-    """States and torque readings of each tick: (ticks, ...)."""
-    plant = rig if isinstance(rig, Plant) else Plant([rig])
-    states, torques = [], []
-    for command in commands:
-        plant.tick(command[None], np.zeros((1, command.size)))
-        states.append(state_of(plant)[0])
-        torques.append(plant.torque[0].copy())
-    return np.array(states), np.array(torques)
+    return study_plant(1, sensors=sensors, substeps=SUBSTEPS)
 
 
 def within() -> tuple[Array, Array]:
@@ -99,7 +80,8 @@ def test_a_drive_that_lags_follows_the_command_exponentially() -> None:
     lag = drive.lag
     arm = presets.human_arm(2)
     free = changed(
-        config(parts={"actuators": drive}),
+        config(),
+        actuators=drive,
         arm=arm.model_copy(update={"damping": (0.0,) * 4, "stiffness": (0.0,) * 4}),
         friction=LuGre(),
     )
@@ -228,7 +210,7 @@ def test_torque_of_a_drive_has_ripple_and_cogging_by_the_angle() -> None:
 
 def test_commands_act_late_by_whole_and_parts_of_periods_and_up_to_the_limit_of_the_drive() -> None:
     drive = ActuatorParameters(delay=0.00135, limit=3.0)
-    states, _ = run(config(parts={"actuators": drive}))
+    states, _ = run(changed(config(), actuators=drive))
     late = np.repeat(np.clip(COMMANDS, -3.0, 3.0), SUBSTEPS, axis=0)
     late = np.concatenate([np.zeros((27, 2)), late])[: len(late)]
     expected, _ = run(stepwise(config()), late)

@@ -21,8 +21,10 @@ from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import IntegrationError
 from armimp_sim.simulator import RealtimeSimulator
 from support.controller import ScriptedController
-from support.graph import Launch, a_moment, assert_locked_while_active, eventually, report
+from support.graph import Launch, a_moment, assert_locked_while_active, report
 from support.plants import in_lockstep, some_commands
+
+PUSH, ZERO = (5.0, -5.0), (0.0, 0.0)
 
 
 class World(ScriptedController):
@@ -37,6 +39,11 @@ class World(ScriptedController):
     @property
     def applied(self) -> tuple[float, ...]:
         return self.simulator.limiter.applied
+
+    def pushed(self) -> tuple[float, ...]:
+        """Command a torque; return what the drives apply."""
+        self.command(*PUSH)
+        return self.applied
 
     def send(self, commands: Sequence[Sequence[float]]) -> None:
         """Send commands, and wait for the sample that follows each."""
@@ -61,12 +68,12 @@ def test_clock_and_health_are_published_now_and_then(world: World) -> None:
     wait_for_partners(world.node, subscriptions=[subscription])
 
     for _ in range(11):
-        world.send([(0.0, 0.0)] * 100)
+        world.send([ZERO] * 100)
     last = 1_100 * PERIOD_NS
-    eventually(world.spinner, lambda: bool(times) and times[-1] == last, "the last time")
+    world.until(lambda: bool(times) and times[-1] == last, "the last time")
 
     assert set(times) <= {k * 100 * PERIOD_NS for k in range(12)}
-    eventually(world.spinner, lambda: len(world.diagnostics) >= 2, "two reports")
+    world.until(lambda: len(world.diagnostics) >= 2, "two reports")
     assert len(world.diagnostics) == 2
     assert world.faults == []
     assert {status.name for status in world.diagnostics} == {"arm_sim: rig"}
@@ -97,7 +104,7 @@ def test_when_a_command_is_no_good_expect_zero_torque_the_same_tick_and_an_error
     world.await_fault(reason)
     a_moment(world.spinner)
 
-    expected = in_lockstep([*commands, *[(0.0, 0.0)] * 11])
+    expected = in_lockstep([*commands, *[ZERO] * 11])
     assert world.positions == [(stamp, angles) for stamp, angles, _ in expected]
     assert world.torques == [(stamp, torques) for stamp, _, torques in expected]
     assert len(set(world.faults)) == 1
@@ -111,48 +118,44 @@ def test_while_active_changes_are_refused_with_a_reason(world: World) -> None:
 
 
 def test_emergency_stop_takes_torque_away_at_once_and_until_reset(world: World) -> None:
-    world.command(5.0, -5.0)
-    assert world.applied == (5.0, -5.0)
+    assert world.pushed() == PUSH
 
     assert world.call("/arm_sim/emergency_stop")[0]
 
-    assert world.applied == (0.0, 0.0)
+    assert world.applied == ZERO
     assert world.await_fault() == ("emergency stop", "0.0 0.0")
-    world.command(5.0, -5.0)
-    assert world.applied == (0.0, 0.0)
-    world.command(0.0, 0.0)
+    assert world.pushed() == ZERO
+    world.command(*ZERO)
     assert world.call("/arm_sim/reset")[0]
-    world.command(5.0, -5.0)
-    assert world.applied == (5.0, -5.0)
+    assert world.pushed() == PUSH
 
 
 @pytest.mark.parametrize(("alive", "silent"), [(0, 1), (0, 0)], ids=["silent", "left"])
 def test_when_the_controller_is_lost_expect_zero_torque_and_a_fault(
     world: World, alive: int, silent: int
 ) -> None:
-    world.command(5.0, -5.0)
+    world.command(*PUSH)
     report(world.simulator.controller, alive=1, silent=0)
-    assert world.applied == (5.0, -5.0)
+    assert world.applied == PUSH
 
     report(world.simulator.controller, alive=alive, silent=silent)
 
-    assert world.applied == (0.0, 0.0)
+    assert world.applied == ZERO
     message, applied = world.await_fault()
     assert message.startswith("imbic_controller ")
     assert applied == "0.0 0.0"
     # The controller may come back, but the torque does not come back by itself.
     report(world.simulator.controller, alive=1, silent=0)
-    world.command(5.0, -5.0)
-    assert world.applied == (0.0, 0.0)
+    assert world.pushed() == ZERO
 
 
 def with_recorder(world: World) -> HeartbeatMonitor:
     world.received.publish(b"\0\1\0\0")  # no count: one of many is lost
     world.received.publish(UInt64(data=0))
-    eventually(world.spinner, lambda: world.simulator._flow.recorded, "the recorder")
+    world.until(lambda: world.simulator._flow.recorded, "the recorder")
     watch = world.simulator._recorder
     report(watch, alive=1, silent=0)
-    world.command(5.0, -5.0)
+    world.command(*PUSH)
     return watch
 
 
@@ -163,11 +166,11 @@ def test_when_the_recorder_is_silent_expect_time_to_stand_still_until_it_is_back
     before = world.count
 
     report(watch, alive=0, silent=1)
-    world.commands.publish((5.0, -5.0))
-    eventually(world.spinner, lambda: world.simulator._holding, "a sample that waits")
+    world.commands.publish(PUSH)
+    world.until(lambda: world.simulator._holding, "a sample that waits")
     assert world.count == before
     report(watch, alive=1, silent=0)
-    eventually(world.spinner, lambda: world.count == before + 1, "the sample held back")
+    world.until(lambda: world.count == before + 1, "the sample held back")
 
     assert world.faults == []
 
@@ -176,11 +179,10 @@ def test_when_the_recorder_is_dead_expect_zero_torque_and_a_fault(world: World) 
     watch = with_recorder(world)
 
     report(watch, alive=0, silent=1)
-    world.commands.publish((5.0, -5.0))
+    world.commands.publish(PUSH)
     report(watch, alive=0, silent=0)
-    world.command(5.0, -5.0)
 
-    assert world.applied == (0.0, 0.0)
+    assert world.pushed() == ZERO
     world.await_fault("impedance_estimator is dead, and a trial without")
 
 
@@ -191,11 +193,10 @@ def test_when_a_recorder_takes_leave_or_there_was_none_expect_no_fault(
     watch = with_recorder(world) if recorded else world.simulator._recorder
     if recorded:
         world.received.publish(UInt64(data=topics.RECORDER_GONE))
-        eventually(world.spinner, lambda: not world.simulator._flow.recorded, "its leave")
+        world.until(lambda: not world.simulator._flow.recorded, "its leave")
     report(watch, alive=1, silent=0)
     report(watch, alive=0, silent=0)
-    world.command(5.0, -5.0)
-    assert world.applied == (5.0, -5.0)
+    assert world.pushed() == PUSH
 
 
 # --- The simulator node in real time over DDS: nothing waits, and everything is told ------------
@@ -241,4 +242,4 @@ def test_what_goes_wrong_in_the_pacing_thread_ends_the_node(
     answering.bring_up(simulator)
 
     with pytest.raises(IntegrationError, match="the plant broke down"):
-        eventually(answering.spinner, lambda: False, "the error")
+        answering.until(lambda: False, "the error")
