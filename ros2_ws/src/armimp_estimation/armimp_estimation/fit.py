@@ -23,7 +23,12 @@ from armimp_common.errors import ConfigurationError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.json_model import JsonModel, Number
 from armimp_estimation.mbk import MBK
-from armimp_estimation.unfitted_terms import hidden_terms, high_pass, squared_changes
+from armimp_estimation.unfitted_terms import (
+    errors_by_tension,
+    hidden_terms,
+    high_pass,
+    squared_changes,
+)
 from armimp_estimation.weighted_fit import WeightedFit, lack_limit, lack_of_fit, r_squared, roots
 from armimp_estimation.weights import real_sums, root_of
 
@@ -237,6 +242,8 @@ def fit_impedance(
         systematics = (*problem.estimate.systematics, share * estimate.friction_skew)
         problem = problem.corrected(problem.estimate.Z, systematics)
     problem = _with_bounds_told(problem)
+    tension = errors_by_tension(problem)
+    problem = problem.corrected(problem.estimate.Z, (*problem.estimate.systematics, *tension))
     found = replace(problem.estimate, bounded=0, delay_uncertainty=None)
     fitted = problem.impedance(problem.values)
     further = np.diag(squared_changes(problem, may_creep=known.linearity is None).ravel())

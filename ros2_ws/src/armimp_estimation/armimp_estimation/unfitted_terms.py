@@ -16,6 +16,7 @@ from scipy.special import expit, log_ndtr, ndtr, softmax
 
 from armimp_common.arrays import TINY, BoolArray, ComplexArray, FloatArray
 from armimp_estimation.weighted_fit import WeightedFit
+from armimp_estimation.weights import root_of
 
 _NOTICED = 2.0
 _ROUNDING = 1e-9
@@ -64,7 +65,7 @@ def squared_changes(fit: WeightedFit, *, may_creep: bool = False) -> FloatArray:
     squares = _by_curvature(fit) + _by_frequency(fit)
     hidden = np.maximum(_by_reflexes(fit), _by_second_mode(fit))
     if n == columns and n <= _MOST_CUFFS:
-        squares = squares + _by_sensors_and_cuffs(fit) + _by_tension(fit)
+        squares = squares + _by_sensors_and_cuffs(fit)
         hidden = hidden + _by_channels(fit, may_creep=may_creep)
     squares = squares + hidden
     # A change within rounding errors is none.
@@ -76,6 +77,35 @@ def high_pass(fit: WeightedFit, Z: ComplexArray) -> tuple[float, float]:
     """Corner of a high-pass common to the torques of an arm Z, and its standard error, Hz."""
     value, error, _ = fit.common_coefficient(1j * Z / fit.omega)
     return value / (2.0 * np.pi), error / (2.0 * np.pi)
+
+
+def errors_by_tension(fit: WeightedFit) -> list[ComplexArray]:
+    """Standard errors by a person who is tenser in some trials, as joints held softly show.
+
+    A delay that was fitted before looks like a part of it, so one is fitted anew beside it.
+
+    Returns
+    -------
+    list of ndarray, shape (n, m, n_freq)
+    """
+    count = len(fit.estimate.tensions)
+    if not count or fit.values[0].size > _MOST_CUFFS**2:
+        return []
+    late = fit.estimate.delay_unknown * 1j * fit.omega * fit.impedance(fit.values)
+    terms = np.stack((*(_TENSION * one for one in fit.estimate.tensions), late))
+    (mean, covariance, both), (_, _, one) = (
+        _posterior(fit, chosen) for chosen in (terms, terms[count:])
+    )
+    present = expit(math.log(_TENSE / (1.0 - _TENSE)) + both - one)
+    square = present * (np.outer(mean, mean) + covariance)[:count, :count]
+    return list(np.tensordot(root_of(square).T, terms[:count], axes=1))
+
+
+def _posterior(fit: WeightedFit, terms: ComplexArray) -> tuple[FloatArray, FloatArray, float]:
+    """Coefficients 0 ± 1 of common terms, (p,), their covariance, and the log of the evidence."""
+    mean, covariance = fit.common_coefficients(terms, np.zeros(len(terms)))
+    likely = mean @ np.linalg.solve(covariance, mean) + np.linalg.slogdet(covariance)[1]
+    return mean, covariance, 0.5 * float(likely)
 
 
 def _by_curvature(fit: WeightedFit) -> FloatArray:
@@ -239,32 +269,6 @@ def _by_channels(fit: WeightedFit, *, may_creep: bool) -> FloatArray:
             square, _ = judged(*one, elsewhere=max(sum(evidence) - of_one, 0.0))
             change = np.maximum(change, square * fit.shifts(terms) ** 2)
     return change
-
-
-def _by_tension(fit: WeightedFit) -> FloatArray:
-    """Squared change by a person who is tenser in some trials, which joints held softly show.
-
-    A delay that was fitted before looks like a part of it, so one is fitted anew beside it.
-    """
-    count = len(fit.estimate.tensions)
-    if not count:
-        return np.zeros_like(fit.values)
-    late = fit.estimate.delay_unknown * 1j * fit.omega * fit.impedance(fit.values)
-    terms = np.stack((*(_TENSION * one for one in fit.estimate.tensions), late))
-    (mean, covariance, both), (_, _, one) = (
-        _posterior(fit, chosen) for chosen in (terms, terms[count:])
-    )
-    present = expit(math.log(_TENSE / (1.0 - _TENSE)) + both - one)
-    shifts = np.stack([fit.shifts(term) for term in terms[:count]])
-    square = (np.outer(mean, mean) + covariance)[:count, :count]
-    return np.asarray(present * np.einsum("pmij,pq,qmij->mij", shifts, square, shifts))
-
-
-def _posterior(fit: WeightedFit, terms: ComplexArray) -> tuple[FloatArray, FloatArray, float]:
-    """Coefficients 0 ± 1 of common terms, (p,), their covariance, and the log of the evidence."""
-    mean, covariance = fit.common_coefficients(terms, np.zeros(len(terms)))
-    likely = mean @ np.linalg.solve(covariance, mean) + np.linalg.slogdet(covariance)[1]
-    return mean, covariance, 0.5 * float(likely)
 
 
 def _noticed(value: FloatArray | float, error: FloatArray | float) -> FloatArray:
