@@ -98,7 +98,10 @@ class Recording:
         """
         declared: dict[str, Any] = {"torque_timing": timing, "torque_delay": float(torque_delay)}
         if robot_inertia is not None:
-            declared["robot_inertia"] = np.ravel(robot_inertia).tolist()
+            try:
+                declared["robot_inertia"] = _numbers(robot_inertia).ravel().tolist()
+            except (TypeError, ValueError) as error:
+                raise DataError(f"robot_inertia: {error}") from None
             declared["robot_inertia_uncertainty"] = float(robot_inertia_uncertainty)
         known = Metadata.of({name: json.dumps(value) for name, value in declared.items()})
         signals: list[Any] = [perturbation, position, torque]
