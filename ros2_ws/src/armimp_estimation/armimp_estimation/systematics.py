@@ -178,10 +178,10 @@ def _trials_apart(
     """Changes of the impedance where the arm differs between trials.
 
     The small motion R_jk of a joint j that is locked in trial k acts on the arm of trial k, not on
-    that of trial j. Returned first are changes by a person whose stiffness and viscosity are larger
-    in one trial, for each trial, by all of what they are. The others are standard errors. Any
-    person's differ by `_TENSED` (assumption). Between postures a distance apart, in rad, M_ij
-    changes by at most that times ``√(M_ii M_jj)``, in proportion for all rows i.
+    that of trial j. Returned are, for each trial, the change if stiffness and viscosity are twice
+    as large in it as in the others, and standard errors: those of any person differ by `_TENSED`
+    (assumption), and between postures a distance apart, in rad, M_ij changes by at most that times
+    ``√(M_ii M_jj)``, in proportion for all rows i.
     """
     postures = np.stack([record.position.mean(axis=1) for record in records])
     s = 2j * np.pi * f
