@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.fft import next_fast_len
 
 from armimp_common.arrays import TINY, BoolArray, ComplexArray, FloatArray
 from armimp_estimation.record import TrialRecord
@@ -340,12 +341,14 @@ def _from_motion(records: Sequence[TrialRecord]) -> HoldCorrection:
 
 def _quick(signals: FloatArray, rate: float) -> FloatArray:
     """Filter signals (p, N) to the band `_QUICK`, and cut off a second at either end."""
-    f = np.fft.rfftfreq(signals.shape[1], 1.0 / rate)
+    # Whatever the length of the record, its transforms are to be quick; the ends do not matter.
+    samples = next_fast_len(signals.shape[1], real=True)
+    f = np.fft.rfftfreq(samples, 1.0 / rate)
     foot, top, shoulder, end = _QUICK
     rise = np.clip((f - foot) / (top - foot), 0.0, 1.0)
     fall = np.clip((end - f) / (end - shoulder), 0.0, 1.0)
-    passed = np.fft.irfft(rise * fall * np.fft.rfft(signals), signals.shape[1])
-    return np.asarray(passed[:, round(rate) : -round(rate)])
+    passed = np.fft.irfft(rise * fall * np.fft.rfft(signals, samples), samples)
+    return np.asarray(passed[:, round(rate) : signals.shape[1] - round(rate)])
 
 
 def regress(

@@ -233,7 +233,7 @@ def identify(
         assumed = {one: 100.0 * getattr(known.calibration, one) for one in parts}
         code = ProblemCode.CALIBRATION_ASSUMED
         problems.append(problem(code, severity=Severity.NOTE, **assumed))
-    hold = best.estimate.hold or update_jump(records)
+    hold = best.estimate.hold if best.estimate.unbiased else update_jump(records)
     balance = (
         None
         if responses is None

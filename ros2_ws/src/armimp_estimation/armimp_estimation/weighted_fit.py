@@ -70,6 +70,12 @@ class WeightedFit:
         """Angular frequencies, rad/s, (n_freq,)."""
         return 2.0 * np.pi * self.estimate.f
 
+    @cached_property
+    def _systematics(self) -> ComplexArray:
+        """Systematic errors of the estimate, (S, n, m, n_freq)."""
+        known = self.estimate.systematics
+        return np.reshape(known, (len(known), *self.estimate.Z.shape)).astype(np.complex128)
+
     @property
     def shape(self) -> tuple[int, int]:
         """Numbers n and m of rows and columns."""
@@ -124,11 +130,9 @@ class WeightedFit:
     def _covariance_of(self, functionals: ComplexArray, i: int, k: int) -> FloatArray:
         """Covariance, (p, p), of ``Re Σ_f conj(b_f) Z_f`` of one element; b is (p, n_freq)."""
         spread = functionals * np.sqrt(self.estimate.noise[i, k])
-        covariance = covariance_of_sums(spread, self.estimate.bin_correlation)
-        for systematic in self.estimate.systematics:
-            shift = real_sums(functionals, systematic[i, k])
-            covariance = covariance + np.outer(shift, shift)
-        return covariance
+        shifts = real_sums(functionals, self._systematics[:, i, k, None])
+        of_noise = covariance_of_sums(spread, self.estimate.bin_correlation)
+        return np.asarray(of_noise + shifts.T @ shifts)
 
     def covariance(self, common: Iterable[ComplexArray] = ()) -> FloatArray:
         """Covariance of all M, then B, then K, row by row, (3nm, 3nm): the sum of all errors.
@@ -137,7 +141,7 @@ class WeightedFit:
         are given are `common` to all elements.
         """
         shifts = [self.shifts(one) for one in common]
-        for shift in map(self.shifts, self.estimate.systematics):
+        for shift in map(self.shifts, self._systematics):
             shifts += [shift * row[:, None] for row in np.eye(self.shape[0])]
         known = np.reshape(shifts, (-1, self.values.size))
         return np.asarray(self._covariance_by_noise() + known.T @ known)
@@ -184,8 +188,7 @@ class WeightedFit:
         functionals = self._weights * left / np.where(determined, total, 1.0)[..., None]
         spread = functionals * np.sqrt(estimate.noise)
         variance = 0.5 * real_sums(spread, with_neighbours(spread, estimate.bin_correlation))
-        for systematic in estimate.systematics:
-            variance += real_sums(functionals, systematic) ** 2
+        variance += np.sum(real_sums(functionals, self._systematics) ** 2, axis=0)
         errors = np.sqrt(np.maximum(variance, 0.0))
         found = np.stack((real_sums(functionals, estimate.Z), errors), axis=-1)
         # Where nothing was measured, the values are not numbers either.
@@ -219,15 +222,13 @@ class WeightedFit:
         The terms, (p, n, m, n_freq), are beside M, B and K, each scaled to its prior standard
         error about `expected`, (p,). The covariance covers the scatter over the elements.
         """
-        elements = self._shown(terms)
-        normal = sum(design.T @ information @ design for design, information, _ in elements)
-        mixed = sum(design.T @ information @ data for design, information, data in elements)
-        found = np.linalg.solve(np.eye(len(terms)) + normal, expected + mixed)
-        left_over = [(one @ found - data, information) for one, information, data in elements]
-        ratio = sum(float(one @ information @ one) for one, information in left_over)
-        scatter = max(1.0, ratio / (len(terms) * max(len(elements) - 1, 1)))
-        covariance = np.linalg.inv(np.eye(len(terms)) + normal / scatter)
-        return covariance @ (expected + mixed / scatter), covariance
+        shown = self._shown(terms)
+        mean, _, _ = _posterior(expected, *shown)
+        ratio = sum(float(np.sum((design @ mean - data) ** 2)) for design, data in shown)
+        scatter = math.sqrt(max(1.0, ratio / (len(terms) * max(len(shown) - 1, 1))))
+        scaled = ((design / scatter, data / scatter) for design, data in shown)
+        mean, root, _ = _posterior(expected, *scaled)
+        return mean, root @ root.T
 
     def own_coefficients(self, terms: ComplexArray) -> list[tuple[FloatArray, FloatArray, float]]:
         """Posterior means and covariance of the coefficients of terms in each element by itself.
@@ -236,18 +237,16 @@ class WeightedFit:
         the likelihood ratio of their presence to their absence. Elements are row by row.
         """
         found = []
-        for design, information, data in self._shown(terms):
-            precision = np.eye(len(terms)) + design.T @ information @ design
-            mixed = design.T @ information @ data
-            mean = np.linalg.solve(precision, mixed)
-            evidence = 0.5 * (mixed @ mean - float(np.linalg.slogdet(precision)[1]))
-            found.append((mean, np.linalg.inv(precision), float(evidence)))
+        for one in self._shown(terms):
+            mean, root, along = _posterior(np.zeros(len(terms)), one)
+            evidence = 0.5 * float(along @ along) + float(np.linalg.slogdet(root)[1])
+            found.append((mean, root @ root.T, evidence))
         return found
 
-    def _shown(self, terms: ComplexArray) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+    def _shown(self, terms: ComplexArray) -> list[tuple[FloatArray, FloatArray]]:
         """What terms, (p, n, m, n_freq), have beside M, B and K of each element, row by row.
 
-        The data, (p,), are ``design @ coefficients`` and errors whose inverse covariance is given.
+        Pairs of a design and of data ``design @ coefficients``, with independent errors 0 ± 1.
         """
         elements, beside = [], self._beside(terms)
         for i, k in np.ndindex(self.shape):
@@ -258,9 +257,11 @@ class WeightedFit:
             least = np.diag(_SUREST_SHARE**2 * size[:, 0])
             errors = self._covariance_of(functionals, i, k) + least
             design = (np.conj(functionals) @ term.T).real
-            information = np.linalg.pinv(errors, rcond=_SINGULAR, hermitian=True)
+            variances, axes = np.linalg.eigh(errors)
+            told = variances > _SINGULAR * variances[-1]
+            root = axes[:, told].T / np.sqrt(variances[told])[:, None]
             data = (np.conj(functionals) @ self.estimate.Z[i, k]).real
-            elements.append((design, np.asarray(information, dtype=np.float64), data))
+            elements.append((root @ design, root @ data))
         return elements
 
     def roughly_fits(self, values: FloatArray) -> bool:
@@ -269,6 +270,28 @@ class WeightedFit:
         ratio = lack_ratio(self.estimate, self.impedance(values))
         lack = np.sum(ratio, axis=-1) / max(f.size - 1.5, 1.0)
         return bool((lack <= lack_limit(self.estimate.bin_correlation)).all())
+
+
+def _posterior(
+    expected: FloatArray, *shown: tuple[FloatArray, FloatArray]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Combine coefficients that are `expected` ± 1 with what pairs of a design and of data show.
+
+    Prior and data are rows of one system, as normal equations lose what is known least.
+
+    Returns
+    -------
+    mean : ndarray, shape (p,)
+    root : ndarray, shape (p, p)
+        Root F of the covariance ``F Fᵀ``.
+    along : ndarray, shape (p,)
+        ``F⁻¹ mean``.
+    """
+    designs, data = zip((np.eye(expected.size), expected), *shown, strict=True)
+    basis, triangle = np.linalg.qr(np.concatenate(designs))
+    root = np.linalg.inv(triangle)
+    along = basis.T @ np.concatenate(data)
+    return root @ along, root, along
 
 
 def mbk_functionals(omega: FloatArray, weights: FloatArray) -> ComplexArray:

@@ -13,7 +13,7 @@ from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import Calibration, MBKFit, fit_impedance, fit_mbk
 from armimp_estimation.mbk import MBK
 from armimp_estimation.unfitted_terms import hidden_square
-from armimp_estimation.weighted_fit import r_squared
+from armimp_estimation.weighted_fit import WeightedFit, r_squared
 from support.synthetic_trials import TWO_JOINT_ARM, made_estimate, off, stacked
 
 F: FloatArray = np.linspace(0.122, 14.884, 122)
@@ -174,6 +174,15 @@ def test_a_high_pass_of_the_torques_that_noise_hides_is_in_the_standard_errors()
     for fit, corner in ((passed, 0.3), (plain, 0.0)):
         value, error = np.multiply(fit.high_pass, 2.0 * np.pi)
         assert abs(value - corner) < 3.0 * error + 0.2 * corner
+
+
+def test_terms_that_look_alike_without_noise_keep_their_prior_difference() -> None:
+    fit = WeightedFit(estimate=noisy(TRUE, 1e-15 * np.ones(F.size)))
+    late = np.stack([1e-3 * S * TRUE, 1e-3 * S * TRUE, 1e-7 * S**3 * np.ones_like(TRUE)])
+    _, covariance = fit.common_coefficients(late, np.zeros(3))
+    known = [[0.5, -0.5, 0.0], [-0.5, 0.5, 0.0], [0.0, 0.0, 0.0]]
+    np.testing.assert_allclose(covariance, known, atol=1e-6)
+    assert (np.diag(covariance) > 0.0).all()
 
 
 def test_r_squared_is_one_for_a_perfect_fit_and_zero_for_the_mean() -> None:
