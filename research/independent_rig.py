@@ -18,6 +18,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy.linalg import expm
+from scipy.ndimage import gaussian_filter1d
 from scipy.signal import butter, sosfilt
 
 FloatArray = NDArray[np.float64]
@@ -129,6 +130,8 @@ class Mismatch:
     voluntary: float = 0.0
     rhythm: float = 0.0
     """Rms of a tremor, of slow voluntary torque, and of a rhythm of 1 Hz, N·m."""
+    twitches: float = 0.0
+    """Standard deviation of the peaks of quick movements of 80 ms, every 3 s on average, N·m."""
     synchronous: bool = False
     """Whether these torques repeat themselves every 10 s, as a multisine does."""
     leaning: float = 0.0
@@ -528,6 +531,11 @@ def _disturbance(mismatch: Mismatch, ticks: int, rng: np.random.Generator) -> Fl
             if mismatch.synchronous:
                 raw = np.resize(raw[:, : round(10.0 * mismatch.rate)].T, (ticks, n)).T
             total += size * raw
+    if mismatch.twitches:
+        begun = rng.random(ticks) < 1.0 / (3.0 * mismatch.rate)
+        width = 0.08 * mismatch.rate
+        peaks = mismatch.twitches * rng.standard_normal((n, ticks)) * begun
+        total += width * np.sqrt(2.0 * np.pi) * gaussian_filter1d(peaks, width)
     return total + mismatch.leaning * np.linspace(-0.5, 0.5, ticks)
 
 

@@ -102,7 +102,7 @@ def test_noise_at_lines_includes_what_repeats_and_responses_have_no_transient(
     transient = np.std(once) * np.exp(-np.arange(bins * count) / 300.0)
     outputs = np.stack([np.tile(once, count) + noise + transient, noise])
     plain = local_response(whole, outputs, RATE, (0.3, 15.0), np.zeros(0), periods=periods)
-    found = plain.with_scatter_of_lines(slice(0, 1))
+    found = plain.with_scatter(slice(0, 1))
     known = 1.0 + 0.2j * found.f / (0.5 * RATE)
     error = np.abs(found.response[0] - known) ** 2
 
@@ -111,6 +111,20 @@ def test_noise_at_lines_includes_what_repeats_and_responses_have_no_transient(
 
     assert 0.8 < mean_ratio(found) < 1.25
     assert (mean_ratio(plain) > 10.0) == (repeated > 0.0)
+    np.testing.assert_array_equal(found.noise[1, 1], plain.noise[1, 1])
+
+
+def test_noise_of_a_sweep_includes_what_a_burst_does_in_its_instant() -> None:
+    t, rng = np.arange(30_000) / 1000.0, np.random.default_rng(3)
+    source = np.sin(2.0 * np.pi * (0.1 + 0.25 * t) * t)  # passes 5.1 Hz after 10 s
+    burst = np.exp(-0.5 * ((t - 10.0) / 0.08) ** 2) * np.sin(2.0 * np.pi * 5.0 * t)
+    outputs = np.stack([source + 0.01 * rng.standard_normal(t.size) + burst] * 2)
+    f: FloatArray = np.arange(15, 440) / 30.0
+    plain = local_response(source, outputs, 1000.0, (0.3, 15.0), f, 7)
+    found, near = plain.with_scatter(slice(0, 1)), np.abs(f - 5.1) < 1.0
+    error = np.abs(found.response[0] - 1.0) ** 2
+    assert np.mean(error[near] / plain.variance[0, near]) > 10.0
+    assert np.mean(error[near] / found.variance[0, near]) < 2.0
     np.testing.assert_array_equal(found.noise[1, 1], plain.noise[1, 1])
 
 

@@ -36,6 +36,10 @@ _NEIGHBOURS = 1.1
 _DEGENERATE = 1e-9
 # Lines on either side over which a polynomial is fitted, and over which its scatter is averaged.
 _LINES, _ALIKE = 6, 10
+# The same in windows that do not overlap, of the responses to a sweep.
+_WINDOWS = 3
+# Share of the record that informs of a response, below which the input was a sweep.
+_LOCAL = 0.25
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,8 +59,8 @@ class LocalResponse:
     """First bin of each window; shape (n_freq,)."""
     freedom: int
     """Complex degrees of freedom behind the noise, at the frequency that has the fewest."""
-    line_power: FloatArray | None = None
-    """Power of a periodic input at its lines; shape (n_freq,)."""
+    at_lines: bool = False
+    """Whether the frequencies are the lines of a periodic input."""
 
     @property
     def gain(self) -> FloatArray:
@@ -78,40 +82,57 @@ class LocalResponse:
             noise=np.ascontiguousarray(self.noise[:, :, kept]),
             weights=self.weights[kept],
             first=self.first[kept],
-            line_power=None if self.line_power is None else self.line_power[kept],
         )
 
-    def with_scatter_of_lines(self, outputs: slice) -> LocalResponse:
-        """Raise the noise of some outputs to the scatter of their lines, where that is larger.
+    @property
+    def share(self) -> float:
+        """Share of the record that informs of a response; a half, if that is all of it by chance.
+
+        The weights are the transform of a window in time: that in which an input had the frequency.
+        """
+        window = np.abs(np.fft.ifft(self.weights, 2 * self.weights.shape[1])) ** 2
+        return float(np.median(np.mean(window, axis=1) ** 2 / np.mean(window**2, axis=1)))
+
+    def with_scatter(self, outputs: slice) -> LocalResponse:
+        """Raise the noise of some outputs to the scatter of their responses, where that is larger.
 
         Distortion that repeats in each period, as from friction and rounding, does not show in the
-        scatter between periods. But where the response is smooth over frequency, it makes a line
-        deviate from what its neighbours predict (Pintelon & Schoukens, ch. 7: the robust method).
+        scatter between periods. A sweep passes a frequency within an instant, in which noise may be
+        larger than in the rest of the record. But where the response is smooth over frequency,
+        either makes it deviate from what its neighbours predict (Pintelon & Schoukens, ch. 7: the
+        robust method).
 
         Parameters
         ----------
         outputs : slice
             Outputs whose responses are smooth over frequency.
         """
-        size, window = self.f.size, 2 * _LINES + 1
-        if self.line_power is None or size < window:
+        size, step = self.f.size, 1 if self.at_lines else self.weights.shape[1]
+        reach, alike = (_LINES, _ALIKE) if self.at_lines else (_WINDOWS, _WINDOWS * step // 2)
+        window = 2 * reach + 1
+        if size < step * window or not (self.at_lines or self.share < _LOCAL):
             return self
-        variance = self.variance[outputs]
-        first = np.clip(np.arange(size) - _LINES, 0, size - window)
-        places = first[:, None] + np.arange(window)
+        bins: FloatArray = np.arange(size, dtype=np.float64)
+        noise = plain = np.einsum("ccf->cf", self.noise[outputs, outputs]).real
+        if not self.at_lines:  # the response takes a burst at a frequency for its own
+            noise, count = sums_within(bins, plain, alike)
+            noise = noise / count
+        first = np.arange(size) - step * reach
+        beyond = first + step * (window - 1) - (size - 1)
+        first += step * (np.maximum(-(first // step), 0) - np.maximum(-(-beyond // step), 0))
+        places = first[:, None] + step * np.arange(window)
         distance = (self.f[places] - self.f[:, None]) / (self.f[-1] - self.f[0])
         powers = distance[:, :, None] ** np.arange(ORDER + 1) * window ** np.arange(ORDER + 1)
-        root = np.sqrt(self.line_power[places])[:, :, None]
+        root = 1.0 / np.sqrt(self.gain[places])[:, :, None]
         fitted = np.linalg.pinv(root * powers)[:, :1] @ (root * np.eye(window))
         apart = (places == np.arange(size)[:, None]) - fitted[:, 0]
         left = np.abs(np.sum(apart * self.response[outputs][:, places], axis=2)) ** 2
-        chance = np.sum(apart**2 * variance[:, places], axis=2)
+        chance = np.sum(apart**2 * (self.gain * noise)[:, places], axis=2)
         spare = (self.freedom - 1.0) / self.freedom
         ratio = spare * left / np.maximum(chance, TINY)
-        lines: FloatArray = np.arange(size, dtype=np.float64)
-        total, count = sums_within(lines, ratio, _ALIKE)
+        total, count = sums_within(bins, ratio, alike)
         factors = np.ones((len(self.noise), size))
-        factors[outputs] = np.sqrt(np.maximum(total / count, 1.0))
+        factors[outputs] = np.sqrt(np.maximum(total / count * noise / np.maximum(plain, TINY), 1.0))
         return replace(self, noise=factors[:, None] * factors[None] * self.noise)
 
     def bin_correlation(self) -> FloatArray:
@@ -262,7 +283,7 @@ def _periodic_response(
     f = np.asarray(centres * float(rate / used), dtype=np.float64)
     width = window * float(rate / used)
     found = _assembled(f, weights.astype(np.complex128), observed, residual, freedom, first, width)
-    return replace(found, line_power=np.abs(inputs) ** 2)
+    return replace(found, at_lines=True)
 
 
 def _assembled(

@@ -120,7 +120,7 @@ class LpmFull:
         joints = [record.perturbed_joint for record in records]
         channels = _channels(records, jump)
         plain = self._residuals(records, channels, reference, jump)
-        columns = [column.with_scatter_of_lines(slice(n, 2 * n)) for column in plain]
+        columns = [column.with_scatter(slice(n, 2 * n)) for column in plain]
         f = columns[0].f
         stacked = np.stack([column.response for column in columns], axis=1)
         R = stacked[joints]
@@ -383,7 +383,7 @@ def _uneven(
     their power. The motion itself may be uneven, where friction of the robot distorts it.
     """
     shares = []
-    for column, joint in enumerate(joints):
+    for column, joint in enumerate(joints if columns[0].at_lines else ()):
         power = 1.0 / columns[column].gain
         noise, both = (power * one[column, joint, joint].real for one in (plain, scattered))
         lines = np.sum(noise) ** 2 / np.sum(noise**2)
