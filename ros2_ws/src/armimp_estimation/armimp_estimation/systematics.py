@@ -6,11 +6,13 @@ torques jump with commands as friction makes them, and the arm differs between t
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from armimp_common.arrays import TINY, ComplexArray, FloatArray
 from armimp_common.topics import JOINT_STATES
+from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.estimators.welch import multiply
 from armimp_estimation.hold_correction import HoldCorrection
 from armimp_estimation.mbk import MBK
@@ -40,64 +42,46 @@ RESOLVED_SHARE = 0.25
 """Share of the motion of a locked joint that may be unseen where its motion counts as resolved."""
 
 
-def systematic_errors(
+def with_systematic_errors(
+    estimate: ImpedanceEstimate,
     records: Sequence[TrialRecord],
-    impedance: ComplexArray,
-    R: ComplexArray,
-    inverse: ComplexArray,
-    f: FloatArray,
-    *,
     correction: ComplexArray,
     reference: MBK,
-    jump: HoldCorrection | None,
-) -> tuple[
-    ComplexArray,
-    list[ComplexArray],
-    list[ComplexArray],
-    FloatArray | float,
-    tuple[ComplexArray, ...],
-]:
-    """Correct an impedance for readings that lead the motion, and find its systematic errors.
+) -> ImpedanceEstimate:
+    """Correct an estimate for readings that lead the motion, and add its systematic errors.
 
     Parameters
     ----------
+    estimate : ImpedanceEstimate
+        Estimate with the inverse of R, and with the jumps of the torques if they were identified.
     records : sequence of TrialRecord
-        One trial for each joint, in order, or those of some joints.
-    impedance, R, inverse : ndarray, shape (n, m, n_freq)
-        Impedance, responses of the m perturbed joints, and the inverse of R, (m, m, n_freq).
-    f : ndarray, shape (n_freq,)
-        Frequencies, Hz.
+        One trial for each joint, in order, or those of the joints that were estimated.
     correction : ndarray, shape (n, m, n_freq)
         What the jumps of torques with commands add to the impedance.
     reference : MBK
         An arm near the one sought.
-    jump : HoldCorrection or None
-        These jumps, if they were identified.
-
-    Returns
-    -------
-    impedance : ndarray, shape (n, m, n_freq)
-    bounds, others : list of ndarray, shape (n, m, n_freq)
-        Systematic errors. Only of the bounds is the shape over frequency so well known that the
-        data can tell their size.
-    shapeless : ndarray, shape (n, m, n_freq), or float
-        Variance by those of the others whose shape is hardly known.
-    tensions : tuple of ndarray, shape (n, m, n_freq)
-        Changes if stiffness and viscosity are twice as large in one trial; one for each trial.
     """
+    impedance, f, jump = estimate.Z, estimate.f, estimate.hold
     reversing, bending = _reversals(records, impedance, f)
     skew = _skew_errors(correction, f, jump, reversing, bending)
-    if len(records) < len(impedance):
-        return impedance, [], skew, 0.0, ()
-    hidden = HiddenMotion(records, R, multiply(impedance, R), inverse, f)
+    if estimate.inverse is None or len(records) < len(impedance):
+        return replace(estimate, systematics=tuple(skew))
+    hidden = HiddenMotion(records, estimate.R, estimate.T, estimate.inverse, f)
     ahead, bounds, others = hidden.effects(impedance)
     shapeless = sum((np.abs(one) ** 2 for one in others), 0.0)
     impedance = impedance + ahead
     if jump is None and not records[0].reading.without_jumps:
         bounds += _joints_held(impedance, f, 0.5 / records[0].rate)
         others += _untold_friction(records, impedance, f, bending)
-    tensions, apart = _trials_apart(records, reference, R, inverse, f)
-    return impedance, bounds, others + apart + skew, shapeless, tuple(tensions)
+    tensions, apart = _trials_apart(records, reference, estimate.R, estimate.inverse, f)
+    return replace(
+        estimate,
+        Z=impedance,
+        systematics=(*bounds, *others, *apart, *skew),
+        bounded=len(bounds),
+        shapeless=shapeless,
+        tensions=tuple(tensions),
+    )
 
 
 def _skew_errors(

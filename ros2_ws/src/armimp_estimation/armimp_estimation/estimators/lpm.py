@@ -30,7 +30,7 @@ from armimp_estimation.periods import among, common_lines
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.signal_quality import without_slow
 from armimp_estimation.spectra import BAND, bins_in_band
-from armimp_estimation.systematics import systematic_errors
+from armimp_estimation.systematics import with_systematic_errors
 from armimp_estimation.torque_timing import TorqueTiming
 from armimp_estimation.trial import TrialData, cleaned
 from armimp_estimation.turning_links import at_posture
@@ -131,18 +131,8 @@ class LpmFull:
         every = _unit(2 * n, 3 * n, f)
         coefficients = every[n:].copy()
         every[n:, :n], coefficients[:, joints] = reference.impedance(f), -offset
-        impedance, bounds, others, shapeless, tensions = systematic_errors(
-            records,
-            impedance,
-            R,
-            inverse,
-            f,
-            correction=added,
-            reference=reference,
-            jump=jump,
-        )
         disturbance, whole = covariance_of(columns, coefficients), len(records) == n
-        return ImpedanceEstimate(
+        found = ImpedanceEstimate(
             name=self.name,
             f=f,
             Z=impedance,
@@ -152,10 +142,6 @@ class LpmFull:
             T=torque,
             R=R,
             perturbed=() if whole else tuple(joints),
-            systematics=(*bounds, *others),
-            bounded=len(bounds),
-            shapeless=shapeless,
-            tensions=tensions,
             power=1.0 / np.stack([column.gain for column in columns]),
             weight_floor=_FLOOR,
             friction_skew=added.real.astype(np.complex128) if whole else None,
@@ -171,6 +157,7 @@ class LpmFull:
             disturbance=disturbance,
             inverse=inverse,
         )
+        return with_systematic_errors(found, records, added, reference)
 
     def column(self, record: TrialRecord, others: Sequence[TrialRecord] = ()) -> FittedColumn:
         """Fit column k of M, B and K to the trial of joint k so far, and to finished trials.
