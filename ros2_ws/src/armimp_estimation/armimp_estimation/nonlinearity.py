@@ -54,6 +54,8 @@ MOVING = ((0.0, 0.1), BAND[1])
 """Edges of the band of the angle that enters spring terms, Hz: slow motion bends a spring, too."""
 SIGNIFICANT = 3.5
 """Significant number of standard errors if there are many parts: chance exceeds it in 1 of 2000."""
+LOADED = (MOVING[0], WIDE[1])
+"""Edges of the band of the torque that enters transducer terms, Hz."""
 _RINGS = 100
 """Samples at either end in which the jump from end to begin of a record rings most."""
 _FEWEST_PARTS = 2
@@ -246,15 +248,17 @@ class _Terms:
         angle = moving.signal(moving.spectrum(record.position[k]))
         turning = 2j * np.pi * wide.f * wide.spectrum(record.position[k])
         speed, *self.torques = wide.signal(np.vstack((turning, wide.spectrum(record.torque))))
-        load = band.inner(np.full(angle.size, record.torque[k].mean()))
+        loaded = Band(record, LOADED, by_lines=False)
+        torque = loaded.signal(loaded.spectrum(record.torque[k]))
+        load = np.full(angle.size, record.torque[k].mean())
         # Line by line, the person's torque would seem to be caused by the perturbation, too.
-        pushed = Band(record, WIDE, by_lines=False).caused(self.torques[k])
-        actual = np.stack((angle, motion[0], speed, band.inner(self.torques[k]) + load))
+        pushed = loaded.caused(torque)
+        actual = np.stack((angle, motion[0], speed, torque + load))
         caused = (
             moving.caused(angle),
             band.caused(motion[0]),
             wide.caused(speed),
-            band.inner(pushed),
+            pushed,
         )
         self.sizes = np.std(actual[:, kept], axis=1)
         units = np.where(self.sizes > 0.0, self.sizes, 1.0)[:, None]

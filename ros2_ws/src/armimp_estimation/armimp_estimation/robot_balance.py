@@ -35,6 +35,7 @@ from armimp_estimation.fit import Calibration, MBKFit
 from armimp_estimation.hold_correction import HoldCorrection, without_skew
 from armimp_estimation.plausibility import least_eigenvalue, uneven
 from armimp_estimation.record import APART, TrialRecord
+from armimp_estimation.spectra import sums_within
 from armimp_estimation.systematics import HiddenMotion, speed_of
 from armimp_estimation.torque_timing import TorqueTiming
 from armimp_estimation.trial import TrialData
@@ -58,6 +59,8 @@ _CLEARLY = 0.3  # rms stiffness in another order of commands relative to the giv
 _ANSWERS = 10.0
 """Ratio of the power of a command's response to its variance, median over the frequencies, that
 chance doesn't reach."""
+_LOOKS = 2
+"""Fits to an element, each with weights by the lack of the one before."""
 TAKEN = 0.15
 """Standard error of the torque that friction takes from a locked joint, relative to that torque, as
 it isn't as linear as the terms fitted to it, and may be less so if speeds aren't Gaussian."""
@@ -387,16 +390,20 @@ def _least_squares(
     regressors: ComplexArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Fit real coefficients, (p,), of regressors, (p, n_freq), to an element; and covariance."""
-    weights = fit_weights(f, Z, variance, _FLOOR, reach=_REACH)
-    scale = np.linalg.norm(np.sqrt(weights) * regressors, axis=1)
-    scale[scale == 0.0] = 1.0
-    design = regressors / scale[:, None]
-    functionals = np.linalg.pinv(((np.conj(design) * weights) @ design.T).real) @ (design * weights)
-    values = (np.conj(functionals) @ Z).real
-    ratio = np.abs(Z - values @ design) ** 2 / variance
-    lack = max(1.0, float(np.sum(ratio)) / max(f.size - 0.5 * values.size, 1.0))
-    covariance = lack * covariance_of_sums(functionals * np.sqrt(variance), correlation)
-    return values / scale, covariance / np.outer(scale, scale)
+    whole = variance
+    for _ in range(_LOOKS):
+        weights = fit_weights(f, Z, whole, _FLOOR, reach=_REACH)
+        scale = np.linalg.norm(np.sqrt(weights) * regressors, axis=1)
+        scale[scale == 0.0] = 1.0
+        design = regressors / scale[:, None]
+        normal = np.linalg.pinv(((np.conj(design) * weights) @ design.T).real)
+        functionals = normal @ (design * weights)
+        values = (np.conj(functionals) @ Z).real
+        lack = np.abs(Z - values @ design) ** 2 / max(1.0 - 0.5 * values.size / f.size, TINY)
+        total, count = sums_within(f, lack / variance, _REACH)
+        whole = variance * np.maximum(total / count, 1.0)
+    spread = functionals * np.sqrt(whole)
+    return values / scale, covariance_of_sums(spread, correlation) / np.outer(scale, scale)
 
 
 def in_order(trial: TrialData, order: tuple[int, ...]) -> TrialData:
