@@ -131,7 +131,7 @@ class Mismatch:
     rhythm: float = 0.0
     """Rms of a tremor, of slow voluntary torque, and of a rhythm of 1 Hz, N·m."""
     twitches: float = 0.0
-    """Standard deviation of the peaks of quick movements of 80 ms, every 3 s on average, N·m."""
+    """Standard deviation of the peaks of quick movements of 80 ms, every 20 s on average, N·m."""
     synchronous: bool = False
     """Whether these torques repeat themselves every 10 s, as a multisine does."""
     leaning: float = 0.0
@@ -532,7 +532,7 @@ def _disturbance(mismatch: Mismatch, ticks: int, rng: np.random.Generator) -> Fl
                 raw = np.resize(raw[:, : round(10.0 * mismatch.rate)].T, (ticks, n)).T
             total += size * raw
     if mismatch.twitches:
-        begun = rng.random(ticks) < 1.0 / (3.0 * mismatch.rate)
+        begun = rng.random(ticks) < 1.0 / (20.0 * mismatch.rate)
         width = 0.08 * mismatch.rate
         peaks = mismatch.twitches * rng.standard_normal((n, ticks)) * begun
         total += width * np.sqrt(2.0 * np.pi) * gaussian_filter1d(peaks, width)

@@ -810,7 +810,7 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     for share, push in product((0.0, 0.1, 0.2), (0.0, 0.03)):
         swept = {"waveform": "sweep 51", "waxing": share, "voluntary": push}
         add(MUST if share else NOISE, "single sweep, waxing", (f"{share:g}, {push:g} N·m", swept))
-    for waveform in ("sweep 51", "chirp", "noise", "multisine", "steps"):
+    for waveform in ("sweep 51", "sweep 26", "noise", "multisine", "steps"):
         add(NOISE, "quick movements", (waveform, {"waveform": waveform, "twitches": 2.0}))
     for seconds in (4.0, 8.0):
         brief = {"duration": seconds, "voluntary": 0.05}

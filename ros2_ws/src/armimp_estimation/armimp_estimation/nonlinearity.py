@@ -248,22 +248,16 @@ class _Terms:
         angle = moving.signal(moving.spectrum(record.position[k]))
         turning = 2j * np.pi * wide.f * wide.spectrum(record.position[k])
         speed, *self.torques = wide.signal(np.vstack((turning, wide.spectrum(record.torque))))
-        loaded = Band(record, LOADED, by_lines=False)
-        torque = loaded.signal(loaded.spectrum(record.torque[k]))
-        load = np.full(angle.size, record.torque[k].mean())
         # Line by line, the person's torque would seem to be caused by the perturbation, too.
-        pushed = loaded.caused(torque)
+        loaded = Band(record, LOADED, by_lines=False)
+        torque, load = loaded.signal(loaded.spectrum(record.torque[k])), record.torque[k].mean()
+        signals = (moving, angle), (band, motion[0]), (wide, speed), (loaded, torque)
+        caused = np.stack([filters.caused(signal) for filters, signal in signals])
         actual = np.stack((angle, motion[0], speed, torque + load))
-        caused = (
-            moving.caused(angle),
-            band.caused(motion[0]),
-            wide.caused(speed),
-            pushed,
-        )
         self.sizes = np.std(actual[:, kept], axis=1)
         units = np.where(self.sizes > 0.0, self.sizes, 1.0)[:, None]
-        self.actual, self.caused = actual / units, np.stack(caused) / units
-        self._load = np.array([0.0, 0.0, 0.0, 1.0])[:, None] * load / units
+        self.actual, self.caused = actual / units, caused / units
+        self._load = np.array([[0.0], [0.0], [0.0], [load]]) / units
         self.bent = {name: self._bend(one) for name, one in TERMS.items()}
         # The M, B and K that look most like a term: its regression on derivatives 2, 1, 0.
         # The estimate contains the ends, where an arm that is startled shows most of that.
