@@ -299,7 +299,7 @@ class _Linear:
         motion = band.filtered(record.position[record.perturbed_joint])[:, band.kept]
         sizes = np.linalg.norm(motion, axis=1, keepdims=True)
         self._motion = motion / np.where(sizes > 0.0, sizes, 1.0)
-        self._onto = onto(band.forces[:, band.kept])
+        self._onto = onto(band.filtered(band.pushes)[:, band.kept])
         self._caused = self._onto(self._motion)
         # Motion that follows the perturbation no more than by chance may be the person's.
         chance = _BEYOND_CHANCE * RATE / motion.shape[1]

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
@@ -106,14 +105,15 @@ class Band:
         parts = np.where(self._filter == filters[:, None], self.spectrum(signal), 0.0)
         return self.signal(np.concatenate((parts, 1j * parts)))
 
-    @cached_property
-    def forces(self) -> FloatArray:
-        """The perturbation as `filtered` splits it."""
-        return self.filtered(self.pushes)
-
     def caused(self, signals: FloatArray) -> FloatArray:
         """Project signals (..., samples) onto all that linear filters make of the perturbation."""
-        return onto(self.forces)(signals)
+        pushes, filtered = self.spectrum(self.pushes), self._filter >= 0
+        answers = np.fft.rfft(signals)[..., self.bins] / self.samples
+        cross = np.where(filtered, np.conj(pushes) * answers, 0.0)
+        of_filter = self._filter == np.unique(self._filter)[:, None]
+        power = of_filter @ np.abs(pushes) ** 2
+        gains = (cross @ of_filter.T) / np.where(power > 0.0, power, 1.0)
+        return self.signal((gains @ of_filter) * pushes)
 
     def weights(self, *noise: FloatArray) -> FloatArray:
         """Weights by frequency that make a sum of independent signals white.
