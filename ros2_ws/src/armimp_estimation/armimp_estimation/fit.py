@@ -246,18 +246,19 @@ def fit_impedance(
     problem = problem.corrected(problem.estimate.Z, (*problem.estimate.systematics, *tension))
     found = replace(problem.estimate, bounded=0, delay_uncertainty=None)
     fitted = problem.impedance(problem.values)
-    further = np.diag(squared_changes(problem, may_creep=known.linearity is None).ravel())
+    further, of_channels = squared_changes(problem, may_creep=known.linearity is None)
     fit = MBKFit(
         values=problem.values,
         r2=r_squared(found.Z, fitted),
         lack=lack_of_fit(found, fitted),
         lack_limit=lack_limit(found.bin_correlation),
         delay=delay,
-        covariance=problem.covariance(effects) + further,
+        covariance=problem.covariance(effects) + np.diag(further.ravel()),
         high_pass=high_pass(problem, fitted),
         functionals=problem.functionals,
     )
-    return replace(found, noise=found.noise + sum(np.abs(one) ** 2 for one in effects)), fit
+    noise = found.noise + sum(np.abs(one) ** 2 for one in effects)
+    return replace(found, noise=noise, systematics=(*found.systematics, *of_channels)), fit
 
 
 def _with_bounds_told(fit: WeightedFit) -> WeightedFit:

@@ -178,7 +178,7 @@ def least_eigenvalue(matrix: FloatArray, errors: FloatArray) -> tuple[float, flo
 
 
 def judge_angles(record: TrialRecord) -> Iterator[Problem]:
-    """Find angles of a trial that aren't in radians, or jump to another turn."""
+    """Find angles of a trial that aren't in radians, jump to another turn, or never change."""
     for name, angle in zip(record.joint_names, record.position, strict=True):
         posture, motion = float(np.abs(np.median(angle))), float(np.ptp(angle))
         step = float(np.max(np.abs(np.diff(angle)), initial=0.0))
@@ -190,3 +190,6 @@ def judge_angles(record: TrialRecord) -> Iterator[Problem]:
             if value > limit:
                 yield problem(code, trial=record.trial, name=name, value=value)
                 break
+        if not motion and name != record.joint_names[record.perturbed_joint]:
+            code = ProblemCode.ANGLE_CONSTANT
+            yield problem(code, severity=Severity.NOTE, trial=record.trial, name=name)

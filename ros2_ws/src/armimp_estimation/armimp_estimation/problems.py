@@ -118,6 +118,7 @@ class ProblemCode(str, Enum):
     TORQUE_IS_COMMAND = "torque_is_command"
     TORQUE_FROM_COMMAND = "torque_from_command"
     UNRESOLVED = "unresolved"
+    ANGLE_CONSTANT = "angle_constant"
     DEPENDS_ON_AMPLITUDE = "depends_on_amplitude"
     DEPENDS_ON_DIRECTION = "depends_on_direction"
     HYSTERESIS = "hysteresis"

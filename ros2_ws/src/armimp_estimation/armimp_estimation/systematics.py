@@ -30,6 +30,9 @@ _FRICTION, _OVERCOME = 2.0, 3.0
 """Assumption: largest Coulomb friction F_c of a robot's joint, N·m, and relative to the rms of a
 perturbation that moves it nonetheless."""
 _LOST = 0.16  # rms motion that the encoder of a resting joint may miss, in steps
+_YIELDING = 1e-4
+"""Assumption: rms motion for each N·m of a locked joint whose angle never changes, as of a stiff
+drive or a brake, rad: nobody may have recorded it."""
 _LEADING, _MOST_LED, _UNGATHERED, _LEAD_ERROR = 0.12, 0.1, 0.2, 0.5
 """Assumptions for :func:`rounding_lead`: its factor; the largest lead times the speed in the band,
 in steps; the standard error of ln ρ; and the relative standard error of the lead."""
@@ -310,7 +313,7 @@ def lost_motion(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]
     standard deviation σ. σ² is the variance of the readings in each half second less that of
     rounding, ``q²/12``. A joint that shows fewer than three values in that time, or hardly changes
     between them, may be held by friction, and may move in any way within a step. The most that is
-    lost then is 0.16 q, of a motion of 0.2 q.
+    lost then is 0.16 q, of a motion of 0.2 q. A reading that never changes may be none at all.
 
     Returns
     -------
@@ -324,10 +327,11 @@ def lost_motion(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]
     shares, beside = np.zeros((2, len(records), len(records)))
     for joint, k in np.ndindex(shares.shape):
         step = float(records[joint].resolution[JOINT_STATES][joint])
-        size = round(_WINDOW * records[k].rate)
+        size, signal = round(_WINDOW * records[k].rate), records[k].position[joint]
+        if k != joint and not np.ptp(signal):
+            beside[joint, k] = _YIELDING * float(np.std(records[k].torque[joint]))
         if k == joint or step == 0.0 or records[k].samples < size:
             continue
-        signal = records[k].position[joint]
         counts = (signal - signal[0]) / step
         counts = counts[: counts.size // size * size].reshape(-1, size)
         changes = np.sum(np.abs(np.diff(counts, axis=1)), axis=1)
@@ -335,7 +339,7 @@ def lost_motion(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]
         spread = np.maximum(np.var(counts, axis=1) - 1.0 / 12.0, 0.0)
         lacks = np.minimum(2.0 * np.exp(-2.0 * np.pi**2 * spread), 1.0)
         shares[joint, k] = np.mean(np.where(rests, 1.0, lacks))
-        beside[joint, k] = _LOST * step * np.mean(rests)
+        beside[joint, k] = max(beside[joint, k], _LOST * step * float(np.mean(rests)))
     return shares, beside
 
 

@@ -45,7 +45,7 @@ _CUFF = 1e-5
 _COUPLED, _CORNERS = 0.5, (0.3, 1.0)
 """Assumption: prior probability that a torque or angle without slow motion passed a high-pass, and
 corners of that, Hz."""
-_CREEPING, _CREEPS = 0.2, (0.05, 0.3)
+_CREEPING, _CREEPS = 0.2, (0.05, 0.3, 1.0)
 _CREEP = (0.02, 0.06, 0.2, -0.02, -0.06)
 """Assumption: prior probability that a transducer of undeclared linearity creeps, time constants of
 that, s, and shares of the torque."""
@@ -56,21 +56,25 @@ _LOW, _FEWEST = 1.0 / 3.0, 8
 """Lowest part of the band that is fitted alone for comparison, as a share, and its fewest bins."""
 
 
-def squared_changes(fit: WeightedFit, *, may_creep: bool = False) -> FloatArray:
+def squared_changes(
+    fit: WeightedFit, *, may_creep: bool = False
+) -> tuple[FloatArray, list[ComplexArray]]:
     """Squared standard errors of M, B and K, (3, n, m), by all that they don't describe.
 
     Transducers of unknown linearity `may_creep`: they show more of a torque the longer it lasts.
+    Second are the systematic errors of Z, (n, m, n_freq), that channels add; the rest is the arm's.
     """
     n, columns = fit.shape
-    squares = _by_curvature(fit) + _by_frequency(fit)
+    squares, of_channels = _by_curvature(fit) + _by_frequency(fit), list[ComplexArray]()
     hidden = np.maximum(_by_reflexes(fit), _by_second_mode(fit))
     if n == columns and n <= _MOST_CUFFS:
         squares = squares + _by_sensors_and_cuffs(fit)
-        hidden = hidden + _by_channels(fit, may_creep=may_creep)
+        by_channels, of_channels = _by_channels(fit, may_creep=may_creep)
+        hidden = hidden + by_channels
     squares = squares + hidden
     # A change within rounding errors is none.
     least = _ROUNDING * np.abs(fit.values)
-    return np.where(squares > least**2, squares, 0.0)
+    return np.where(squares > least**2, squares, 0.0), of_channels
 
 
 def high_pass(fit: WeightedFit, Z: ComplexArray) -> tuple[float, float]:
@@ -244,13 +248,15 @@ def _by_second_mode(fit: WeightedFit) -> FloatArray:
     return np.asarray(np.einsum("tij,ptij->pij", counts, moved**2))
 
 
-def _by_channels(fit: WeightedFit, *, may_creep: bool) -> FloatArray:
+def _by_channels(fit: WeightedFit, *, may_creep: bool) -> tuple[FloatArray, list[ComplexArray]]:
     """Squared change by a high-pass or creep of single channels, of whichever changes most.
 
     A first-order high-pass with the corner w takes ``w/(s + w) Z_ij`` off the row of a torque,
     and adds ``w/s Z_ij`` to the column of an angle. A channel that shows slow signals passed
-    none. A transducer that creeps adds ``c/(1 + sT) Z_ij`` to its row. Channels of one rig are
-    alike, so each is evidence of whether the others have such an error.
+    none. A transducer that creeps adds ``c/(1 + sT) Z_ij`` to its row if its gain was found
+    quickly, and takes ``c sT/(1 + sT) Z_ij`` off if it was found with weights. Channels of one rig
+    are alike, so each is evidence of whether the others have such an error. Second is the largest
+    change of Z, (n, m, n_freq), by each channel.
     """
     Z, s = fit.impedance(fit.values), np.asarray(1j * fit.omega, dtype=np.complex128)
     own = np.eye(len(Z), dtype=np.bool_)[:, :, None, None]
@@ -261,17 +267,23 @@ def _by_channels(fit: WeightedFit, *, may_creep: bool) -> FloatArray:
     ]
     if may_creep:
         every = np.ones(len(Z), dtype=np.bool_)
-        kinds += [(_CREEPING, _CREEP, 0, every, 1.0 / (1.0 + s * time)) for time in _CREEPS]
-    change = np.zeros_like(fit.values)
+        for time in _CREEPS:
+            later = 1.0 / (1.0 + s * time)
+            kinds += [(_CREEPING, _CREEP, 0, every, one) for one in (later, later - 1.0)]
+    change, largest = np.zeros_like(fit.values), dict[tuple[int, int], ComplexArray]()
     for likely, sizes, axis, possible, effect in kinds:
         channels = np.where(np.moveaxis(own, 1, 1 + axis), effect * Z, 0.0)[possible]
         judged = partial(hidden_square, likely=likely, sizes=sizes, positive=True)
         found = [fit.common_coefficient(terms)[:2] for terms in channels]
         evidence = [judged(*one)[1] for one in found]
-        for terms, one, of_one in zip(channels, found, evidence, strict=True):
+        places = np.flatnonzero(possible).tolist()
+        for place, terms, one, of_one in zip(places, channels, found, evidence, strict=True):
             square, _ = judged(*one, elsewhere=max(sum(evidence) - of_one, 0.0))
-            change = np.maximum(change, square * fit.shifts(terms) ** 2)
-    return change
+            error = math.sqrt(square) * terms
+            change = np.maximum(change, fit.shifts(error) ** 2)
+            if np.linalg.norm(error) > np.linalg.norm(largest.get((axis, place), 0.0)):
+                largest[axis, place] = error
+    return change, list(largest.values())
 
 
 def _noticed(value: FloatArray | float, error: FloatArray | float) -> FloatArray:

@@ -244,7 +244,9 @@ def test_column_of_one_trial_is_that_of_the_whole_estimate_where_joints_are_lock
     data = []
     # So little noise hides few reflexes.
     for k, trial in enumerate(synthetic_trials(dataclasses.replace(LOOP, voluntary=0.03))):
-        position = np.where(np.arange(2)[:, None] == k, trial.record.position, 0.0)
+        # An angle that never changed might not have been recorded.
+        moves = np.where(np.arange(2)[:, None] == k, 1.0, 1e-9)
+        position = moves * trial.record.position
         # Without a delay, of which each trial alone would find a different one.
         exact = trial.record.reading.model_copy(update={"uncertainty": 0.0})
         data.append(with_readings(trial, position=position, reading=exact))
