@@ -322,6 +322,12 @@ def _steadied(cutoff: float) -> Change:
     return lambda values: np.asarray(sosfilt(high_pass, values - values[:, :1]))
 
 
+def _creeping(share: float, time: float) -> Change:
+    """Readings of a transducer that creeps, whose gain was found with weights."""
+    b, a = bilinear([share / (1.0 + share) * -time, 0.0], [time, 1.0], fs=1000.0)
+    return lambda torque: np.asarray(torque + lfilter(b, a, torque))
+
+
 def _smoothed(cutoff: float) -> Change:
     """Readings behind a Butterworth low-pass of order 2, Hz."""
     low_pass = butter(2, cutoff, fs=1000.0, output="sos")
@@ -403,6 +409,13 @@ def _efficiency(loss: float) -> Callable[[Recording], Recording]:
         return replace(recording, torque=recording.torque * (1.0 - loss * drives))
 
     return lose
+
+
+def _perturbed_alone(recording: Recording) -> Recording:
+    """Only the angle of the perturbed joint is recorded."""
+    moves = np.arange(len(recording.position))[:, None] == recording.joint
+    angles = recording.position
+    return replace(recording, position=np.where(moves, angles, angles[:, :1]))
 
 
 def _without_commands(recording: Recording) -> Recording:
@@ -810,6 +823,13 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     for share, push in product((0.0, 0.1, 0.2), (0.0, 0.03)):
         swept = {"waveform": "sweep 51", "waxing": share, "voluntary": push}
         add(MUST if share else NOISE, "single sweep, waxing", (f"{share:g}, {push:g} N·m", swept))
+    for share, time, push in product((0.03, 0.06), (0.05, 0.3), (0.1, 0.3)):
+        creeps = {"voluntary": push, "readings": changed(torque=_creeping(share, time))}
+        label = f"{share:g}, {time:g} s, {push:g} N·m"
+        add(MUST, "creep, calibrated with weights", (label, creeps))
+    for lock, push in product((60.0, 150.0), (0.05, 0.3)):
+        held = {"lock": lock, "voluntary": push, "readings": _perturbed_alone}
+        add(MUST, "locked angles unrecorded", (f"{lock:g} rad/s, {push:g} N·m", held))
     for waveform in ("sweep 51", "sweep 26", "noise", "multisine", "steps"):
         add(NOISE, "quick movements", (waveform, {"waveform": waveform, "twitches": 2.0}))
     for seconds in (4.0, 8.0):
