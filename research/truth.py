@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
 from scipy.ndimage import median_filter
 from scipy.signal import bilinear, butter, lfilter, sosfilt, sosfiltfilt
 
@@ -223,6 +224,19 @@ def _slower(rate: float) -> Change:
         return np.stack([np.interp(k, known, row[known]) for row in torque])
 
     return interpolate
+
+
+def _bridged(share: float, seconds: float, order: int) -> Change:
+    """Readings of which a share is lost, for some time each, and filled in by a spline."""
+
+    def fill(values: FloatArray) -> FloatArray:
+        k, size = np.arange(values.shape[1]), round(1000.0 * seconds)
+        lost = (k + 500) % round(size / share) >= round(size / share) - size
+        knots = k[~lost][:: 15 if order > 1 else 1]
+        filled = make_interp_spline(knots, values[:, knots], order, axis=1)(k)
+        return np.where(lost, filled, values)
+
+    return fill
 
 
 def _uneven_counts(share: float, counts: int) -> Change:
@@ -769,6 +783,13 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     for rate in (50.0, 100.0, 250.0):
         slow_one = {"voluntary": 0.3, "readings": changed(torque=_slower(rate))}
         add(MUST, "torque of a lower rate, voluntary 0.3 N·m", (f"{rate:g} Hz", slow_one))
+    for name, order, (share, lost_for) in product(
+        ("position", "torque"), (1, 3), ((0.2, 2.0), (0.3, 1.0))
+    ):
+        bridge = changed(**{name: _bridged(share, lost_for, order)})
+        label = f"{share:g}, {lost_for:g} s"
+        gaps = {"voluntary": 0.3, "readings": bridge}
+        add(MUST, f"{name} bridged by splines of order {order}, voluntary 0.3 N·m", (label, gaps))
     for share in (0.1, 0.3, 0.5):
         for counts in (4, 16):
             steps = {"readings": changed(position=_uneven_counts(share, counts))}

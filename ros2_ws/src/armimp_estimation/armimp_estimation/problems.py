@@ -111,7 +111,7 @@ class ProblemCode(str, Enum):
     DROPPED = "dropped"
     MENDED = "mended"
     DEAD_ZONE = "dead_zone"
-    TORQUE_REPEATS = "torque_repeats"
+    INTERPOLATED = "interpolated"
     ALIASED = "aliased"
     TIME_JUMPS = "time_jumps"
     JOINED = "joined"

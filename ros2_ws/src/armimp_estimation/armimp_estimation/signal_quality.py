@@ -71,6 +71,11 @@ _SEARCHED = 8192  # samples that are searched for repetitions
 _REGRESSED = 16384  # samples that suffice for a regression on commands
 _REPEATED = 0.15  # share of repetitions that chance doesn't reach
 _BESIDE = 9.0  # ratio of repetitions to the most frequent step that chance doesn't reach
+_ROUNDING, _BRIDGE, _KINK = 2e-14, 0.1, 1e3
+"""For :func:`bridged`: fourth differences by rounding, in the largest value, at most; length of a
+stretch, s, and fourth differences at its ends, in those of rounding, at least."""
+BRIDGED = 0.05
+"""Share of time that may be interpolated."""
 _BROAD = 0.5  # share of samples near 0, or of changes of one size, that leaves a test undecided
 _SLOW, _USUAL_SLOW, _LITTLE = (0.0, 0.1), (0.5, 1.0), 0.25  # bands, Hz; ratio of their power
 _COPIED = 0.005
@@ -102,14 +107,11 @@ RESOLVED: Final = {JOINT_STATES: 20.0, TORQUE_SENSORS: 8.0}
 
 def judge_signals(record: TrialRecord) -> list[Problem]:
     """Find the faults of the angles and torques of a trial."""
-    # If the perturbation was interpolated as well, cause and effect have changed alike.
-    resampled = repeating(record.perturbation[record.perturbed_joint]) > 0.0
     return [
         problem(code, trial=record.trial, stream=stream, name=name, **values)
         for stream in (JOINT_STATES, TORQUE_SENSORS)
         for joint, name in enumerate(record.joint_names)
         for code, values in _faults(record, stream, joint)
-        if not (code is ProblemCode.TORQUE_REPEATS and resampled)
     ]
 
 
@@ -132,18 +134,25 @@ def _faults(record: TrialRecord, stream: str, joint: int) -> Iterator[tuple[Prob
         dropped, share = dropouts(signal, partner, kicked)
         if share > DROPPED:
             yield ProblemCode.DROPPED, {"count": dropped, "percent": 100.0 * share}
-    if joint == k and not torques and (share := aliased(record)) < 1.0:
-        yield ProblemCode.ALIASED, {"percent": 100.0 * share}
-    if joint == k and not torques and (share := time_jumps(record)) > JUMPED:
-        yield ProblemCode.TIME_JUMPS, {"percent": 100.0 * share}
-    if joint == k and not torques and record.periods is not None and (jump := seam(signal)):
-        yield ProblemCode.JOINED, {"jump": jump}
     if torques and (count := zeros_beyond_chance(signal, step)):
         yield ProblemCode.DEAD_ZONE, {"count": count, "percent": 100.0 * count / signal.size}
-    if torques and (share := repeating(signal)):
-        yield ProblemCode.TORQUE_REPEATS, {"percent": 100.0 * share}
-    if torques and joint == k:
-        yield from _faults_of_response(record)
+    # If the perturbation was interpolated as well, cause and effect have changed alike.
+    alike = not torques or repeating(record.perturbation[k]) > 0.0
+    share = max(0.0 if alike else repeating(signal), bridged(signal, record.rate))
+    if share > BRIDGED and (torques or joint == k):
+        yield ProblemCode.INTERPOLATED, {"percent": 100.0 * share}
+    if joint == k:
+        yield from _faults_of_response(record) if torques else _faults_of_motion(record)
+
+
+def _faults_of_motion(record: TrialRecord) -> Iterator[tuple[ProblemCode, Values]]:
+    """Yield the faults of the angle of the perturbed joint."""
+    if (share := aliased(record)) < 1.0:
+        yield ProblemCode.ALIASED, {"percent": 100.0 * share}
+    if (share := time_jumps(record)) > JUMPED:
+        yield ProblemCode.TIME_JUMPS, {"percent": 100.0 * share}
+    if record.periods is not None and (jump := seam(record.position[record.perturbed_joint])):
+        yield ProblemCode.JOINED, {"jump": jump}
 
 
 def _faults_of_response(record: TrialRecord) -> Iterator[tuple[ProblemCode, Values]]:
@@ -599,6 +608,35 @@ def repeating(signal: FloatArray) -> float:
             if still > _BESIDE * 0.5 * usual and usual < _BROAD * (1.0 - still):
                 return still
     return 0.0
+
+
+def bridged(signal: FloatArray, rate: float) -> float:
+    """Share of samples in stretches that were interpolated by a straight line or a cubic.
+
+    In such a stretch, of 0.1 s or more, fourth differences are those of rounding; within 4 samples
+    of either end they are 1000 times as large at least. The smooth motion of a simulation begins or
+    ends less suddenly. Steps by the same counts as elsewhere, or by none, are those of an encoder.
+    """
+    if signal.size <= _ENOUGH:
+        return 0.0
+    nothing = max(_ROUNDING * float(np.max(np.abs(signal))), TINY)
+    bends = np.abs(np.diff(signal, n=4))
+    sudden = sliding_window_view(np.pad(bends, 4), 4).max(axis=1) > _KINK * nothing
+    starts, runs, _ = _runs(np.where(bends < nothing, 0.0, 1.0))
+    ends = starts + runs
+    long = (bends[starts] < nothing) & (runs + 4 >= _BRIDGE * rate)
+    stretches = [
+        slice(start, end + 3)
+        for start, end in zip(starts[long], ends[long], strict=True)
+        if sudden[start] and sudden[end + 4]
+    ]
+    steps = np.rint(np.diff(signal) / nothing)
+    elsewhere = np.ones(steps.size, dtype=bool)
+    for one in stretches:
+        elsewhere[one] = False
+    usual = np.isin(steps, np.append(steps[elsewhere], 0.0))
+    found = [one.stop - one.start for one in stretches if np.mean(usual[one]) < _BROAD]
+    return float(sum(found)) / signal.size
 
 
 def _copied(record: TrialRecord, source: str) -> tuple[float, float]:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.interpolate import make_interp_spline
 from scipy.ndimage import median_filter
 from scipy.signal import butter, cont2discrete, lfilter, sosfilt
 
@@ -12,6 +13,7 @@ from armimp_estimation.problems import ProblemCode, Severity
 from armimp_estimation.record import TrialRecord, resolution_of
 from armimp_estimation.signal_quality import (
     aliased,
+    bridged,
     clipping,
     dropouts,
     floating,
@@ -247,6 +249,21 @@ def test_a_sound_signal_doesn_t_repeat_itself_however_coarse(step: float, seed: 
     for signal in (motion(seed, step), lively(seed, step)):
         assert repeating(signal) == 0.0
         assert repeating(signal * (1.0 + 0.1 * signal**2)) == 0.0, "through a table"
+
+
+@pytest.mark.parametrize("rate", [1000.0, 200.0])
+@pytest.mark.parametrize("step", [1e-9, 1e-3])
+def test_gaps_that_were_filled_by_lines_or_cubics_are_found(rate: float, step: float) -> None:
+    sound = motion(1, step)[:: round(RATE / rate)]
+    k = np.arange(sound.size)
+    lost = k % rate >= 0.8 * rate
+    assert bridged(sound, rate) == 0.0
+    for order in (1, 3):
+        knots = k[~lost][::15]
+        filled = np.where(lost, make_interp_spline(knots, sound[knots], order)(k), sound)
+        assert bridged(filled, rate) == pytest.approx(0.2, abs=0.03)
+    record = made_record(filled[None], None, sound[None], rate=rate)
+    assert ProblemCode.INTERPOLATED in codes(judge_signals(record))
 
 
 @pytest.mark.parametrize("every", [1, 2, 4, 10])
