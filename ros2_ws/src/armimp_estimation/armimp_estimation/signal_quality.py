@@ -621,10 +621,12 @@ def bridged(signal: FloatArray, rate: float) -> float:
         return 0.0
     nothing = max(_ROUNDING * float(np.max(np.abs(signal))), TINY)
     bends = np.abs(np.diff(signal, n=4))
-    sudden = sliding_window_view(np.pad(bends, 4), 4).max(axis=1) > _KINK * nothing
     starts, runs, _ = _runs(np.where(bends < nothing, 0.0, 1.0))
     ends = starts + runs
     long = (bends[starts] < nothing) & (runs + 4 >= _BRIDGE * rate)
+    if not long.any():
+        return 0.0
+    sudden = sliding_window_view(np.pad(bends, 4), 4).max(axis=1) > _KINK * nothing
     stretches = [
         slice(start, end + 3)
         for start, end in zip(starts[long], ends[long], strict=True)
