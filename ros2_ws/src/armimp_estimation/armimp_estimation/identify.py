@@ -33,9 +33,9 @@ from armimp_estimation.trial import TrialData, segment_for
 from armimp_estimation.verdict import Verdict
 from armimp_estimation.weighted_fit import WeightedFit
 
-_FOLLOWED, _UNFILTERED = 2.0, 1.0 / 3.0
+_FOLLOWED = 2.0
 """Assumption: error of Z(f) behind an undeclared filter, in what M, B and K leave of Z, as they
-follow the filter in part; or what those of this share of the band leave, if that is more."""
+follow the filter in part; or what those of the lowest part of the band leave, if that is more."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,7 +82,7 @@ class EstimatorResult:
         if may_be_filtered and not (fit.lack <= fit.lack_limit).all():
             problem = WeightedFit(estimate=self.estimate)
             followed = self.estimate.Z - problem.impedance(fit.values)
-            beyond = followed + problem.impedance(problem.below(_UNFILTERED)[0])
+            beyond = followed + problem.impedance(problem.below()[0])
             noise += np.maximum(np.abs(_FOLLOWED * followed), np.abs(beyond)) ** 2
         estimate = replace(self.estimate, noise=noise)
         return replace(self, fit=fit.with_doubts(changes), estimate=estimate)

@@ -52,8 +52,6 @@ that, s, and shares of the torque."""
 _TENSE, _TENSION = 0.3, 0.35
 """Assumption: prior probability that a person tenses or relaxes between trials, and share by which
 stiffness and viscosity of each trial then differ from the mean."""
-_LOW, _FEWEST = 1.0 / 3.0, 8
-"""Lowest part of the band that is fitted alone for comparison, as a share, and its fewest bins."""
 
 
 def squared_changes(
@@ -127,9 +125,8 @@ def _by_frequency(fit: WeightedFit) -> FloatArray:
     They show at low frequencies, so anything else at the upper end of the band shows in that
     difference (Hausman, *Econometrica* 46, 1978).
     """
-    squares = np.zeros_like(fit.values)
-    if np.count_nonzero(fit.omega <= _LOW * fit.omega[-1]) >= _FEWEST:
-        squares[1:] = _noticed(*fit.below(_LOW))[1:]
+    squares = _noticed(*fit.below())
+    squares[0] = 0.0
     return squares
 
 

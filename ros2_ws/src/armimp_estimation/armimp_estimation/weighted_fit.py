@@ -28,6 +28,8 @@ from armimp_estimation.weights import (
 )
 
 FEWEST_FREQUENCIES = 3
+_LOW, _FEWEST_LOW = 1.0 / 3.0, 8
+"""Lowest part of the band that is fitted alone for comparison, as a share, and its fewest bins."""
 LACK_LIMIT = 2.0
 """Lack of fit beyond which an impedance is not of the fitted form; ideal runs stay below 1.5."""
 _LACK_CHANCE = 5.0
@@ -113,14 +115,14 @@ class WeightedFit:
         """Contribution of terms to M, B and K, (3, n, m)."""
         return np.moveaxis(real_sums(self.functionals, terms[:, :, None]), -1, 0)
 
-    def below(self, highest: float) -> tuple[FloatArray, FloatArray]:
-        """Difference of M, B and K from those of frequencies up to a share of the highest alone.
+    def below(self) -> tuple[FloatArray, FloatArray]:
+        """Difference of M, B and K from those of the lowest third of the band alone.
 
-        Returned with its standard errors, each (3, n, m).
+        Returned with its standard errors, each (3, n, m); all are 0 if that has too few bins.
         """
-        low = self.omega <= highest * self.omega[-1]
+        low = self.omega <= _LOW * self.omega[-1]
         found = np.zeros((2, 3, *self.shape))
-        for i, k in np.ndindex(self.shape):
+        for i, k in np.ndindex(self.shape) if np.count_nonzero(low) >= _FEWEST_LOW else ():
             of_low = mbk_functionals(self.omega, self._weights[i, k] * low)
             apart = self.functionals[i, k] - of_low
             found[0, :, i, k] = real_sums(apart, self.estimate.Z[i, k])
