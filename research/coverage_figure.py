@@ -72,7 +72,7 @@ def coverage_figure(cells: Sequence[Cell]) -> Any:
     ratios.axhline(1.0, color="0.5", linewidth=0.6)
     ratios.set_ylabel(f"{names[0]}: stated over true rms error")
     ratios.set_ylim(bottom=0.0)
-    ratios.legend(loc="upper left")
+    ratios.legend(loc="upper right")
     labels = [
         "{} {} {}\n{}".format(*c.levels, f"{c.voluntary:g} N·m" if c.voluntary else "relaxed")
         for c in first
