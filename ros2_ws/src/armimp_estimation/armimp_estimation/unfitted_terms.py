@@ -36,10 +36,10 @@ _STRETCH = 0.3
 """Assumption: stretch gain that a reflex of an element may have, relative to its K."""
 _RELAXED, _RELAXATIONS = 0.4, (0.05, 0.3)
 """Assumption: stiffness of a relaxing spring beside K, relative to K, and its time constants, s."""
-_MODES, _DAMPED = (1.8, 2.5, 3.5, 5.0, 7.0, 10.0), (0.2, 0.5, 1.0)
-_PARTS = {0.02: 0.8, 0.06: 0.4, 0.2: 0.1}
-"""Assumption: natural frequencies, Hz, and damping ratios that a second mode of an arm may have, as
-of soft tissue or of a hand that nobody strapped; prior odds by its share of the inertia."""
+_MODE = 0.1
+_MODES, _DAMPED, _PARTS = (1.8, 2.5, 3.5, 5.0, 7.0, 10.0), (0.2, 0.5, 1.0), (0.02, 0.06, 0.2)
+"""Assumption: prior probability that an arm has a second mode, as of a hand that nobody strapped or
+of soft tissue; its natural frequency, Hz, damping ratio and share of the inertia."""
 _CUFF = 1e-5
 """Assumption: compliance that a cuff between robot and arm may have, rad/(N·m)."""
 _COUPLED, _CORNERS = 0.5, (0.3, 1.0)
@@ -179,17 +179,16 @@ def _by_reflexes(fit: WeightedFit) -> FloatArray:
     return change
 
 
-def _present(fit: WeightedFit, evidence: FloatArray, odds: FloatArray | float) -> FloatArray:
+def _present(fit: WeightedFit, evidence: FloatArray, odds: float) -> FloatArray:
     """Posterior probabilities of alternative terms in each element, (t, n, m).
 
-    They follow from the prior odds of each term, (t, 1, 1) if they differ, and from its evidence,
-    (t, n, m), in the element. A term across joints also acts on its own joint, which shows whether
-    the term is present. So do the own terms of other joints, as one person has it in all of them or
-    in none.
+    They follow from the prior odds of each term, and from its evidence, (t, n, m), in the element.
+    A term across joints also acts on its own joint, which shows whether the term is present. So do
+    the own terms of other joints, as one person has it in all of them or in none.
     """
     own = np.stack([evidence[:, row, column] for row, column in fit.own], axis=1)
     others = np.maximum(np.sum(own, axis=1, keepdims=True) - own, 0.0)
-    seen = evidence + np.log(odds) + (others + own)[:, None]
+    seen = evidence + (math.log(odds) + others + own)[:, None]
     for place, (row, column) in enumerate(fit.own):
         seen[:, row, column] -= own[:, place]
     absent = np.zeros_like(seen[:1])
@@ -234,15 +233,13 @@ def _by_second_mode(fit: WeightedFit) -> FloatArray:
         -M * s**4 / (s**2 + 2.0 * damped * w * s + w**2)
         for w, damped in product(2.0 * np.pi * np.array(_MODES), _DAMPED)
     ]
-    judged = partial(hidden_square, likely=0.5, positive=True)
-    found = [fit.coefficients(shape).reshape(-1, 2) for shape in shapes]
-    every = [[[judged(*one, sizes=(part,)) for one in of] for of in found] for part in _PARTS]
-    squares, evidence = np.moveaxis(np.array(every), -1, 0).reshape(2, -1, *fit.shape)
+    judged = partial(hidden_square, likely=0.5, sizes=_PARTS, positive=True)
+    every = [[[judged(*one) for one in row] for row in fit.coefficients(shape)] for shape in shapes]
+    squares, evidence = np.moveaxis(np.array(every), -1, 0)
     squares *= 1.0 + np.exp(np.minimum(-evidence, 700.0))  # if there is such a mode
-    odds = np.repeat(list(_PARTS.values()), len(shapes)) / len(shapes)
-    counts = _present(fit, evidence, odds[:, None, None]) * squares
-    moved = np.stack([fit.shifts(shape) for shape in shapes] * len(_PARTS), axis=1)
-    return np.asarray(np.einsum("tij,ptij->pij", counts, moved**2))
+    moved = squares * np.stack([fit.shifts(shape) for shape in shapes], axis=1) ** 2
+    present = _present(fit, evidence, _MODE / (1.0 - _MODE) / len(shapes))
+    return np.asarray(np.einsum("tij,ptij->pij", present, moved))
 
 
 def _by_channels(fit: WeightedFit, *, may_creep: bool) -> tuple[FloatArray, list[ComplexArray]]:
