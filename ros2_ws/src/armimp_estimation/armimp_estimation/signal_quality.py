@@ -136,11 +136,13 @@ def _faults(record: TrialRecord, stream: str, joint: int) -> Iterator[tuple[Prob
             yield ProblemCode.DROPPED, {"count": dropped, "percent": 100.0 * share}
     if torques and (count := zeros_beyond_chance(signal, step)):
         yield ProblemCode.DEAD_ZONE, {"count": count, "percent": 100.0 * count / signal.size}
-    # If the perturbation was interpolated as well, cause and effect have changed alike.
-    alike = not torques or repeating(record.perturbation[k]) > 0.0
-    share = max(0.0 if alike else repeating(signal), bridged(signal, record.rate))
-    if share > BRIDGED and (torques or joint == k):
-        yield ProblemCode.INTERPOLATED, {"percent": 100.0 * share}
+    if torques or joint == k:
+        repeated = repeating(signal) if torques else 0.0
+        # If the perturbation was interpolated as well, cause and effect have changed alike.
+        if repeated and repeating(record.perturbation[k]):
+            repeated = 0.0
+        if (share := max(repeated, bridged(signal, record.rate))) > BRIDGED:
+            yield ProblemCode.INTERPOLATED, {"percent": 100.0 * share}
     if joint == k:
         yield from _faults_of_response(record) if torques else _faults_of_motion(record)
 
