@@ -804,6 +804,11 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         add(MUST, "torque compressed", (f"{share:g}", compressed))
         periodic = compressed | {"waveform": "multisine"}
         add(MUST, "torque compressed, multisine", (f"{share:g}", periodic))
+    for wave, joints, slow in product(("binary", "steps"), (1, 2), (0.0, 0.1)):
+        for name, bend in (("compressed", _yielding(0.1)), ("uneven", _uneven(0.1))):
+            two: dict[str, Any] = {"waveform": wave, "joints": joints, "voluntary": slow}
+            two["readings"] = _then_without_commands(changed(torque=bend))
+            add(MUST, f"two torques, {name}", (f"{wave}, {joints} joints, {slow:g} N·m", two))
     for name, size, spoil in (
         *(
             ("encoder that saturates", one, changed(position=_saturating(one)))

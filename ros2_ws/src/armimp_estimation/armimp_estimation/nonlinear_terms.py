@@ -325,8 +325,10 @@ TERMS: Mapping[str, Term] = {
         sizes=(0.1,),
         doubted=0.5,
     ),
+    # Without the mean load: with it, the square of a binary torque, its edges, would outweigh the
+    # cube where readings bend about another torque.
     "gain": Term(
-        bend=lambda signals: signals.torque**3,
+        bend=lambda signals: (signals.torque - np.mean(signals.torque)) ** 3,
         code=ProblemCode.TORQUE_NOT_LINEAR,
         kind=Kind.GAIN,
         slope=3.0,

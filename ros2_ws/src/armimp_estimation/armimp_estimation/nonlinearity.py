@@ -54,8 +54,9 @@ MOVING = ((0.0, 0.1), BAND[1])
 """Edges of the band of the angle that enters spring terms, Hz: slow motion bends a spring, too."""
 SIGNIFICANT = 3.5
 """Significant number of standard errors if there are many parts: chance exceeds it in 1 of 2000."""
-LOADED = (MOVING[0], WIDE[1])
-"""Edges of the band of the torque that enters transducer terms, Hz."""
+LOADED = ((-0.1, 0.0), (45.0, 60.0))
+"""Edges of the band of the torque that enters transducer terms, Hz: slow torque, and the edges of
+steps as far as the cube has no alias in `BAND`, else two values would not remain two."""
 _RINGS = 100
 """Samples at either end in which the jump from end to begin of a record rings most."""
 _FEWEST_PARTS = 2
@@ -80,8 +81,9 @@ _BURSTS, _TIMES, _NEAR = 4.0, 60, 4
 _INFORMATIVE = 0.1
 """Least share of a term of the perturbed motion alone that must remain once linear responses are
 projected out. Less is due to chance and the ends, as under a periodic perturbation with all lines:
-the motion has no power between them, and at them any motion looks linear. A nonlinear arm then
-leaves a lack of fit; gains are as uncertain as those of any transducer."""
+the motion has no power between them, and at them any motion looks linear; or as of the cube of a
+binary torque. A nonlinear arm then leaves a lack of fit; gains are as uncertain as those of any
+transducer."""
 _MIXED = 0.7
 """The same for an arm that changes over time. Under a single sweep each frequency has its own time,
 so that it looks like another arm that doesn't change; other perturbations leave 0.87 or more."""
@@ -265,11 +267,6 @@ class _Terms:
         near = slice(_RINGS, -_RINGS)
         alike = np.linalg.lstsq(motion[2::-1, near].T, shapes[:, near].T, rcond=None)[0]
         self.alike = dict(zip(TERMS, alike.T, strict=True))
-        self.linear = _Linear(record, band)
-        # With one band for each line, the filters could follow an abrupt change.
-        self.smooth = self.linear
-        if record.periods is not None:
-            self.smooth = _Linear(record, Band(record, by_lines=False))
 
     def _bend(self, term: Term) -> ComplexArray:
         """Spectra, (3, bins), of a term's instrument, of the term, and of it without the person.
@@ -292,17 +289,27 @@ class _Linear:
     motion itself would remove a part of that torque with it, and put the rest of the motion, which
     friction of the robot makes nonlinear, in its place.
 
-    The angle of the perturbed joint and the perturbation are split as by :meth:`Band.filtered`.
+    The angle of the perturbed joint and the perturbation are split as by :meth:`Band.filtered`, and
+    have the weights, (bins,), of the signals. Impedance varies within the band of a filter: that is
+    removed, too, as the fit takes it from the residual. Else it would remain of a term that is
+    nearly linear, and seem to show that this term is absent.
     """
 
-    def __init__(self, record: TrialRecord, band: Band) -> None:
-        motion = band.filtered(record.position[record.perturbed_joint])[:, band.kept]
-        sizes = np.linalg.norm(motion, axis=1, keepdims=True)
-        self._motion = motion / np.where(sizes > 0.0, sizes, 1.0)
-        self._onto = onto(band.filtered(band.pushes)[:, band.kept])
+    def __init__(self, record: TrialRecord, band: Band, weights: FloatArray) -> None:
+        angle, pushes = map(band.spectrum, (record.position[record.perturbed_joint], band.pushes))
+        caused = band.spectrum(band.caused(band.signal(angle)))
+        motion, forces = (
+            np.concatenate((band.filtered(weights * one), band.varied(weights * other)))
+            for one, other in ((angle, angle), (pushes, caused))
+        )
+        self._motion, forces = (
+            one / np.maximum(np.linalg.norm(one, axis=1, keepdims=True), TINY)
+            for one in (motion[:, band.kept], forces[:, band.kept])
+        )
+        self._onto = onto(forces)
         self._caused = self._onto(self._motion)
         # Motion that follows the perturbation no more than by chance may be the person's.
-        chance = _BEYOND_CHANCE * RATE / motion.shape[1]
+        chance = _BEYOND_CHANCE * RATE / self._motion.shape[1]
         self._inverse = np.linalg.pinv(self._caused @ self._caused.T, rcond=chance, hermitian=True)
 
     def removed(self, signal: FloatArray) -> FloatArray:
@@ -333,7 +340,14 @@ class _Regression:
         self._weights_of_gains = band.weights(inner)
         self._whole = band.signal(self._weights * self._left)[band.kept]
         whole = band.signal(self._weights_of_gains * self._left)[band.kept]
-        self._remains, self._remains_of_gains = map(terms.linear.removed, (self._whole, whole))
+        self._linear = _Linear(record, band, self._weights)
+        self._linear_of_gains = _Linear(record, band, self._weights_of_gains)
+        # With one band for each line, the filters could follow an abrupt change.
+        self._smooth = self._linear
+        if record.periods is not None:
+            self._smooth = _Linear(record, Band(record, by_lines=False), self._weights)
+        self._remains = self._linear.removed(self._whole)
+        self._remains_of_gains = self._linear_of_gains.removed(whole)
         # A locked joint that moves shows another arm in a trial at another posture. Filters are
         # constant within each band, so some of that linear residual remains.
         between = _BETWEEN * float(np.linalg.norm(self._whole - self._remains))
@@ -353,9 +367,10 @@ class _Regression:
 
     def _by_parts(self, term: Term, bent: ComplexArray) -> Coefficient:
         """Find a coefficient from parts of the trial."""
-        band, linear = self._terms.band, self._terms.linear
+        band, linear = self._terms.band, self._linear
         weights, remains = self._weights, self._remains
         if term.kind is Kind.GAIN:
+            linear = self._linear_of_gains
             weights, remains = self._weights_of_gains, self._remains_of_gains
         cause, shown, alone = band.signal(weights * bent)[:, band.kept]
         whole = linear.removed(shown)
@@ -419,7 +434,7 @@ class _Regression:
             band.signal(self._weights * band.spectrum(one))[band.kept]
             for one in (terms.caused[at], terms.actual[at])
         )
-        left = terms.smooth.removed(self._whole)
+        left = self._smooth.removed(self._whole)
         products, squares = _products(instrument, signal, left, _SHORT)
         telling = squares > 0.0
         products, squares = products[telling], squares[telling]

@@ -99,11 +99,23 @@ class Band:
         inside[self.kept] = signal[self.kept]
         return inside
 
-    def filtered(self, signal: FloatArray) -> FloatArray:
-        """Split a signal by filters; each part as it is and shifted by 90°, (2 filters, N)."""
+    def filtered(self, spectrum: ComplexArray) -> FloatArray:
+        """Split a signal, given by its spectrum, by filters; each part as it is and shifted by 90°.
+
+        Returns
+        -------
+        ndarray, shape (2 filters, N)
+        """
         filters = np.unique(self._filter[self._filter >= 0])
-        parts = np.where(self._filter == filters[:, None], self.spectrum(signal), 0.0)
+        parts = np.where(self._filter == filters[:, None], spectrum, 0.0)
         return self.signal(np.concatenate((parts, 1j * parts)))
+
+    def varied(self, spectrum: ComplexArray) -> FloatArray:
+        """Derivatives 1 and 2, (2, N), of a signal, as far as they vary within each filter."""
+        s = (2j * np.pi * self.f) ** np.array([[1], [2]])
+        of_filter = self._filter == np.unique(self._filter[self._filter >= 0])[:, None]
+        steady = s @ (of_filter / np.sum(of_filter, axis=1, keepdims=True)).T @ of_filter
+        return self.signal(np.where(self._filter >= 0, s - steady, 0.0) * spectrum)
 
     def caused(self, signals: FloatArray) -> FloatArray:
         """Project signals (..., samples) onto all that linear filters make of the perturbation."""
