@@ -267,6 +267,11 @@ class _Terms:
         near = slice(_RINGS, -_RINGS)
         alike = np.linalg.lstsq(motion[2::-1, near].T, shapes[:, near].T, rcond=None)[0]
         self.alike = dict(zip(TERMS, alike.T, strict=True))
+        self.linear = _Linear(record, band)
+        # With one band for each line, the filters could follow an abrupt change.
+        self.smooth = self.linear
+        if record.periods is not None:
+            self.smooth = _Linear(record, Band(record, by_lines=False))
 
     def _bend(self, term: Term) -> ComplexArray:
         """Spectra, (3, bins), of a term's instrument, of the term, and of it without the person.
@@ -289,19 +294,22 @@ class _Linear:
     motion itself would remove a part of that torque with it, and put the rest of the motion, which
     friction of the robot makes nonlinear, in its place.
 
-    The angle of the perturbed joint and the perturbation are split as by :meth:`Band.filtered`, and
-    have the weights, (bins,), of the signals. Impedance varies within the band of a filter: that is
-    removed, too, as the fit takes it from the residual. Else it would remain of a term that is
-    nearly linear, and seem to show that this term is absent.
+    The angle of the perturbed joint and the perturbation are split as by :meth:`Band.filtered`.
+    With the weights, (bins,), of the signals given, what varies within the bands of the filters is
+    removed, too, as the fit takes it from the residual. Else it would remain of the gain of a
+    torque with few values, which is nearly linear, and seem to show that it does not change.
     """
 
-    def __init__(self, record: TrialRecord, band: Band, weights: FloatArray) -> None:
+    def __init__(self, record: TrialRecord, band: Band, weights: FloatArray | None = None) -> None:
         angle, pushes = map(band.spectrum, (record.position[record.perturbed_joint], band.pushes))
-        caused = band.spectrum(band.caused(band.signal(angle)))
-        motion, forces = (
-            np.concatenate((band.filtered(weights * one), band.varied(weights * other)))
-            for one, other in ((angle, angle), (pushes, caused))
-        )
+        if weights is None:
+            motion, forces = map(band.filtered, (angle, pushes))
+        else:
+            caused = band.spectrum(band.caused(band.signal(angle)))
+            motion, forces = (
+                np.concatenate((band.filtered(weights * one), band.varied(weights * other)))
+                for one, other in ((angle, angle), (pushes, caused))
+            )
         self._motion, forces = (
             one / np.maximum(np.linalg.norm(one, axis=1, keepdims=True), TINY)
             for one in (motion[:, band.kept], forces[:, band.kept])
@@ -340,13 +348,8 @@ class _Regression:
         self._weights_of_gains = band.weights(inner)
         self._whole = band.signal(self._weights * self._left)[band.kept]
         whole = band.signal(self._weights_of_gains * self._left)[band.kept]
-        self._linear = _Linear(record, band, self._weights)
         self._linear_of_gains = _Linear(record, band, self._weights_of_gains)
-        # With one band for each line, the filters could follow an abrupt change.
-        self._smooth = self._linear
-        if record.periods is not None:
-            self._smooth = _Linear(record, Band(record, by_lines=False), self._weights)
-        self._remains = self._linear.removed(self._whole)
+        self._remains = terms.linear.removed(self._whole)
         self._remains_of_gains = self._linear_of_gains.removed(whole)
         # A locked joint that moves shows another arm in a trial at another posture. Filters are
         # constant within each band, so some of that linear residual remains.
@@ -367,7 +370,7 @@ class _Regression:
 
     def _by_parts(self, term: Term, bent: ComplexArray) -> Coefficient:
         """Find a coefficient from parts of the trial."""
-        band, linear = self._terms.band, self._linear
+        band, linear = self._terms.band, self._terms.linear
         weights, remains = self._weights, self._remains
         if term.kind is Kind.GAIN:
             linear = self._linear_of_gains
@@ -434,7 +437,7 @@ class _Regression:
             band.signal(self._weights * band.spectrum(one))[band.kept]
             for one in (terms.caused[at], terms.actual[at])
         )
-        left = self._smooth.removed(self._whole)
+        left = terms.smooth.removed(self._whole)
         products, squares = _products(instrument, signal, left, _SHORT)
         telling = squares > 0.0
         products, squares = products[telling], squares[telling]

@@ -237,6 +237,13 @@ def _by_second_mode(fit: WeightedFit) -> FloatArray:
     every = [[[judged(*one) for one in row] for row in fit.coefficients(shape)] for shape in shapes]
     squares, evidence = np.moveaxis(np.array(every), -1, 0)
     squares *= 1.0 + np.exp(np.minimum(-evidence, 700.0))  # if there is such a mode
+    # A mass that moves two joints has no more of the coupling than the geometric mean of its own.
+    inertia = squares * fit.values[0] ** 2
+    row, column = np.transpose(fit.own)
+    own = inertia[:, row, column]
+    most = np.full_like(squares, np.inf)
+    most[:, row] = np.sqrt(own[:, :, None] * own[:, None])
+    squares *= np.minimum(most / np.maximum(inertia, TINY), 1.0)
     moved = squares * np.stack([fit.shifts(shape) for shape in shapes], axis=1) ** 2
     present = _present(fit, evidence, _MODE / (1.0 - _MODE) / len(shapes))
     return np.asarray(np.einsum("tij,ptij->pij", present, moved))

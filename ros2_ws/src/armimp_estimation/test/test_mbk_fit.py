@@ -142,6 +142,13 @@ def test_a_second_mode_where_noise_hides_it_is_in_the_standard_errors_of_M_and_B
     assert off(told).max() < 5.0
 
 
+def test_two_joints_share_no_more_of_a_second_mode_than_their_own_elements_allow() -> None:
+    noise, own = np.where(F < 6.0, 6.0, 0.2), np.eye(2, dtype=np.bool_)
+    found = noisy(TRUE, np.where(own[..., None], 0.1, 1.0) * noise, seed=1)
+    plain, told = (fit_mbk(replace(found, unbiased=one)) for one in (False, True))
+    assert (told.errors[:2, ~own] < 1.1 * plain.errors[:2, ~own]).all()
+
+
 def test_stiffness_that_relaxes_where_noise_hides_it_is_in_the_standard_errors_of_K() -> None:
     spring = np.diag([3.0, 3.0])[:, :, None] * S * 0.3 / (1.0 + S * 0.3)
 
