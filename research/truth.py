@@ -528,6 +528,12 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         for joints, voluntary in ((2, 0.3), (3, 0.1)):
             logged = {"readings": changed(**streams), "joints": joints, "voluntary": voluntary}
             add(NOISE, f"logged by a slower clock, {joints} joints", (f"{late:g} ppm", logged))
+    for late in (20.0, 60.0, 300.0):
+        apart = changed(torque=_sampled(_times(1.0 - 1e-6 * late)))
+        for voluntary in (0.05, 0.3):
+            logged = {"readings": apart, "voluntary": voluntary}
+            kind = NOISE if late < 100.0 else MUST
+            add(kind, f"torques on another clock, {late:g} ppm", (f"{voluntary:g} N·m", logged))
     no_commands = {"after": True, "readings": _without_commands}
     add(MUST, "no commands, after", ("", no_commands))
     add(MUST, "first command lost", ("", {"readings": _first_lost}))

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.signal import butter, sosfilt
 
 import armimp
 from armimp_bringup.offline_estimate import estimate_bags
@@ -224,6 +225,63 @@ def test_an_undeclared_delay_of_the_torques_is_not_taken_for_a_nonlinear_arm() -
     assert found.valid, found.problems
     assert any("late against angles by 1.5" in one for one in found.notes), found.notes
     assert not any("amplitude" in one or "hysteresis" in one for one in found.notes)
+
+
+def test_bands_of_an_impedance_behind_an_unknown_filter_allow_for_it() -> None:
+    free = armimp.simulate(duration=20.0, friction=0, arm_sim={"substeps": 20})
+    assert free.truth is not None
+    low_pass = butter(4, 15.0, fs=1000.0, output="sos")
+    known = {"timing": "before_update", "calibration": armimp.Calibration()}
+    known["command"] = [one.command for one in free.trials]
+    behind = [sosfilt(low_pass, one.torque) for one in free.trials]
+    found = armimp.identify(rebuilt(free, torque=behind, **known))
+    off = np.abs(found.Z - free.truth.impedance(found.f)) ** 2
+    assert found.impedance_valid
+    assert not found.valid
+    assert np.mean(off > 3.0 * found.Z_variance) < 0.05
+    assert sum("of the torque of joint_" in one for one in found.notes) == 2, found.notes
+    without = armimp.identify(rebuilt(free, **known))
+    assert (without.Z_variance < 0.01 * found.Z_variance).mean() > 0.9
+
+
+def test_rounding_that_repeats_with_each_short_period_is_in_the_standard_errors() -> None:
+    push = 4.0 * np.sign(np.arange(500) - 249.5)
+    s = 2000j * np.pi * np.fft.rfftfreq(500)
+    arm = 0.1 * s**2 + 0.5 * s + 8.0
+    moved = np.fft.rfft(push) / (arm + 0.2 * s**2 + 0.4 * s)
+    angle, torque = (np.tile(np.fft.irfft(one), 60) for one in (moved, arm * moved))
+    noise = 1e-3 * np.random.default_rng(1).standard_normal(torque.size)
+    found = armimp.identify(
+        armimp.Recording.from_arrays(
+            [np.tile(push, 60)[None]],
+            [np.round(angle / 2e-4)[None] * 2e-4],
+            [(torque + noise)[None]],
+            rate=1000.0,
+            timing="simultaneous",
+            calibration=armimp.Calibration(),
+        )
+    )
+    assert found.valid, found.problems
+    for letter, true in (("M", 0.1), ("B", 0.5), ("K", 8.0)):
+        value, error = getattr(found, letter), getattr(found, f"{letter}_se")
+        assert abs(value - true) < 3.0 * error
+
+
+def test_torques_that_another_clock_times_are_found_and_valid(
+    recording: armimp.Recording,
+) -> None:
+    samples = np.arange(recording.trials[0].samples)
+    later = [
+        np.stack([np.interp((1.0 - 1e-4) * samples, samples, row) for row in one.torque])
+        for one in recording.trials
+    ]
+    found = armimp.identify(rebuilt(recording, torque=later))
+    assert found.valid, found.problems
+    by = [
+        re.search(r"another clock than its angle: it gets later by (\S+) ±", one)
+        for one in found.notes
+    ]
+    assert [float(one[1]) for one in by if one] == pytest.approx([2.0, 2.0], rel=0.1)
 
 
 def test_a_constant_in_the_perturbation_of_all_joints_perturbs_none(

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
-from armimp_common.errors import ConfigurationError
+from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import Calibration, MBKFit
 from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector
@@ -266,17 +266,27 @@ def fit_models(
     Returns
     -------
     dict of str to ModelFit
-        By name of the model.
+        By name of the model; without those that have more parameters than the data.
+
+    Raises
+    ------
+    DataError
+        If that is so of the model that is asked for.
     """
     if asked == MBK_MODEL:
         return {}
     names: Sequence[str] = (asked,)
     if asked == AUTO:
-        fits = bool((plain.lack <= plain.lack_limit).all())
-        names = () if fits or not estimate.unbiased or estimate.joints > _MOST_JOINTS else [*MODELS]
+        names = (
+            ()
+            if plain.of_form or not estimate.unbiased or estimate.joints > _MOST_JOINTS
+            else [*MODELS]
+        )
+    problems = {name: _Problem(MODELS[name], estimate, plain, calibration) for name in names}
+    if asked != AUTO and not problems[asked].determined:
+        raise DataError(f"{estimate.f.size} frequencies are too few to fit the model {asked}")
     return {
-        name: _Problem(MODELS[name], estimate, plain, calibration).fit(declared=asked != AUTO)
-        for name in names
+        name: one.fit(declared=asked != AUTO) for name, one in problems.items() if one.determined
     }
 
 
@@ -317,6 +327,11 @@ class _Problem:
         self.used = np.arange(self.s.size) % max(1, len(estimate.bin_correlation) // 4) == 0
         self.weights *= self.used
         self.positive: BoolArray = self.vector(lambda one: one.positive)
+
+    @property
+    def determined(self) -> bool:
+        """Whether there are more data, as real numbers, than parameters."""
+        return 2 * self.estimate.joints**2 * int(np.sum(self.used)) > self.positive.size
 
     def vector(self, of: Callable[[Parameter], Any]) -> NDArray[Any]:
         """Stack a property of each parameter, one value or an array of its shape, to (p,)."""
@@ -425,7 +440,8 @@ class _Problem:
         even = np.floor(self.estimate.f / _BLOCK).astype(int) % 2 == 0
         left = []
         for bins in (even, ~even):
-            if np.sum(bins & self.used) * self.estimate.joints**2 <= np.sum(free):
+            few = np.sum(bins & self.used) * self.estimate.joints**2 <= np.sum(free)
+            if few or bins.all():
                 return math.nan
             other = self.solve(solution, free, bins & self.used)[0]
             ratio = lack_ratio(self.estimate, self.impedance(other))

@@ -163,6 +163,11 @@ class MBKFit:
         return MBK(M=M, B=B, K=K)
 
     @property
+    def of_form(self) -> bool:
+        """Whether all elements are of the form M, B and K, beside noise."""
+        return bool((self.lack <= self.lack_limit).all())
+
+    @property
     def errors(self) -> FloatArray:
         """Their standard errors, SI units, shape (3, n, n)."""
         return roots(self.covariance).reshape(self.values.shape)

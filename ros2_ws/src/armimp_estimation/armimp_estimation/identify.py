@@ -28,7 +28,7 @@ from armimp_estimation.robot_balance import RobotBalance, RobotResponses, in_ord
 from armimp_estimation.signal_quality import judge_signals
 from armimp_estimation.systematics import RESOLVED_SHARE, lost_motion
 from armimp_estimation.torque_timing import TorqueTiming
-from armimp_estimation.transducers import judge_answers, judge_balance
+from armimp_estimation.transducers import judge_answers, judge_balance, judge_unexplained
 from armimp_estimation.trial import TrialData, segment_for
 from armimp_estimation.verdict import Verdict
 from armimp_estimation.weighted_fit import WeightedFit
@@ -68,8 +68,9 @@ class EstimatorResult:
             Relative standard errors of gains and cross-talk: row i is the transducer, column l the
             joint whose torque it may show.
         may_be_filtered : bool
-            Whether nobody declared how torques are read. An arm that is not M, B and K can then not
-            be told from one that is, behind a filter: the difference is an error of Z(f).
+            Whether nobody declared how torques are read, or they don't balance the commands. An arm
+            that is not M, B and K can then not be told from one that is, behind a filter: the
+            difference is an error of Z(f).
         """
         fit, noise, changes = self.fit.with_doubts(shifts), self.estimate.noise.copy(), []
         # An element that is near 0 by chance would otherwise get next to no error.
@@ -79,7 +80,7 @@ class EstimatorResult:
             shift[:, i] = gains[i, row] * found[:, row]
             changes.append(shift)
             noise[i] += np.abs(gains[i, row] * self.estimate.Z[row]) ** 2
-        if may_be_filtered and not (fit.lack <= fit.lack_limit).all():
+        if may_be_filtered and not fit.of_form:
             problem = WeightedFit(estimate=self.estimate)
             followed = self.estimate.Z - problem.impedance(fit.values)
             beyond = followed + problem.impedance(problem.below()[0])
@@ -264,7 +265,9 @@ def identify(
     problems += [*unbalanced, *judge_answers(names, records, balance, best.fit)]
     realised = scores.realisation(best.estimate, known.target)
     reading = records[0].reading
-    may_be_filtered = reading.timing is TorqueTiming.UNKNOWN and reading.prompt
+    undeclared = reading.timing is TorqueTiming.UNKNOWN and reading.prompt
+    unexplained = list(judge_unexplained(names, balance, best.fit))
+    problems += unexplained
     return Identification(
         joint_names=names,
         trials=tuple(
@@ -283,7 +286,7 @@ def identify(
             for k in range(len(names))
         ),
         estimators={
-            name: one.with_doubts(doubts, gains, may_be_filtered=may_be_filtered)
+            name: one.with_doubts(doubts, gains, may_be_filtered=undeclared or bool(unexplained))
             for name, one in results.items()
         },
         problems=tuple(problems),

@@ -512,7 +512,7 @@ def _deviation(name: str, found: Coefficient, own: FloatArray, terms: _Terms) ->
     shift = found.value * term.rest * terms.alike[name]
     change = share = term.slope * found.value / float(terms.sizes[term.kind.signal])
     force = 0.0
-    if term.kind in {Kind.GAIN, Kind.SCALE}:
+    if term.kind in {Kind.GAIN, Kind.SCALE, Kind.CLOCK}:
         shift = np.zeros(3)
     elif term.kind is Kind.LOST:
         force = term.slope * found.value
@@ -529,7 +529,7 @@ def _deviation(name: str, found: Coefficient, own: FloatArray, terms: _Terms) ->
         coefficient=found,
         share=share,
         shift=shift,
-        sensor=term.doubted * change,
+        sensor=term.doubted * (change**2 if term.kind is Kind.CLOCK else change),
         force=force,
         joints=terms.record.joints,
     )

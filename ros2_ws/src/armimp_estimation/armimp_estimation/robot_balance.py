@@ -59,6 +59,7 @@ _CLEARLY = 0.3  # rms stiffness in another order of commands relative to the giv
 _ANSWERS = 10.0
 """Ratio of the power of a command's response to its variance, median over the frequencies, that
 chance doesn't reach."""
+_FEWEST = 5  # frequencies for the seven coefficients of an element, at least
 _LOOKS = 2
 """Fits to an element, each with weights by the lack of the one before."""
 TAKEN = 0.15
@@ -95,6 +96,8 @@ class RobotBalance:
     """Apparent stiffness that friction of the perturbed joint may have, N·m/rad, shape (n,)."""
     order: tuple[int, ...]
     """Row of the commands that belongs to each joint."""
+    unexplained: FloatArray
+    """Torque that neither this robot nor noise explains, relative to that of the arm; (n,)."""
     unsure: FloatArray
     """Standard errors of the inertia, kg·m², by calibration and postures of the trials, (n, n)."""
 
@@ -196,7 +199,8 @@ class RobotResponses:
     def of(cls, records: Sequence[TrialRecord]) -> RobotResponses | None:
         """Estimate the responses of trials; None without commands, or if R⁻¹ can't be found.
 
-        Also None if no command responds to one of the perturbations: they are of other trials.
+        Also None with too few frequencies, or if no command responds to one of the perturbations:
+        they are of other trials.
         """
         channels = [
             np.concatenate([record.position, record.torque, record.command])
@@ -211,6 +215,8 @@ class RobotResponses:
             stacked = np.stack([one.response for one in columns], axis=1)
             inverse = invert(stacked[:n], columns[0].f)
         except DataError:
+            return None
+        if columns[0].f.size < _FEWEST:
             return None
         for one in columns:
             answers = np.abs(one.response) ** 2 / np.maximum(one.variance, TINY)
@@ -289,21 +295,22 @@ class RobotResponses:
         coefficients[:, :n] -= impedance
         ahead, leads, lost = self.hidden.effects(impedance)
         systematics = leads + lost
+        torque = multiply(multiply(mixed[:, n : 2 * n], self.stacked[n : 2 * n]), self.inverse)
         if delay is not None:
-            torque = multiply(mixed[:, n : 2 * n], self.stacked[n : 2 * n])
-            systematics.append(delay.error * turn * rate * multiply(torque, self.inverse))
+            systematics.append(delay.error * turn * rate * torque)
         if arm is not None and self.records[0].reading.timing is TorqueTiming.UNKNOWN:
             # Torques that don't jump with commands may be half a period late, or in time.
             steady = replace(arm.mbk, M=np.zeros((n, n))).impedance(f)
             systematics.append(0.5 * turn * steady)
         disturbance = covariance_of(self.columns, coefficients)
         noise = noise_of(disturbance, self.inverse)
-        fitted = self._fit(
+        fitted, left = self._fit(
             impedance + ahead,
             noise + sum(np.abs(one) ** 2 for one in systematics),
             multiply(multiply(mixed[:, 2 * n :], self.stacked[2 * n :]), self.inverse),
         )
         M, B, _ = map(np.diag, fitted["values"])
+        arms = np.einsum("iif->if", torque)
         undamped, pace = self._not_of_a_damper
         unsure = np.zeros((n, n))
         if arm is not None and calibration is not None:
@@ -320,22 +327,24 @@ class RobotResponses:
             undamped=undamped,
             rubbing=np.abs(B) * np.diag(undamped) * pace,
             order=order,
+            unexplained=left / np.linalg.norm(arms, axis=1),
             unsure=unsure,
         )
 
     def _fit(
         self, impedance: ComplexArray, variance: FloatArray, driven: ComplexArray
-    ) -> dict[str, FloatArray]:
+    ) -> tuple[dict[str, FloatArray], FloatArray]:
         """Fit a robot, friction of locked joints and a lag of the drives to an impedance.
 
-        Returned are values, covariance, friction and damped of a :class:`RobotBalance`; `driven` is
+        Returned are values, covariance, friction and damped of a :class:`RobotBalance`, and what
+        is left beyond noise of each own element, (n,), as a norm over the frequencies; `driven` is
         the contribution of the commands to the impedance, (n, n, n_freq).
         """
         n, f = len(self.records), self.columns[0].f
         s, correlation = 2j * np.pi * f, self.columns[0].bin_correlation()
         locked = self.stacked[:n] * np.einsum("jjf->jf", self.inverse)
         found, errors = np.zeros((3, n, n)), np.zeros((3, 3, n, n))
-        friction, damped = np.zeros((n, n)), np.zeros((2, n, n))
+        friction, damped, left = np.zeros((n, n)), np.zeros((2, n, n)), np.zeros(n)
         for i, j in np.ndindex(n, n):
             own = np.stack([s**2, s, np.ones_like(s)])
             held = np.stack([locked[i, j] * s, locked[i, j]])
@@ -344,6 +353,9 @@ class RobotResponses:
             given = f, impedance[i, j], variance[i, j], correlation
             values, covariance = _least_squares(*given, terms)
             free, spread, taken = values, covariance, np.zeros_like(s)
+            if i == j:
+                rest = np.abs(impedance[i, i] - values @ terms) ** 2 - variance[i, i]
+                left[i] = np.sqrt(max(float(np.sum(rest)), 0.0))
             if i != j:
                 taken = values[3:5] @ held
                 free, spread = _least_squares(*given, np.delete(terms, 4, axis=0))
@@ -354,7 +366,8 @@ class RobotResponses:
             found[:, i, j], errors[:, :, i, j] = values[:3], covariance[:3, :3]
             whole = float(np.linalg.norm(impedance[i, j] / s))
             friction[i, j] = float(np.linalg.norm(taken / s)) / max(whole, TINY)
-        return {"values": found, "covariance": errors, "friction": friction, "damped": damped}
+        found_of = {"values": found, "covariance": errors, "friction": friction, "damped": damped}
+        return found_of, left
 
     @cached_property
     def _not_of_a_damper(self) -> tuple[FloatArray, FloatArray]:

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from armimp_common.arrays import TINY, ComplexArray, FloatArray
-from armimp_common.topics import JOINT_STATES
+from armimp_common.topics import JOINT_STATES, TORQUE_SENSORS
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.estimators.welch import multiply
 from armimp_estimation.hold_correction import HoldCorrection
@@ -71,6 +71,7 @@ def with_systematic_errors(
         return replace(estimate, systematics=tuple(skew))
     hidden = HiddenMotion(records, estimate.R, estimate.T, estimate.inverse, f)
     ahead, bounds, others = hidden.effects(impedance)
+    others += _rounded(records, impedance, estimate.inverse, f)
     shapeless = sum((np.abs(one) ** 2 for one in others), 0.0)
     impedance = impedance + ahead
     if jump is None and not records[0].reading.without_jumps:
@@ -219,6 +220,34 @@ def _reversals(
         usual = max(float(np.mean(speed)), TINY)
         bending[number] = record.rate * reversing[number] * change / (6.0 * usual)
     return reversing, bending
+
+
+def _rounded(
+    records: Sequence[TrialRecord], impedance: ComplexArray, inverse: ComplexArray, f: FloatArray
+) -> list[ComplexArray]:
+    """Errors of the impedance from rounding that repeats with the periods of the perturbation.
+
+    Rounding to steps q has the variance q²/12, which is spread over the harmonics of a period.
+    Averages over periods, whose scatter doesn't show it, do not reduce it. Short periods have few.
+    """
+    effects = []
+    for k, record in enumerate(records):
+        periods = record.periods
+        if periods is None:
+            continue
+        harmonics = np.rint(f * periods.samples / record.rate).astype(np.intp)
+        if not np.isin(harmonics, periods.lines).all():
+            continue
+        pushes = record.perturbation[record.perturbed_joint, : periods.end][-periods.samples :]
+        amplitudes = np.abs(np.fft.rfft(pushes)[harmonics]) / math.sqrt(periods.samples)
+        per_step = inverse[k] / np.maximum(math.sqrt(12.0) * amplitudes, TINY)
+        for joint, (angle, torque) in enumerate(
+            zip(record.resolution[JOINT_STATES], record.resolution[TORQUE_SENSORS], strict=True)
+        ):
+            row = np.zeros_like(impedance)
+            row[joint] = torque * per_step
+            effects += [np.asarray(angle * impedance[:, joint, None] * per_step), row]
+    return effects
 
 
 def _inertia(impedance: ComplexArray, f: FloatArray) -> FloatArray:

@@ -54,6 +54,9 @@ _REFUTED = 3.0
 _AT_ONCE, _WHOLE = 0.1, 1.2
 """Shares of a step of the command: by which a torque may jump beyond what inertias allow; and
 beyond which the torque is in another unit, which the balance finds."""
+_UNEXPLAINED = 0.05
+"""Share of an arm's torque that a robot with no friction leaves unexplained at most, unless torques
+or angles were filtered, or something yields between the arm and where they are measured."""
 _ROUNDED = 1.0
 """Largest mean square of second differences of an angle, relative to its squared resolution, of
 which most is rounding; rounding itself has half of that square."""
@@ -351,6 +354,20 @@ def judge_answers(
                 error=100.0 * float(errors[i, when]),
                 most=100.0 * float(most[i]),
             )
+
+
+def judge_unexplained(
+    names: Sequence[str], balance: RobotBalance | None, arm: MBKFit
+) -> Iterator[Problem]:
+    """Find torques that don't balance although no gain is wrong, of an arm not of the form M, B, K.
+
+    A filter of torques or angles, or what yields between encoder and arm, does both at once.
+    """
+    if balance is not None and not arm.of_form:
+        for name, share in zip(names, balance.unexplained, strict=True):
+            if share > _UNEXPLAINED:
+                about: dict[str, Any] = {"name": name, "percent": 100.0 * float(share)}
+                yield problem(ProblemCode.TORQUE_UNEXPLAINED, severity=Severity.NOTE, **about)
 
 
 def _rounds(record: TrialRecord) -> bool:

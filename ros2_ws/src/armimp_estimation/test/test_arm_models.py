@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from armimp_common.arrays import ComplexArray, FloatArray
+from armimp_common.errors import DataError
 from armimp_estimation.arm_models import AUTO, MODELS, ModelFit, fit_models, supported
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import Calibration, fit_impedance
@@ -111,6 +112,16 @@ def test_intervals_of_a_model_hold_what_was_planted(name: str) -> None:
             scores += list(((values - truth[one].ravel()) / errors)[free])
     assert 0.8 < np.std(scores) < 1.2
     assert np.mean(np.abs(scores) < 1.96) > 0.9
+
+
+def test_models_with_more_parameters_than_the_data_are_not_fitted() -> None:
+    whole, few = measured("reflex", seed=1), np.s_[:1, :1, ::60]
+    estimate = replace(whole, f=F[::60], Z=whole.Z[few], noise=whole.noise[few])
+    _, plain = fit_impedance(estimate)
+    assert not plain.of_form
+    assert "reflex" not in fits_of(estimate)
+    with pytest.raises(DataError, match="frequencies are too few to fit the model reflex"):
+        fits_of(estimate, "reflex")
 
 
 def test_where_m_b_and_k_fit_no_other_model_is_tried() -> None:
