@@ -277,11 +277,8 @@ def fit_models(
         return {}
     names: Sequence[str] = (asked,)
     if asked == AUTO:
-        names = (
-            ()
-            if plain.of_form or not estimate.unbiased or estimate.joints > _MOST_JOINTS
-            else [*MODELS]
-        )
+        tried = not plain.of_form and estimate.unbiased and estimate.joints <= _MOST_JOINTS
+        names = [*MODELS] if tried else ()
     problems = {name: _Problem(MODELS[name], estimate, plain, calibration) for name in names}
     if asked != AUTO and not problems[asked].determined:
         raise DataError(f"{estimate.f.size} frequencies are too few to fit the model {asked}")
