@@ -49,7 +49,7 @@ _CREEPING, _CREEPS = 0.2, (0.05, 0.3, 1.0)
 _CREEP = (0.02, 0.06, 0.2, -0.02, -0.06)
 """Assumption: prior probability that a transducer of undeclared linearity creeps, time constants of
 that, s, and shares of the torque."""
-_TENSE, _TENSION = 0.3, 0.35
+_TENSE, _TENSION = 0.5, 0.35
 """Assumption: prior probability that a person tenses or relaxes between trials, and share by which
 stiffness and viscosity of each trial then differ from the mean."""
 
