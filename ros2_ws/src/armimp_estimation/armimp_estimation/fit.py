@@ -263,6 +263,9 @@ def fit_impedance(
         functionals=problem.functionals,
     )
     noise = found.noise + sum(np.abs(one) ** 2 for one in effects)
+    if delay is not None and estimate.hold is None:
+        # No jumps with commands tell whether the readings are late or the arm, as of soft tissue.
+        noise += np.abs(problem.omega * delay.delay * found.Z) ** 2
     return replace(found, noise=noise, systematics=(*found.systematics, *of_channels)), fit
 
 

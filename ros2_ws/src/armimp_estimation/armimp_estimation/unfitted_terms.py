@@ -76,8 +76,17 @@ def squared_changes(
 
 
 def high_pass(fit: WeightedFit, Z: ComplexArray) -> tuple[float, float]:
-    """Corner of a high-pass common to the torques of an arm Z, and its standard error, Hz."""
+    """Corner of a high-pass common to the torques of an arm Z, and its standard error, Hz.
+
+    Nothing is known of it where M, B and K don't fit without that high-pass, either: then it is the
+    arm that relaxes, say.
+    """
     value, error, _ = fit.common_coefficient(1j * Z / fit.omega)
+    before = fit.corrected(
+        fit.estimate.Z * (1.0 - 1j * value / fit.omega), fit.estimate.systematics
+    )
+    if not before.roughly_fits(before.values):
+        return 0.0, math.inf
     return value / (2.0 * np.pi), error / (2.0 * np.pi)
 
 
@@ -257,7 +266,8 @@ def _by_channels(fit: WeightedFit, *, may_creep: bool) -> tuple[FloatArray, list
     none. A transducer that creeps adds ``c/(1 + sT) Z_ij`` to its row if its gain was found
     quickly, and takes ``c sT/(1 + sT) Z_ij`` off if it was found with weights. Channels of one rig
     are alike, so each is evidence of whether the others have such an error. Second is the largest
-    change of Z, (n, m, n_freq), by each channel.
+    change of Z, (n, m, n_freq), by each channel; of an arm that is not M, B and K, which may look
+    like that, not beyond the prior one.
     """
     Z, s = fit.impedance(fit.values), np.asarray(1j * fit.omega, dtype=np.complex128)
     own = np.eye(len(Z), dtype=np.bool_)[:, :, None, None]
@@ -271,6 +281,7 @@ def _by_channels(fit: WeightedFit, *, may_creep: bool) -> tuple[FloatArray, list
         for time in _CREEPS:
             later = 1.0 / (1.0 + s * time)
             kinds += [(_CREEPING, _CREEP, 0, every, one) for one in (later, later - 1.0)]
+    fits = fit.roughly_fits(fit.values)
     change, largest = np.zeros_like(fit.values), dict[tuple[int, int], ComplexArray]()
     for likely, sizes, axis, possible, effect in kinds:
         channels = np.where(np.moveaxis(own, 1, 1 + axis), effect * Z, 0.0)[possible]
@@ -280,8 +291,10 @@ def _by_channels(fit: WeightedFit, *, may_creep: bool) -> tuple[FloatArray, list
         places = np.flatnonzero(possible).tolist()
         for place, terms, one, of_one in zip(places, channels, found, evidence, strict=True):
             square, _ = judged(*one, elsewhere=max(sum(evidence) - of_one, 0.0))
+            change = np.maximum(change, fit.shifts(math.sqrt(square) * terms) ** 2)
+            if not fits:
+                square = min(square, likely * float(np.mean(np.square(sizes))))
             error = math.sqrt(square) * terms
-            change = np.maximum(change, fit.shifts(error) ** 2)
             if np.linalg.norm(error) > np.linalg.norm(largest.get((axis, place), 0.0)):
                 largest[axis, place] = error
     return change, list(largest.values())

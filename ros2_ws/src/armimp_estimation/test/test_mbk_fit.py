@@ -162,6 +162,21 @@ def test_stiffness_that_relaxes_where_noise_hides_it_is_in_the_standard_errors_o
     assert (np.diag(without.errors[2] / TWO_JOINT_ARM.K) < 0.03).all()
 
 
+def test_an_arm_that_relaxes_is_neither_a_high_pass_nor_a_transducer_that_creeps() -> None:
+    spring = 0.5 * TWO_JOINT_ARM.K[:, :, None] * S * 0.2 / (1.0 + S * 0.2)
+    found, fit = fit_impedance(noisy(TRUE + spring, np.full(F.size, 0.02)), Calibration())
+    assert not fit.of_form
+    assert fit.high_pass == (0.0, np.inf)
+    assert np.median(np.sqrt(found.variance) / np.abs(found.Z)) < 0.1
+
+
+def test_bands_hold_an_impedance_that_is_late_itself_where_no_jumps_tell() -> None:
+    late = noisy(TRUE * np.exp(-S * 0.001), np.full(F.size, 0.05))
+    found, fit = fit_impedance(replace(late, delay_uncertainty=1e-3, delay_unknown=1e-3))
+    assert fit.late == pytest.approx(0.001, rel=0.05)
+    assert np.mean(np.abs(found.Z - late.Z) ** 2 > 3.0 * found.variance) < 0.05
+
+
 def test_a_reflex_whose_two_parts_nearly_cancel_is_in_the_standard_errors_of_B_and_K() -> None:
     noise = np.where(F < 5.0, 0.4, 10.0)
     gains = 0.28 * TWO_JOINT_ARM.B[:, :, None] * S + 0.32 * TWO_JOINT_ARM.K[:, :, None]

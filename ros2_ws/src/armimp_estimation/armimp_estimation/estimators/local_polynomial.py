@@ -129,7 +129,7 @@ class LocalResponse:
         left = np.abs(np.sum(apart * self.response[outputs][:, places], axis=2)) ** 2
         chance = np.sum(apart**2 * (self.gain * noise)[:, places], axis=2)
         spare = (self.freedom - 1.0) / self.freedom
-        ratio = spare * left / np.maximum(chance, TINY)
+        ratio = np.divide(spare * left, chance, out=np.ones_like(left), where=chance > TINY)
         total, count = sums_within(bins, ratio, alike)
         factors = np.ones((len(self.noise), size))
         factors[outputs] = np.sqrt(np.maximum(total / count * noise / np.maximum(plain, TINY), 1.0))
