@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 from typing import TypeAlias
 
@@ -347,14 +348,19 @@ class _Regression:
         self._weights = band.weights(inner, _LEFT * band.inner(terms.torques[joint]))
         self._weights_of_gains = band.weights(inner)
         self._whole = band.signal(self._weights * self._left)[band.kept]
-        whole = band.signal(self._weights_of_gains * self._left)[band.kept]
-        self._linear_of_gains = _Linear(record, band, self._weights_of_gains)
         self._remains = terms.linear.removed(self._whole)
-        self._remains_of_gains = self._linear_of_gains.removed(whole)
         # A locked joint that moves shows another arm in a trial at another posture. Filters are
         # constant within each band, so some of that linear residual remains.
         between = _BETWEEN * float(np.linalg.norm(self._whole - self._remains))
         self._between = between if joint != record.perturbed_joint else 0.0
+
+    @cached_property
+    def _of_gains(self) -> tuple[_Linear, FloatArray]:
+        """For gains, which only the perturbed joint has: linear responses, and what they leave."""
+        band = self._terms.band
+        linear = _Linear(self._terms.record, band, self._weights_of_gains)
+        whole = band.signal(self._weights_of_gains * self._left)[band.kept]
+        return linear, linear.removed(whole)
 
     def steady(self, name: str) -> Coefficient:
         """Find the coefficient of a term, from parts of the trial or from lines."""
@@ -373,8 +379,7 @@ class _Regression:
         band, linear = self._terms.band, self._terms.linear
         weights, remains = self._weights, self._remains
         if term.kind is Kind.GAIN:
-            linear = self._linear_of_gains
-            weights, remains = self._weights_of_gains, self._remains_of_gains
+            weights, (linear, remains) = self._weights_of_gains, self._of_gains
         cause, shown, alone = band.signal(weights * bent)[:, band.kept]
         whole = linear.removed(shown)
         found = _ratio(*_products(linear.unlike(cause), whole, remains))

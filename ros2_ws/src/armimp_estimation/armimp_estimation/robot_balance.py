@@ -304,13 +304,13 @@ class RobotResponses:
             systematics.append(0.5 * turn * steady)
         disturbance = covariance_of(self.columns, coefficients)
         noise = noise_of(disturbance, self.inverse)
-        fitted, left = self._fit(
+        fitted = self._fit(
             impedance + ahead,
             noise + sum(np.abs(one) ** 2 for one in systematics),
             multiply(multiply(mixed[:, 2 * n :], self.stacked[2 * n :]), self.inverse),
+            torque,
         )
         M, B, _ = map(np.diag, fitted["values"])
-        arms = np.einsum("iif->if", torque)
         undamped, pace = self._not_of_a_damper
         unsure = np.zeros((n, n))
         if arm is not None and calibration is not None:
@@ -327,24 +327,27 @@ class RobotResponses:
             undamped=undamped,
             rubbing=np.abs(B) * np.diag(undamped) * pace,
             order=order,
-            unexplained=left / np.linalg.norm(arms, axis=1),
             unsure=unsure,
         )
 
     def _fit(
-        self, impedance: ComplexArray, variance: FloatArray, driven: ComplexArray
-    ) -> tuple[dict[str, FloatArray], FloatArray]:
+        self,
+        impedance: ComplexArray,
+        variance: FloatArray,
+        driven: ComplexArray,
+        torque: ComplexArray,
+    ) -> dict[str, FloatArray]:
         """Fit a robot, friction of locked joints and a lag of the drives to an impedance.
 
-        Returned are values, covariance, friction and damped of a :class:`RobotBalance`, and what
-        is left beyond noise of each own element, (n,), as a norm over the frequencies; `driven` is
-        the contribution of the commands to the impedance, (n, n, n_freq).
+        Returned are values, covariance, friction, damped and unexplained of a
+        :class:`RobotBalance`; `driven` and `torque` are the contributions of the commands and of
+        the transducers to the impedance, (n, n, n_freq).
         """
         n, f = len(self.records), self.columns[0].f
         s, correlation = 2j * np.pi * f, self.columns[0].bin_correlation()
         locked = self.stacked[:n] * np.einsum("jjf->jf", self.inverse)
         found, errors = np.zeros((3, n, n)), np.zeros((3, 3, n, n))
-        friction, damped, left = np.zeros((n, n)), np.zeros((2, n, n)), np.zeros(n)
+        friction, damped, unexplained = np.zeros((n, n)), np.zeros((2, n, n)), np.zeros(n)
         for i, j in np.ndindex(n, n):
             own = np.stack([s**2, s, np.ones_like(s)])
             held = np.stack([locked[i, j] * s, locked[i, j]])
@@ -355,7 +358,8 @@ class RobotResponses:
             free, spread, taken = values, covariance, np.zeros_like(s)
             if i == j:
                 rest = np.abs(impedance[i, i] - values @ terms) ** 2 - variance[i, i]
-                left[i] = np.sqrt(max(float(np.sum(rest)), 0.0))
+                left = np.sqrt(max(float(np.sum(rest)), 0.0))
+                unexplained[i] = left / np.linalg.norm(torque[i, i])
             if i != j:
                 taken = values[3:5] @ held
                 free, spread = _least_squares(*given, np.delete(terms, 4, axis=0))
@@ -366,8 +370,13 @@ class RobotResponses:
             found[:, i, j], errors[:, :, i, j] = values[:3], covariance[:3, :3]
             whole = float(np.linalg.norm(impedance[i, j] / s))
             friction[i, j] = float(np.linalg.norm(taken / s)) / max(whole, TINY)
-        found_of = {"values": found, "covariance": errors, "friction": friction, "damped": damped}
-        return found_of, left
+        return {
+            "values": found,
+            "covariance": errors,
+            "friction": friction,
+            "damped": damped,
+            "unexplained": unexplained,
+        }
 
     @cached_property
     def _not_of_a_damper(self) -> tuple[FloatArray, FloatArray]:
