@@ -1,4 +1,4 @@
-"""Write the files generated from the code: parameters, robot descriptions, tables of pages."""
+"""Write what is generated: parameters, robot descriptions, message definitions, tables of pages."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel
 from robot_description import robot_description
+from rosbags.typesys import Stores, get_typestore
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.parameters import node_parameters
@@ -74,6 +75,7 @@ def generated() -> dict[Path, str]:
     texts["armimp_ros2_control/config/ros2_control_bridge.yaml"] = _HEAD + bridge
     for joints in JOINT_NAMES:
         texts[f"armimp_sim/urdf/armimp_{joints}_joints.urdf"] = robot_description(joints)
+    texts["armimp_estimation/armimp_estimation/bags/message_definitions.json"] = _definitions()
     page = (ROOT / PAGE).read_text(encoding="utf-8")
     for node, model in models.items():
         table = parameter_table(model, given=node == CONTROLLER_NODE)
@@ -82,6 +84,19 @@ def generated() -> dict[Path, str]:
         page = _with_tables(page, heading, [key_table(kind) for kind in kinds])
     page = _with_contract(page)
     return {**{SOURCES / name: text for name, text in texts.items()}, PAGE: page}
+
+
+def _definitions() -> str:
+    """Definition and hash of each message type of the contract."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    definitions = {
+        kind: {
+            "text": store.generate_msgdef(kind, ros_version=2)[0],
+            "hash": store.hash_rihs01(kind),
+        }
+        for kind in sorted({topic.type for topic in TOPICS.values()})
+    }
+    return json.dumps(definitions, indent=1) + "\n"
 
 
 def _with_contract(page: str) -> str:

@@ -11,7 +11,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from armimp_common.errors import BagError
 from armimp_common.topics import TOPICS
-from armimp_estimation.bags.metadata_yaml import message_definition
+from armimp_estimation.bags.metadata_yaml import message_definitions
 from armimp_estimation.bags.raw import absolute
 from armimp_estimation.bags.reader import BagContent, read_storage, resolve_topics
 from armimp_estimation.bags.writer import BagWriter
@@ -85,7 +85,7 @@ def write_mcap(
         channels: dict[str, int] = {}
         for topic, log_time_ns, raw in messages:
             if topic not in channels:
-                text, _ = message_definition(kind := TOPICS[topic].type)
+                text = message_definitions()[kind := TOPICS[topic].type]["text"]
                 schema = writer.register_schema(kind, "ros2msg", text.encode())
                 channels[topic] = writer.register_channel(absolute(topic), encoding, schema)
             writer.add_message(channels[topic], log_time_ns, raw, log_time_ns)

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 UNKNOWN: Final = "unknown"
 
-_PACKAGES: Final = ("numpy", "scipy", "numba", "rclpy", "rosbags", "mcap", "armimp")
+_PACKAGES: Final = ("numpy", "scipy", "numba", "rclpy", "mcap", "armimp")
 _OTHER_NAMES: Final = {"rclpy": "ros-jazzy-rclpy", "armimp": "armimp_common"}
 """Other distribution names: of the ROS wheel, and of a workspace with only some packages."""
 

@@ -50,7 +50,7 @@ from armimp_estimation.bags.mcap_reader import (
 from armimp_estimation.bags.metadata_yaml import (
     FILE_NAME,
     dump,
-    message_definition,
+    message_definitions,
     qos_profiles,
     write_metadata,
 )
@@ -96,13 +96,14 @@ def _row(lengths: tuple[int, ...]) -> struct.Struct:
 
 @cache
 def definitions() -> tuple[list[Schema], dict[str, Channel]]:
-    """Schemas, and channels by topic, with which each file begins; the first call takes 0.1 s."""
+    """Schemas, and channels by topic, with which each file begins."""
     schemas: dict[str, Schema] = {}
     channels: dict[str, Channel] = {}
     for number, topic in enumerate(RECORDED, 1):
         kind = TOPICS[topic].type
-        text, type_hash = message_definition(kind)
-        schema = Schema(id=len(schemas) + 1, name=kind, encoding="ros2msg", data=text.encode())
+        definition = message_definitions()[kind]
+        data = definition["text"].encode()
+        schema = Schema(id=len(schemas) + 1, name=kind, encoding="ros2msg", data=data)
         channels[topic] = Channel(
             id=number,
             topic=absolute(topic),
@@ -110,7 +111,7 @@ def definitions() -> tuple[list[Schema], dict[str, Channel]]:
             schema_id=schemas.setdefault(kind, schema).id,
             metadata={
                 "offered_qos_profiles": dump(qos_profiles(topic)),
-                "topic_type_hash": type_hash,
+                "topic_type_hash": definition["hash"],
             },
         )
     return list(schemas.values()), channels
