@@ -715,6 +715,13 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         behind["readings"] = changed(torque=_of_row(0, _times(factor)))
         add(MUST, "torque gain behind slow drives, declared", (f"{factor:g}", behind))
     three = {"joints": 3}
+    for factor in (0.102, 0.5):
+        hidden_gain = three | {"readings": changed(torque=_times(factor)), "voluntary": 0.3}
+        add(
+            MUST,
+            "torque gain, three joints, voluntary 0.3 N·m",
+            (f"{factor:g}", hidden_gain | undeclared),
+        )
     add(NOISE, "three joints", ("", three), ("800", three | {"rate": 800.0}))
     add(
         MUST,

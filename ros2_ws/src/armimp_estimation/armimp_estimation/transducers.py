@@ -193,10 +193,11 @@ def _gains_in_doubt(
 
     A significant share ρ is possible, whatever else may explain it, so it is a standard error
     beside those assumed. So is a share that the commands could not have shown, up to `_UNCONFIRMED`
-    or, if the joint seems to have a spring, up to its stiffness relative to the arm's. A declared
-    calibration counts until ρ differs from 0 by three standard errors, or the stiffness is
-    negative, which only gravity could explain. Cross-talk counts only where it explains the
-    residual better than a gain does.
+    or, if a joint seems to have a spring, up to its stiffness relative to the arm's: that of any
+    joint, as one cause, such as a wrong unit, may spoil all gains. A declared calibration counts
+    until ρ differs from 0 by three standard errors, or the stiffness is negative, which only
+    gravity could explain. Cross-talk counts only where it explains the residual better than a gain
+    does.
     """
     size, own = np.abs(shares), np.eye(len(shares), dtype=np.bool_)
     significant = np.where(
@@ -209,7 +210,10 @@ def _gains_in_doubt(
         significant = np.where(_may_be_spring(shares) & (shares > 0.0), 0.0, significant)
         springs, unconfirmed, cross_talk = np.minimum(springs, 0.0), 0.0 * size, 0.0
     apparent, unexplained = np.abs(springs)
-    most = np.where(own, np.maximum(apparent, unconfirmed), cross_talk)
+    apparent = np.maximum(apparent, np.diag(unconfirmed))
+    if calibration.assumed:
+        apparent[:] = np.max(np.append(apparent, np.diag(significant)))
+    most = np.where(own, apparent, cross_talk)
     possible = np.minimum(np.hypot(shares, errors), most)
     possible = np.maximum(possible, _LOADED * np.diag(unexplained))
     return np.asarray(
