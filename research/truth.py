@@ -425,6 +425,13 @@ def _efficiency(loss: float) -> Callable[[Recording], Recording]:
     return lose
 
 
+def _braked(recording: Recording) -> Recording:
+    """Commands to the perturbed joint alone, as where brakes hold the others."""
+    assert recording.command is not None
+    own = np.arange(len(recording.command)) == recording.joint
+    return replace(recording, command=recording.command * own[:, None])
+
+
 def _perturbed_alone(recording: Recording) -> Recording:
     """Only the angle of the perturbed joint is recorded."""
     moves = np.arange(len(recording.position))[:, None] == recording.joint
@@ -869,6 +876,17 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     for lock, push in product((60.0, 150.0), (0.05, 0.3)):
         held = {"lock": lock, "voluntary": push, "readings": _perturbed_alone}
         add(MUST, "locked angles unrecorded", (f"{lock:g} rad/s, {push:g} N·m", held))
+    for push in (0.05, 0.3):
+        add(NOISE, "brakes", (f"{push:g} N·m", {"voluntary": push, "readings": _braked}))
+    for lock, friction in product((60.0, 250.0), (0.1, 0.3)):
+        resting: dict[str, Any] = {"waveform": "binary", "rate": 2000.0, "duration": 40.0}
+        resting |= {"bristle": 1500.0, "viscosity": 0.05, "angle_step": 3e-5, "voluntary": 0.1}
+        resting |= {"lock": lock, "friction": friction}
+        add(
+            NOISE,
+            "friction that holds between pushes",
+            (f"{friction:g} N·m, {lock:g} rad/s", resting),
+        )
     for waveform in ("sweep 51", "sweep 26", "noise", "multisine", "steps"):
         add(NOISE, "quick movements", (waveform, {"waveform": waveform, "twitches": 2.0}))
     for seconds in (4.0, 8.0):

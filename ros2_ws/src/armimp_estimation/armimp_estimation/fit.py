@@ -32,6 +32,15 @@ from armimp_estimation.unfitted_terms import (
 from armimp_estimation.weighted_fit import WeightedFit, lack_limit, lack_of_fit, r_squared, roots
 from armimp_estimation.weights import real_sums, root_of
 
+_REFUTED = 4.0
+"""Standard errors by which a fitted delay refutes the prior."""
+_SUREST = 20e-6
+"""Least standard error of the prior of the delay in that test, s."""
+_LATEST = 0.02
+"""Delay that no drive, filter or clock exceeds, s: what seems to be later is not a delay."""
+_ITERATIONS = 3
+_ORDERS = (2, 3, 4, 5)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
@@ -177,6 +186,17 @@ class MBKFit:
         """Delay of the torques that was corrected, s; 0 if none was fitted."""
         return 0.0 if self.delay is None else self.delay.delay
 
+    @property
+    def seems_late(self) -> bool:
+        """Whether torques seem late, but not as delays or filters of an arm M, B and K make them.
+
+        Nevertheless, the arm is nearly of that form.
+        """
+        if self.delay is None or self.delay.delay or not self.of_form:
+            return False
+        chance = math.hypot(self.delay.error, self.delay.measured_error)
+        return abs(self.delay.measured) > _REFUTED * chance
+
     def of_row(self, joint: int, change: ComplexArray) -> FloatArray:
         """Change of M, B and K, (3, n), by a change of one row of the impedance, (n, n_freq)."""
         return np.asarray(real_sums(self.functionals[joint], change[:, None]).T)
@@ -185,16 +205,6 @@ class MBKFit:
         """Return the fit with changes of M, B and K, (3, n, n), as further standard errors."""
         doubts = np.reshape(shifts, (-1, self.values.size))
         return replace(self, covariance=self.covariance + doubts.T @ doubts)
-
-
-_REFUTED = 4.0
-"""Standard errors by which a fitted delay refutes the prior."""
-_SUREST = 20e-6
-"""Least standard error of the prior of the delay in that test, s."""
-_LATEST = 0.02
-"""Delay that no drive, filter or clock exceeds, s: what seems to be later is not a delay."""
-_ITERATIONS = 3
-_ORDERS = (2, 3, 4, 5)
 
 
 def fit_mbk(estimate: ImpedanceEstimate) -> MBKFit:
@@ -265,7 +275,8 @@ def fit_impedance(
     noise = found.noise + sum(np.abs(one) ** 2 for one in effects)
     if delay is not None and estimate.hold is None:
         # No jumps with commands tell whether the readings are late or the arm, as of soft tissue.
-        noise += np.abs(problem.omega * delay.delay * found.Z) ** 2
+        late = delay.measured if fit.seems_late else delay.delay
+        noise += np.abs(problem.omega * late * found.Z) ** 2
     return replace(found, noise=noise, systematics=(*found.systematics, *of_channels)), fit
 
 

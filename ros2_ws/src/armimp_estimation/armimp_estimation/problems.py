@@ -83,6 +83,7 @@ class ProblemCode(str, Enum):
     SENSORS_PERMUTED = "sensors_permuted"
     TRIALS_MIXED = "trials_mixed"
     DELAY_CORRECTED = "delay_corrected"
+    SEEMS_LATE = "seems_late"
     TIMING_REFUTED = "timing_refuted"
     LACK_OF_FIT = "lack_of_fit"
     RESPONSE_UNEVEN = "response_uneven"

@@ -65,6 +65,9 @@ _LOOKS = 2
 TAKEN = 0.15
 """Standard error of the torque that friction takes from a locked joint, relative to that torque, as
 it isn't as linear as the terms fitted to it, and may be less so if speeds aren't Gaussian."""
+_PUSHED = 0.3
+"""Friction of a locked joint that is not like a damper's, relative to that, from which on the joint
+is pushed now and then; of Gaussian speeds there is up to 0.15."""
 _HIDDEN = 0.2
 """Share of friction in an element from which on all of that share may be inertia."""
 _SLIGHT = 0.1
@@ -94,6 +97,8 @@ class RobotBalance:
     speed, relative to that which follows the speed; shape (n, n)."""
     rubbing: FloatArray
     """Apparent stiffness that friction of the perturbed joint may have, N·m/rad, shape (n,)."""
+    sticking: FloatArray
+    """Apparent inertia that friction of locked joints may have, kg·m², shape (n, n)."""
     order: tuple[int, ...]
     """Row of the commands that belongs to each joint."""
     unexplained: FloatArray
@@ -117,14 +122,15 @@ class RobotBalance:
 
         Friction of the perturbed joint that isn't like a damper may look like an inertia of B/ω at
         the upper end of the band. Where friction takes much of what moves a locked joint, it may
-        hide inertia, the more so the less it is like a damper.
+        hide inertia, the more so the less it is like a damper. Where it holds a joint between
+        pushes, it follows the perturbation.
         """
         share = np.maximum(self.friction, self.unseen)
         hidden = self.friction > _HIDDEN * (1.0 - self.undamped)
         share *= np.where(hidden, 1.0, TAKEN)
         taken = share * np.maximum(np.abs(self.M), np.abs(self.M.T))
         own = np.diag(np.abs(np.diag(self.values[1]))) / (2.0 * np.pi * BAND[1])
-        return np.asarray(taken + own)
+        return np.asarray(taken + own + self.sticking)
 
     @property
     def K(self) -> FloatArray:
@@ -199,13 +205,13 @@ class RobotResponses:
     def of(cls, records: Sequence[TrialRecord]) -> RobotResponses | None:
         """Estimate the responses of trials; None without commands, or if R⁻¹ can't be found.
 
-        Also None with too few frequencies, or if no command responds to one of the perturbations:
-        they are of other trials.
+        Also None with too few frequencies; if no command responds to one of the perturbations, as
+        of other trials; or if a command is constant, as something else, a brake, holds its joint.
         """
         channels = [
             np.concatenate([record.position, record.torque, record.command])
             for record in records
-            if record.command is not None
+            if record.command is not None and np.ptp(record.command, axis=1).all()
         ]
         if len(channels) < len(records):
             return None
@@ -311,7 +317,7 @@ class RobotResponses:
             torque,
         )
         M, B, _ = map(np.diag, fitted["values"])
-        undamped, pace = self._not_of_a_damper
+        undamped, pace, ratio = self._not_of_a_damper
         unsure = np.zeros((n, n))
         if arm is not None and calibration is not None:
             # A gain or cross-talk adds a share of a row of the arm's inertia, the scale of an
@@ -326,6 +332,7 @@ class RobotResponses:
             unseen=self.hidden.share,
             undamped=undamped,
             rubbing=np.abs(B) * np.diag(undamped) * pace,
+            sticking=np.where(undamped > _PUSHED, undamped, 0.0) * np.abs(B)[:, None] * ratio,
             order=order,
             unsure=unsure,
         )
@@ -379,7 +386,7 @@ class RobotResponses:
         }
 
     @cached_property
-    def _not_of_a_damper(self) -> tuple[FloatArray, FloatArray]:
+    def _not_of_a_damper(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Torque of friction that may follow the perturbation, but not as that of a damper does.
 
         At a Gaussian speed v friction ``f sign(v)`` is the torque of a damper plus a residual that
@@ -387,10 +394,12 @@ class RobotResponses:
         ``(mean |v| / rms v)²`` of f², which is 2/π for Gaussian speeds. What is missing of that, as
         where a joint is pushed and then sticks away from its equilibrium, may act like a spring of
         either sign. Returned relative to the damper's torque, by joint and trial; with the rms
-        speed over rms angle of each joint in its own trial, 1/s.
+        speed over rms angle of each joint in its own trial, 1/s, and over the rms acceleration of
+        the perturbed joint in each other trial, s, (n, n).
         """
         n = len(self.records)
         undamped, pace = np.zeros((n, n)), np.zeros(n)
+        speeds, changes = np.zeros((2, n))
         for joint, k in np.ndindex(undamped.shape):
             angle = self.records[k].position[joint]
             speed = speed_of(angle, self.records[k].rate, 2.0 * BAND[1])
@@ -401,7 +410,10 @@ class RobotResponses:
             undamped[joint, k] = np.sqrt(max(excess, 0.0))
             if joint == k:
                 pace[k] = rms / np.std(angle)
-        return undamped, pace
+                speeds[k] = rms**2 / np.mean(np.abs(speed))
+                changes[k] = self.records[k].rate * np.std(np.diff(speed))
+        slow = np.outer(speeds, 1.0 / np.maximum(changes, TINY)) * (1.0 - np.eye(n))
+        return undamped, pace, slow
 
 
 def _least_squares(

@@ -187,15 +187,19 @@ def _springs(robot: RobotBalance, arm: MBKFit, calibration: Calibration) -> Floa
 
 
 def _gains_in_doubt(
-    shares: FloatArray, errors: FloatArray, springs: FloatArray, calibration: Calibration
+    shares: FloatArray,
+    errors: FloatArray,
+    possible: FloatArray,
+    springs: FloatArray,
+    calibration: Calibration,
 ) -> FloatArray:
     """Standard errors of gains and, off the diagonal, of cross-talk that the balance leaves.
 
-    A significant share ρ is possible, whatever else may explain it, so it is a standard error
-    beside those assumed. So is a share that the commands could not have shown, up to `_UNCONFIRMED`
-    or, if a joint seems to have a spring, up to its stiffness relative to the arm's: that of any
-    joint, as one cause, such as a wrong unit, may spoil all gains. A declared calibration counts
-    until ρ differs from 0 by three standard errors, or the stiffness is negative, which only
+    A significant or `possible` share ρ is a standard error beside those assumed, whatever else may
+    explain it. So is a share that the commands could not have shown, up to `_UNCONFIRMED` or, if a
+    joint seems to have a spring, up to its stiffness relative to the arm's; or up to the largest ρ
+    of all joints, as one cause, such as a wrong unit, may spoil all gains. A declared calibration
+    counts until ρ differs from 0 by three standard errors, or the stiffness is negative, which only
     gravity could explain. Cross-talk counts only where it explains the residual better than a gain
     does.
     """
@@ -209,16 +213,17 @@ def _gains_in_doubt(
     if not calibration.assumed:
         significant = np.where(_may_be_spring(shares) & (shares > 0.0), 0.0, significant)
         springs, unconfirmed, cross_talk = np.minimum(springs, 0.0), 0.0 * size, 0.0
+    significant = np.maximum(significant, np.abs(possible))
     apparent, unexplained = np.abs(springs)
     apparent = np.maximum(apparent, np.diag(unconfirmed))
+    largest = float(np.max(significant))
     if calibration.assumed:
-        apparent[:] = np.max(np.append(apparent, np.diag(significant)))
-    most = np.where(own, apparent, cross_talk)
-    possible = np.minimum(np.hypot(shares, errors), most)
-    possible = np.maximum(possible, _LOADED * np.diag(unexplained))
-    return np.asarray(
-        np.minimum(np.maximum(significant, possible), np.inf if calibration.assumed else _WRONG)
-    )
+        largest = max(largest, float(np.max(apparent)))
+    else:
+        apparent, unexplained = np.minimum((apparent, unexplained), _WRONG)
+    most = np.where(own, np.maximum(apparent, largest), cross_talk)
+    hidden = np.minimum(np.hypot(shares, errors), most)
+    return np.asarray(np.maximum.reduce((significant, hidden, _LOADED * np.diag(unexplained))))
 
 
 def _may_be_spring(shares: FloatArray) -> BoolArray:
@@ -293,8 +298,8 @@ def judge_balance(
         percent, error = 100.0 * ratio[i, j], 100.0 * ratio_error[i, j]
         pair = {"name": names[i], "other": names[j], "percent": percent, "error": error}
         problems.append(problem(ProblemCode.SCALES_DIFFER, severity=Severity.NOTE, **pair))
-    doubts = _gains_in_doubt(shares, errors, _springs(balance, arm, calibration), calibration)
-    doubts = np.maximum(doubts, np.abs(possible))
+    springs = _springs(balance, arm, calibration)
+    doubts = _gains_in_doubt(shares, errors, possible, springs, calibration)
     own_shares, own_errors, own_doubts = map(np.diag, (shares, errors, doubts))
     for name, share, error, doubt in zip(names, own_shares, own_errors, own_doubts, strict=True):
         problems += _doubted(name, share, error, doubt, calibration)

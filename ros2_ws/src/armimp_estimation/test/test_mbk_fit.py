@@ -177,6 +177,15 @@ def test_bands_hold_an_impedance_that_is_late_itself_where_no_jumps_tell() -> No
     assert np.mean(np.abs(found.Z - late.Z) ** 2 > 3.0 * found.variance) < 0.05
 
 
+def test_bands_hold_the_impedance_behind_a_filter_that_nobody_declared() -> None:
+    filtered = noisy(TRUE / (1.0 + S * 0.005), np.full(F.size, 0.002))
+    errors = (5e-4 * S * TRUE, 2e-6 * S**2 * TRUE)
+    late = replace(filtered, delay_uncertainty=5e-4, delay_unknown=5e-4, systematics=errors)
+    found, fit = fit_impedance(late)
+    assert fit.seems_late
+    assert np.mean(np.abs(found.Z - TRUE) ** 2 > 3.0 * found.variance) < 0.05
+
+
 def test_a_reflex_whose_two_parts_nearly_cancel_is_in_the_standard_errors_of_B_and_K() -> None:
     noise = np.where(F < 5.0, 0.4, 10.0)
     gains = 0.28 * TWO_JOINT_ARM.B[:, :, None] * S + 0.32 * TWO_JOINT_ARM.K[:, :, None]

@@ -97,6 +97,16 @@ def test_commands_in_another_order_than_the_joints_are_put_in_order() -> None:
     np.testing.assert_allclose(told, given, rtol=1e-9)
 
 
+def test_where_brakes_hold_the_other_joints_commands_tell_nothing_of_transducers() -> None:
+    records = recorded(ROBOT, np.ones(2))
+    for k, record in enumerate(records):
+        command = known(record.command) * (np.arange(2) == k)[:, None]
+        records[k] = dataclasses.replace(record, command=command)
+    result = identified(records)
+    assert result.valid, result.problems
+    assert result.balance is None
+
+
 def test_torques_that_are_the_commands_of_the_drives_leave_a_robot_of_no_inertia() -> None:
     rng, records = np.random.default_rng(3), recorded(ROBOT, np.ones(2))
     for k, record in enumerate(records):
