@@ -565,6 +565,9 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         add(MUST, "torque gain", (f"{factor:g}", every | undeclared))
         beside: dict[str, Any] = every | undeclared | {"voluntary": 0.3}
         add(MUST, "torque gain, voluntary 0.3 N·m", (f"{factor:g}", beside))
+        if factor < 0.9:
+            exact = every | {"voluntary": 0.3}
+            add(MUST, "torque gain declared exact, voluntary 0.3 N·m", (f"{factor:g}", exact))
         for row in (0, 1):
             wrong = changed(torque=_of_row(row, _times(factor)))
             of_one = (f"{factor:g}", {"readings": wrong} | undeclared)
