@@ -114,6 +114,10 @@ def test_a_pause_of_a_quarter_of_a_second_or_another_joint_divides_what_is_infer
     pulses[0, 3000:4800] = 0.0  # two trials of the first joint
     found = infer_windows(START + np.arange(14_400, dtype=np.int64) * PERIOD_NS, 1.0 * pulses)
     assert [(one.joint, one.ticks) for one in found] == [(0, 2404), (0, 1804), (1, 6604)]
+    (few,) = infer_windows(
+        START + np.arange(2400, dtype=np.int64) * PERIOD_NS, 1.0 * pulses[:, :2400]
+    )
+    assert (few.joint, few.ticks) == (0, 1804)
 
 
 @pytest.mark.parametrize(

@@ -17,9 +17,10 @@ from armimp_estimation.problems import Problem, ProblemCode, problem
 
 PAUSE_NS: Final = 250_000_000
 """Zero perturbation for this long (ns) separates two trials if there are no statuses."""
-_PULSES, _LONGER = 8, 3.0
-"""Such pauses of one joint from which on they are those between pulses, except where one is longer
-than the median by this factor."""
+_PULSES, _FEW_PULSES, _LONGER = 8, 3, 3.0
+"""Such pauses of one joint from which on they are those between pulses, also if the joint is
+perturbed for less than a second in between; except where one is longer than the median by this
+factor."""
 
 
 MOST_TICKS: Final = 10_000_000
@@ -158,7 +159,8 @@ def infer_windows(
 
     A trial lasts from the first to the last sample with a nonzero perturbation. Another one begins
     when another joint is perturbed, or after `PAUSE_NS` without perturbation; after three times the
-    median of such pauses where a joint has eight or more, as between pulses.
+    median of such pauses where a joint has eight or more, as between pulses, or three or more and
+    is perturbed for less than a second in between.
 
     Parameters
     ----------
@@ -189,9 +191,12 @@ def infer_windows(
     joint = active.argmax(axis=0)[samples]
     pauses, other = np.diff(stamps[samples]), np.diff(joint) != 0
     divides = pauses > PAUSE_NS
+    ends = np.flatnonzero(np.append(divides | other, True))
+    lasted = np.diff(np.append(0, np.cumsum(np.append(pauses * ~(divides | other), 0))[ends]))
     for one in np.unique(joint):
         own = divides & ~other & (joint[1:] == one)
-        if np.count_nonzero(own) >= _PULSES:
+        brief = np.max(lasted[joint[ends] == one]) < NS_PER_S
+        if np.count_nonzero(own) >= (_FEW_PULSES if brief else _PULSES):
             divides[own] = pauses[own] > _LONGER * np.median(pauses[own])
     apart = np.flatnonzero(divides | other)
     require_few_trials(apart.size + 1)
