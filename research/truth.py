@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from functools import cache
 from itertools import product
 from multiprocessing import get_context
 from typing import Any
@@ -481,6 +482,7 @@ NOISE, MUST = "noise", "must"
 """A class of noise must be valid; others must not be, unless the result is right."""
 
 
+@cache
 def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 (a table)
     """All classes that are tried: kind and mismatch by name (class, magnitude)."""
     found: dict[str, tuple[str, Mismatch]] = {"ideal": (NOISE, Mismatch())}
