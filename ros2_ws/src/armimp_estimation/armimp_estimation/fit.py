@@ -152,6 +152,9 @@ class MBKFit:
     high_pass : tuple of float
         Corner of a high-pass that torques passed and angles did not, and its standard error, Hz; to
         first order. The corner is negative if angles passed it.
+    lateness : ndarray, shape (n, n)
+        Delays, s, by which torques or angles seem late, though not all alike or not quite as delays
+        make them; 0 where none is beyond what is unknown.
     functionals : ndarray, shape (n, n, 3, n_freq)
         Rows b of ``(M, B, K) = Re Σ_f conj(b_f) Z_f`` for each element.
     """
@@ -162,6 +165,7 @@ class MBKFit:
     lack: FloatArray
     lack_limit: float
     functionals: ComplexArray
+    lateness: FloatArray
     delay: CommonDelay | None = None
     high_pass: tuple[float, float] = (0.0, math.inf)
 
@@ -185,17 +189,6 @@ class MBKFit:
     def late(self) -> float:
         """Delay of the torques that was corrected, s; 0 if none was fitted."""
         return 0.0 if self.delay is None else self.delay.delay
-
-    @property
-    def seems_late(self) -> bool:
-        """Whether torques seem late, but not as delays or filters of an arm M, B and K make them.
-
-        Nevertheless, the arm is nearly of that form.
-        """
-        if self.delay is None or self.delay.delay or not self.of_form:
-            return False
-        chance = math.hypot(self.delay.error, self.delay.measured_error)
-        return abs(self.delay.measured) > _REFUTED * chance
 
     def of_row(self, joint: int, change: ComplexArray) -> FloatArray:
         """Change of M, B and K, (3, n), by a change of one row of the impedance, (n, n_freq)."""
@@ -262,22 +255,40 @@ def fit_impedance(
     found = replace(problem.estimate, bounded=0, delay_uncertainty=None)
     fitted = problem.impedance(problem.values)
     further, of_channels = squared_changes(problem, may_creep=known.linearity is None)
+    lack, limit = lack_of_fit(found, fitted), lack_limit(found.bin_correlation)
+    # What seems to be the delay of an arm of another form is mostly the arm's own.
+    sought = delay is not None and bool((lack <= limit).all())
     fit = MBKFit(
         values=problem.values,
         r2=r_squared(found.Z, fitted),
-        lack=lack_of_fit(found, fitted),
-        lack_limit=lack_limit(found.bin_correlation),
+        lack=lack,
+        lack_limit=limit,
         delay=delay,
+        lateness=_lateness(problem) if sought else np.zeros(lack.shape),
         covariance=problem.covariance(effects) + np.diag(further.ravel()),
         high_pass=high_pass(problem, fitted),
         functionals=problem.functionals,
     )
     noise = found.noise + sum(np.abs(one) ** 2 for one in effects)
+    noise += np.abs(problem.omega * fit.lateness[..., None] * found.Z) ** 2
     if delay is not None and estimate.hold is None:
         # No jumps with commands tell whether the readings are late or the arm, as of soft tissue.
-        late = delay.measured if fit.seems_late else delay.delay
-        noise += np.abs(problem.omega * late * found.Z) ** 2
+        noise += np.abs(problem.omega * delay.delay * found.Z) ** 2
     return replace(found, noise=noise, systematics=(*found.systematics, *of_channels)), fit
+
+
+def _lateness(fit: WeightedFit) -> FloatArray:
+    """Delays of single torques (rows) or angles (columns) beyond what is unknown, s, (n, m)."""
+    turned = -1j * fit.omega * fit.impedance(fit.values)
+    unknown = max(fit.estimate.delay_uncertainty or 0.0, _SUREST)
+    lateness = np.zeros(fit.shape)
+    for axis, size in enumerate(fit.shape):
+        for place in range(size):
+            of_one = np.expand_dims(np.eye(size)[place], (1 - axis, 2))
+            value, error, _ = fit.common_coefficient(turned * of_one)
+            if abs(value) > _REFUTED * math.hypot(unknown, error):
+                lateness = np.maximum(lateness, abs(value) * of_one[..., 0])
+    return lateness
 
 
 def _with_bounds_told(fit: WeightedFit) -> WeightedFit:

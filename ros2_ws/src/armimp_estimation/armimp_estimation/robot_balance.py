@@ -206,12 +206,12 @@ class RobotResponses:
         """Estimate the responses of trials; None without commands, or if R⁻¹ can't be found.
 
         Also None with too few frequencies; if no command responds to one of the perturbations, as
-        of other trials; or if a command is constant, as something else, a brake, holds its joint.
+        of other trials; or if brakes hold joints.
         """
         channels = [
             np.concatenate([record.position, record.torque, record.command])
             for record in records
-            if record.command is not None and np.ptp(record.command, axis=1).all()
+            if record.command is not None and not _braked(record)
         ]
         if len(channels) < len(records):
             return None
@@ -414,6 +414,14 @@ class RobotResponses:
                 changes[k] = self.records[k].rate * np.std(np.diff(speed))
         slow = np.outer(speeds, 1.0 / np.maximum(changes, TINY)) * (1.0 - np.eye(n))
         return undamped, pace, slow
+
+
+def _braked(record: TrialRecord) -> bool:
+    """Whether something other than the constant commands of locked joints holds them."""
+    commands, k = record.command, record.perturbed_joint
+    if commands is None or np.array_equal(commands[k], record.perturbation[k]):
+        return False  # these are no commands, but perturbations
+    return not np.ptp(np.delete(commands, k, axis=0), axis=1).all()
 
 
 def _least_squares(

@@ -250,9 +250,10 @@ def judge_estimate(
         if delay.refuted and (reading.timing is not TorqueTiming.UNKNOWN or not reading.prompt):
             code, values = ProblemCode.TIMING_REFUTED, {**values, "declared": reading.sentence}
         yield problem(code, severity=Severity.NOTE, estimator=name, **values)
-    elif delay is not None and fit.seems_late:
-        values = {"delay_ms": 1e3 * delay.measured, "error_ms": 1e3 * delay.measured_error}
-        yield problem(ProblemCode.SEEMS_LATE, severity=Severity.NOTE, estimator=name, **values)
+    for joint, late in zip(names, fit.lateness, strict=True):
+        if late.any():
+            about = {"name": joint, "delay_ms": 1e3 * float(np.max(late))}
+            yield problem(ProblemCode.SEEMS_LATE, severity=Severity.NOTE, estimator=name, **about)
 
 
 def judge_models(estimator: str, models: Mapping[str, ModelFit]) -> Iterator[Problem]:

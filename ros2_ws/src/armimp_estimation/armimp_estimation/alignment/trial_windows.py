@@ -13,6 +13,7 @@ from armimp_common.arrays import FloatArray, IntArray
 from armimp_common.errors import DataError
 from armimp_common.status import Cause, Phase, TrialStatus
 from armimp_common.topics import NS_PER_S, PERIOD_NS
+from armimp_estimation.periods import Periods
 from armimp_estimation.problems import Problem, ProblemCode, problem
 
 PAUSE_NS: Final = 250_000_000
@@ -157,10 +158,11 @@ def infer_windows(
 ) -> tuple[TrialWindow, ...]:
     """Find the trials of a recording without statuses, from its perturbation alone.
 
-    A trial lasts from the first to the last sample with a nonzero perturbation. Another one begins
-    when another joint is perturbed, or after `PAUSE_NS` without perturbation; after three times the
-    median of such pauses where a joint has eight or more, as between pulses, or three or more and
-    is perturbed for less than a second in between.
+    A trial lasts from the first to the last sample with a nonzero perturbation, or from the one
+    before if that completes a period. Another one begins when another joint is perturbed, or after
+    `PAUSE_NS` without perturbation; after three times the median of such pauses where a joint has
+    eight or more, as between pulses, or three or more and is perturbed for less than a second in
+    between.
 
     Parameters
     ----------
@@ -177,7 +179,8 @@ def infer_windows(
         If no joint is perturbed, or several are at once.
     """
     stamps, first = np.unique(stamps, return_index=True)
-    active = np.nan_to_num(perturbation[:, first]) != 0.0
+    perturbation = np.nan_to_num(perturbation[:, first])
+    active = perturbation != 0.0
     together = np.flatnonzero(active.sum(axis=0) > 1)
     if together.size:
         joints = ", ".join(str(k + 1) for k in np.flatnonzero(active[:, together[0]]))
@@ -200,19 +203,23 @@ def infer_windows(
             divides[own] = pauses[own] > _LONGER * np.median(pauses[own])
     apart = np.flatnonzero(divides | other)
     require_few_trials(apart.size + 1)
-    runs = np.split(np.arange(samples.size), apart + 1)
-    return tuple(
-        TrialWindow(
+    windows = []
+    for number, run in enumerate(np.split(np.arange(samples.size), apart + 1), 1):
+        k, start, stop = int(joint[run[0]]), int(samples[run[0]]), int(samples[run[-1]]) + 1
+        periods = Periods.of(perturbation[k, start:stop])
+        if periods is not None and periods.end - periods.used == periods.samples - 1:
+            start = max(start - 1, 0)  # a period that begins with 0, as that of a sine does
+        window = TrialWindow(
             trial=number,
-            joint=int(joint[run[0]]),
+            joint=k,
             joint_name="",
-            start_ns=int(stamps[samples[run[0]]]),
-            ticks=int(tick_numbers(stamps[samples[run[0]] : samples[run[-1]] + 1], period)[-1]) + 1,
+            start_ns=int(stamps[start]),
+            ticks=int(tick_numbers(stamps[start:stop], period)[-1]) + 1,
             seed=None,
-            ended=bool(samples[run[-1]] < stamps.size - 1),
+            ended=stop < stamps.size,
         )
-        for number, run in enumerate(runs, 1)
-    )
+        windows.append(window)
+    return tuple(windows)
 
 
 def tick_numbers(stamps: IntArray, period: float = PERIOD_NS) -> IntArray:
