@@ -317,7 +317,7 @@ class RobotResponses:
             torque,
         )
         M, B, _ = map(np.diag, fitted["values"])
-        undamped, pace, ratio = self._not_of_a_damper
+        undamped, pace, times = self._not_of_a_damper
         unsure = np.zeros((n, n))
         if arm is not None and calibration is not None:
             # A gain or cross-talk adds a share of a row of the arm's inertia, the scale of an
@@ -332,7 +332,7 @@ class RobotResponses:
             unseen=self.hidden.share,
             undamped=undamped,
             rubbing=np.abs(B) * np.diag(undamped) * pace,
-            sticking=np.where(undamped > _PUSHED, undamped, 0.0) * np.abs(B)[:, None] * ratio,
+            sticking=np.where(undamped > _PUSHED, undamped, 0.0) * np.abs(B)[:, None] * times,
             order=order,
             unsure=unsure,
         )
@@ -412,8 +412,8 @@ class RobotResponses:
                 pace[k] = rms / np.std(angle)
                 speeds[k] = rms**2 / np.mean(np.abs(speed))
                 changes[k] = self.records[k].rate * np.std(np.diff(speed))
-        slow = np.outer(speeds, 1.0 / np.maximum(changes, TINY)) * (1.0 - np.eye(n))
-        return undamped, pace, slow
+        times = np.outer(speeds, 1.0 / np.maximum(changes, TINY)) * (1.0 - np.eye(n))
+        return undamped, pace, times
 
 
 def _braked(record: TrialRecord) -> bool:
