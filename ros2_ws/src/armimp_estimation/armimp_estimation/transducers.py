@@ -40,7 +40,7 @@ _LOADED = 0.4
 """Assumption: relative standard error of a torque that seems to be that of a spring of the robot;
 in one of six rigs it is that of a cable which loads the transducer."""
 _WRONG = 0.3
-"""Assumption: largest error of a gain that was declared."""
+"""Assumption: largest error of a declared gain that only a spring of the robot puts in doubt."""
 _PULLED = 0.3
 """Assumption: negative stiffness by which gravity may pull a joint of the robot away from the
 posture, relative to the arm's stiffness."""

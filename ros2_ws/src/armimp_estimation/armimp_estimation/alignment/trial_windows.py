@@ -195,7 +195,7 @@ def infer_windows(
     pauses, other = np.diff(stamps[samples]), np.diff(joint) != 0
     divides = pauses > PAUSE_NS
     ends = np.flatnonzero(np.append(divides | other, True))
-    lasted = np.diff(np.append(0, np.cumsum(np.append(pauses * ~(divides | other), 0))[ends]))
+    lasted = stamps[samples[ends]] - stamps[samples[np.append(0, ends[:-1] + 1)]]
     for one in np.unique(joint):
         own = divides & ~other & (joint[1:] == one)
         brief = np.max(lasted[joint[ends] == one]) < NS_PER_S
@@ -207,8 +207,10 @@ def infer_windows(
     for number, run in enumerate(np.split(np.arange(samples.size), apart + 1), 1):
         k, start, stop = int(joint[run[0]]), int(samples[run[0]]), int(samples[run[-1]]) + 1
         periods = Periods.of(perturbation[k, start:stop])
-        if periods is not None and periods.end - periods.used == periods.samples - 1:
-            start = max(start - 1, 0)  # a period that begins with 0, as that of a sine does
+        lacks_one = periods is not None and periods.end - periods.used == periods.samples - 1
+        rested = start > 0 and not active[:, start - 1].any()
+        if lacks_one and rested and stamps[start] - stamps[start - 1] < _MISSING * period:
+            start -= 1  # a period that begins with 0, as that of a sine does
         window = TrialWindow(
             trial=number,
             joint=k,
