@@ -32,6 +32,8 @@ _ENOUGH = 19
 """Degrees of freedom with which noise counts as well known: those of windows of 25 bins."""
 _NEIGHBOURS = 1.1
 """Largest distance over which noise levels are averaged, Hz."""
+# Ratio of standard errors of a response with and without its changes over frequency, at most.
+_DEARER = 1.5
 # Ratio of diagonal elements of the triangular factor below which regressors count as collinear.
 _DEGENERATE = 1e-9
 # Lines on either side over which a polynomial is fitted, and over which its scatter is averaged.
@@ -246,6 +248,44 @@ def local_response(
             "multisines of all trials need the same ones"
         )
     return found if perturbed.all() else found.at(perturbed)
+
+
+def response_at_sines(
+    source: FloatArray,
+    outputs: FloatArray,
+    rate: float,
+    f: FloatArray,
+    half_width: int,
+    mix: Mix | None = None,
+) -> LocalResponse:
+    """Estimate as :func:`local_response` does, if the input is a sum of a few sines near `f`, Hz.
+
+    A sine between two bins is in all of them, as the inverse of the distance. Times that distance
+    it is a constant, like leakage. So a sine that is alone in its window doesn't tell how the
+    response changes with frequency, and such terms take part only where they are told.
+    """
+    samples, window = source.size, 2 * half_width + 1
+    centres = f * (samples / rate)
+    bins = np.rint(centres).astype(np.intp)
+    first = np.clip(bins - half_width, 1, (samples - 1) // 2 - window + 1)
+    places = first[:, None] + np.arange(window)
+    powers = ((places - centres[:, None]) / half_width)[:, :, None] ** np.arange(ORDER + 1)
+    inputs = _transform(source)[places]
+    scale = np.linalg.norm(inputs, axis=1)[:, None] / np.sqrt(window)
+    changing = (inputs / scale)[:, :, None] * powers
+    columns = np.concatenate((changing, powers), axis=2)
+    columns[:, :, 1 : ORDER + 1] = 0.0
+    largest = _DEARER * np.linalg.norm(np.linalg.pinv(columns)[:, 0], axis=1)
+    for order in range(1, ORDER + 1):
+        columns[:, :, order] = changing[:, :, order]
+        dear = np.linalg.norm(np.linalg.pinv(columns)[:, 0], axis=1) > largest
+        columns[dear, :, order] = 0.0
+    inverse = np.linalg.pinv(columns)
+    observed = _observed(outputs, rate, places, mix)
+    residual = observed - columns @ (inverse @ observed)
+    freedom = window - np.count_nonzero(columns.any(axis=1), axis=1)
+    width = window * float(rate / samples)
+    return _assembled(f, inverse[:, 0] / scale, observed, residual, freedom, first, width)
 
 
 def _periodic_response(

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from functools import reduce
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from armimp_common.arrays import EPS, ComplexArray, FloatArray
 from armimp_common.errors import DataError
@@ -15,6 +16,7 @@ from armimp_estimation.estimators.local_polynomial import (
     LocalResponse,
     Mix,
     local_response,
+    response_at_sines,
 )
 from armimp_estimation.estimators.welch import invert, multiply
 from armimp_estimation.fit import fit_mbk
@@ -48,6 +50,9 @@ In shorter records, whose bins are wider, fewer bins take part."""
 _MOST_BINS = 36
 """Bins on either side at most: leakage then takes 1 of 24 parts of what a window tells. A periodic
 perturbation has fewer windows, which may be wider."""
+_APART, _ALONE, _SPARSE = 3, 0.75, 12
+"""For :func:`_sines`: bins on either side that belong to a sine, share of power that is next to
+sines, at least, and bins of the band for each, at least."""
 _FLOOR = 0.0003
 """Relative error that the M-B-K fit adds in quadrature to that of each value for its weight."""
 _BY_CHANCE, _SCATTER = 1.1, 2.5
@@ -273,8 +278,8 @@ def responses(
 ) -> list[LocalResponse]:
     """Estimate the responses of trials to their perturbations, all at the same frequencies.
 
-    These are the lines that periodic perturbations have in common, or the bins of the shortest
-    trial, less those at which a perturbation has no power.
+    These are the lines that periodic perturbations or sums of a few sines have in common, or the
+    bins of the shortest trial, less those at which a perturbation has no power.
 
     Parameters
     ----------
@@ -296,6 +301,7 @@ def responses(
     """
     rate = records[0].rate
     lines = common_lines((record.periods for record in records), rate, band)
+    sines = _sines(records, band) if lines is None else None
     if lines is not None:
         f = lines
     elif f is None:
@@ -305,7 +311,11 @@ def responses(
         periods = None if lines is None else record.periods
         width = _half_width(record.duration, periodic=periods is not None)
         source = record.perturbation[record.perturbed_joint]
-        columns.append(local_response(source, signals, rate, band, f, width, periods, mix))
+        columns.append(
+            local_response(source, signals, rate, band, f, width, periods, mix)
+            if sines is None
+            else response_at_sines(source, signals, rate, sines, width, mix)
+        )
     shared: FloatArray = reduce(lambda f, g: f[among(f, g)], [one.f for one in columns])
     if shared.size < FEWEST_FREQUENCIES:
         raise DataError(
@@ -328,13 +338,34 @@ def _bins(records: Sequence[TrialRecord], band: tuple[float, float]) -> FloatArr
     return bins_in_band(shortest, rate, *band).astype(np.float64) * float(rate / shortest)
 
 
-def _strongest(records: Sequence[TrialRecord]) -> FloatArray:
-    """Bin with the strongest perturbations in each of `_REFERENCE_BINS` parts of the band, Hz."""
-    f = _bins(records, BAND)
+def _strength(records: Sequence[TrialRecord], f: FloatArray) -> FloatArray:
+    """Amplitude of the weakest perturbation at each frequency, (n_freq,)."""
     strength = np.full(f.size, np.inf)
     for record in records:
         amplitudes = np.abs(np.fft.rfft(record.perturbation[record.perturbed_joint]))
         strength = np.minimum(strength, amplitudes[np.rint(f * record.duration).astype(np.intp)])
+    return strength
+
+
+def _sines(records: Sequence[TrialRecord], band: tuple[float, float]) -> FloatArray | None:
+    """Bins, Hz, that are next to the frequencies of a few sines, if perturbations are sums of them.
+
+    Within three bins of such a bin, nearly all power is at it and its neighbours.
+    """
+    f = _bins(records, band)
+    power = _strength(records, f) ** 2
+    around = sliding_window_view(np.pad(power, _APART), 2 * _APART + 1)
+    near = np.sum(around[:, _APART - 1 : _APART + 2], axis=1)
+    sines = (power == np.max(around, axis=1)) & (near > _ALONE * np.sum(around, axis=1))
+    count, total = np.count_nonzero(sines), float(np.sum(power))
+    few = count >= FEWEST_FREQUENCIES and _SPARSE * count <= f.size
+    return f[sines] if few and np.sum(near[sines]) > _ALONE * total else None
+
+
+def _strongest(records: Sequence[TrialRecord]) -> FloatArray:
+    """Bin with the strongest perturbations in each of `_REFERENCE_BINS` parts of the band, Hz."""
+    f = _bins(records, BAND)
+    strength = _strength(records, f)
     parts = np.array_split(np.arange(f.size), max(min(_REFERENCE_BINS, f.size), 1))
     return f[[part[np.argmax(strength[part])] for part in parts if part.size]]
 
