@@ -450,6 +450,23 @@ def _then_without_commands(
     return lambda recording: _without_commands(change(recording))
 
 
+def _of_trial(
+    joint: int, change: Callable[[Recording], Recording]
+) -> Callable[[Recording], Recording]:
+    """Change the trial that perturbs one joint alone."""
+    return lambda recording: change(recording) if recording.joint == joint else recording
+
+
+def _about_mean(change: Change) -> Change:
+    """Change the motion about the posture."""
+
+    def apply(angle: FloatArray) -> FloatArray:
+        posture = angle.mean(axis=1, keepdims=True)
+        return np.asarray(posture + change(angle - posture))
+
+    return apply
+
+
 def _first_lost(recording: Recording) -> Recording:
     return replace(recording, command_shift=1)
 
@@ -574,6 +591,22 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
             wrong = changed(torque=_of_row(row, _times(factor)))
             of_one = (f"{factor:g}", {"readings": wrong} | undeclared)
             add(MUST, f"torque gain of joint {row + 1}", of_one)
+    for factor in (0.8, 1.1, 1.2):
+        for size, trial in product((0.0, 0.3), (0, 1)):
+            for name, by_trial in (
+                ("torque", _times(factor)),
+                ("position", _about_mean(_times(factor))),
+            ):
+                anew = {
+                    "readings": _of_trial(trial, changed(**{name: by_trial})),
+                    "voluntary": size,
+                }
+                add(MUST, f"{name} of trial {trial + 1} x{factor:g}", (f"{size:g} N·m", anew))
+    for trial in (0, 1):
+        other_order = _of_trial(
+            trial, changed(position=_about_mean(lambda values: values[::-1].copy()))
+        )
+        add(MUST, f"angles of trial {trial + 1} swapped", ("", {"readings": other_order}))
     for share in (0.7, 0.9, 1.1):
         model = {"friction": 0.0, "readings": _computed(share)}
         add(MUST, "torque computed from the command", (f"{share:g}", model))
@@ -774,6 +807,9 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         for size in (0.0, 0.1, 0.3, 1.0):
             sparse: dict[str, Any] = {"waveform": waveform, "voluntary": size}
             add(MUST, waveform, (f"{size:g} N·m", sparse | {"cutoff": 15.0}))
+    for count, size in ((8, 0.3), (12, 0.0), (15, 0.0), (15, 0.3)):
+        few = {"waveform": f"sines {count}", "voluntary": size, "cutoff": 15.0}
+        add(NOISE, "few sines", (f"{count}, {size:g} N·m", few))
     for size, stiff in ((0.2, 500.0), (0.5, 2000.0), (1.0, 1e4)):
         add(
             NOISE,

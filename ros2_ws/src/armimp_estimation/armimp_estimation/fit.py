@@ -34,6 +34,8 @@ from armimp_estimation.weights import real_sums, root_of
 
 _REFUTED = 4.0
 """Standard errors by which a fitted delay refutes the prior."""
+_BEYOND_CHANCE = 3.0
+"""Standard errors from which on a single torque or angle seems late."""
 _SUREST = 20e-6
 """Least standard error of the prior of the delay in that test, s."""
 _LATEST = 0.02
@@ -258,37 +260,40 @@ def fit_impedance(
     lack, limit = lack_of_fit(found, fitted), lack_limit(found.bin_correlation)
     # What seems to be the delay of an arm of another form is mostly the arm's own.
     sought = delay is not None and bool((lack <= limit).all())
+    every, clear = _lateness(problem) if sought else np.zeros((2, *lack.shape))
     fit = MBKFit(
         values=problem.values,
         r2=r_squared(found.Z, fitted),
         lack=lack,
         lack_limit=limit,
         delay=delay,
-        lateness=_lateness(problem) if sought else np.zeros(lack.shape),
+        lateness=clear,
         covariance=problem.covariance(effects) + np.diag(further.ravel()),
         high_pass=high_pass(problem, fitted),
         functionals=problem.functionals,
     )
     noise = found.noise + sum(np.abs(one) ** 2 for one in effects)
-    noise += np.abs(problem.omega * fit.lateness[..., None] * found.Z) ** 2
+    noise += np.abs(problem.omega * every[..., None] * found.Z) ** 2
     if delay is not None and estimate.hold is None:
         # No jumps with commands tell whether the readings are late or the arm, as of soft tissue.
         noise += np.abs(problem.omega * delay.delay * found.Z) ** 2
     return replace(found, noise=noise, systematics=(*found.systematics, *of_channels)), fit
 
 
-def _lateness(fit: WeightedFit) -> FloatArray:
-    """Delays of single torques (rows) or angles (columns) beyond what is unknown, s, (n, m)."""
+def _lateness(fit: WeightedFit) -> tuple[FloatArray, FloatArray]:
+    """Delays of single torques (rows) or angles (columns), s, and those that stand out, (n, m)."""
     turned = -1j * fit.omega * fit.impedance(fit.values)
-    unknown = max(fit.estimate.delay_uncertainty or 0.0, _SUREST)
-    lateness = np.zeros(fit.shape)
+    unknown = fit.estimate.delay_uncertainty or 0.0
+    every, clear = np.zeros((2, *fit.shape))
     for axis, size in enumerate(fit.shape):
         for place in range(size):
             of_one = np.expand_dims(np.eye(size)[place], (1 - axis, 2))
             value, error, _ = fit.common_coefficient(turned * of_one)
-            if abs(value) > _REFUTED * math.hypot(unknown, error):
-                lateness = np.maximum(lateness, abs(value) * of_one[..., 0])
-    return lateness
+            late = abs(value) * of_one[..., 0]
+            every = np.maximum(every, late)
+            if abs(value) > max(unknown, _BEYOND_CHANCE * math.hypot(_SUREST, error)):
+                clear = np.maximum(clear, late)
+    return every, clear
 
 
 def _with_bounds_told(fit: WeightedFit) -> WeightedFit:

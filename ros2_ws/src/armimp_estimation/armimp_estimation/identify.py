@@ -56,7 +56,12 @@ class EstimatorResult:
     """Models of the arm that were fitted in addition to M, B and K, by name."""
 
     def with_doubts(
-        self, shifts: Sequence[FloatArray], gains: FloatArray, *, may_be_filtered: bool
+        self,
+        shifts: Sequence[FloatArray],
+        gains: FloatArray,
+        scales: FloatArray,
+        *,
+        may_be_filtered: bool,
     ) -> EstimatorResult:
         """Return the result with what is in doubt of its sensors and its arm in its errors.
 
@@ -67,6 +72,8 @@ class EstimatorResult:
         gains : ndarray, shape (n, n)
             Relative standard errors of gains and cross-talk: row i is the transducer, column l the
             joint whose torque it may show.
+        scales : ndarray, shape (n,)
+            Relative standard errors of whole columns, as of all torques of a trial.
         may_be_filtered : bool
             Whether nobody declared how torques are read, or they don't balance the commands. An arm
             that is not M, B and K can then not be told from one that is, behind a filter: the
@@ -85,6 +92,11 @@ class EstimatorResult:
             followed = self.estimate.Z - problem.impedance(fit.values)
             beyond = followed + problem.impedance(problem.below()[0])
             noise += np.maximum(np.abs(_FOLLOWED * followed), np.abs(beyond)) ** 2
+        for column in np.flatnonzero(scales):
+            shift = np.zeros_like(found)
+            shift[:, :, column] = scales[column] * found[:, :, column]
+            changes.append(shift)
+            noise[:, column] += np.abs(scales[column] * self.estimate.Z[:, column]) ** 2
         estimate = replace(self.estimate, noise=noise)
         return replace(self, fit=fit.with_doubts(changes), estimate=estimate)
 
@@ -235,20 +247,20 @@ def identify(
     if known.calibration.assumed:
         parts = ("gain", "cross_talk", "angle")
         assumed = {one: 100.0 * getattr(known.calibration, one) for one in parts}
-        code = ProblemCode.CALIBRATION_ASSUMED
-        problems.append(problem(code, severity=Severity.NOTE, **assumed))
+        problems.append(problem(ProblemCode.CALIBRATION_ASSUMED, severity=Severity.NOTE, **assumed))
     hold = best.estimate.hold if best.estimate.unbiased else update_jump(records)
     balance = (
         None
         if responses is None
         else responses.balance(order, hold, best.fit, known.calibration, apart)
     )
-    robot = known.robot_of(len(names))
-    unbalanced, gains = judge_balance(names, balance, best.fit, known.calibration, robot)
-    doubts = [] if balance is None else balance.scales_in_doubt(best.fit)
+    unbalanced, gains, scales = judge_balance(
+        names, balance, best.fit, known.calibration, known.robot_of(len(names))
+    )
+    doubts: list[FloatArray] = []
     deviating: Sequence[Mapping[str, Deviation]] = [{} for _ in records]
     if best.estimate.unbiased:
-        of_motion, nonlinear, sensors, deviating = judge_linearity(
+        linear = judge_linearity(
             best.estimate.posed or records,
             best.estimate,
             best.fit,
@@ -257,9 +269,11 @@ def identify(
             linearity=known.calibration.linearity,
         )
         of_postures, changes = other_postures(records, best.fit, apart)
-        problems += [*of_motion, *of_postures]
-        doubts += [*nonlinear, *changes]
-        gains = np.hypot(gains, np.diag(sensors))
+        problems += [*linear.problems, *of_postures]
+        doubts += [*linear.doubts, *changes]
+        gains, deviating = np.hypot(gains, np.diag(linear.gain)), linear.own
+        noise = best.estimate.noise + linear.noise
+        results[deciding[0]] = replace(best, estimate=replace(best.estimate, noise=noise))
         if known.calibration.assumed:
             doubts += mixed_channels(best.fit, known.calibration)
     problems += [*unbalanced, *judge_answers(names, records, balance, best.fit)]
@@ -286,7 +300,9 @@ def identify(
             for k in range(len(names))
         ),
         estimators={
-            name: one.with_doubts(doubts, gains, may_be_filtered=undeclared or bool(unexplained))
+            name: one.with_doubts(
+                doubts, gains, scales, may_be_filtered=undeclared or bool(unexplained)
+            )
             for name, one in results.items()
         },
         problems=tuple(problems),

@@ -103,7 +103,8 @@ class Term:
     that is lost, the half width per coefficient that is found from readings with that loss."""
     rest: float = 1.0
     """Ratio of the change of M, B and K from rest to the one that the regressor looks like. Fitted
-    to ``θ |θ|``, the excess of a Gaussian angle has 1/1.75 of the stiffness of that spring."""
+    to ``θ |θ|``, the excess of a Gaussian angle has 1/1.75 of the stiffness of that spring; so has
+    half of the rms, fitted to a cube that levels off at 1.25 times the rms."""
     large: float = 0.1
     """Share beyond which stiffness, or M, B and K, hold for this motion or time alone; change of
     the gain beyond which a transducer is unusable. Smaller shares are part of the standard errors,
@@ -213,6 +214,7 @@ TERMS: Mapping[str, Term] = {
         bend=lambda signals: np.clip(signals.angle, -_REST, _REST),
         code=ProblemCode.DEPENDS_ON_AMPLITUDE,
         slope=-1.0,
+        rest=1.75,
         large=0.03,
         likely=0.3,
         sizes=(0.03, 0.1, 0.3, 1.0),

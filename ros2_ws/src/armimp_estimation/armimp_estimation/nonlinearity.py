@@ -88,6 +88,9 @@ transducer."""
 _MIXED = 0.7
 """The same for an arm that changes over time. Under a single sweep each frequency has its own time,
 so that it looks like another arm that doesn't change; other perturbations leave 0.87 or more."""
+_COUPLED = 0.1
+"""Assumption: prior probability of terms of the coupling of two joints that count for a joint
+itself only where lines determine them."""
 _UNKNOWN = 1e-6
 """Coefficient of which nothing is known, N·m: so small that all changes are in proportion to it."""
 
@@ -229,6 +232,8 @@ def deviations(residual: Residual) -> list[dict[str, Deviation]]:
                 sudden = _deviation(name, regression.sudden(term), column[joint], terms)
                 if abs(sudden.share) > _LEFT:
                     one = max(one, sudden, key=lambda each: each.coefficient.errors())
+            if joint != k and term.lines_alone:
+                one = replace(one, term=replace(term, lines_alone=False, likely=_COUPLED))
             found[joint][name] = one
     return found
 
@@ -540,6 +545,23 @@ def _deviation(name: str, found: Coefficient, own: FloatArray, terms: _Terms) ->
     )
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Linearity:
+    """How far arm and transducers are linear, and what that adds to the standard errors."""
+
+    problems: list[Problem]
+    """What is significant."""
+    doubts: list[FloatArray]
+    """Uncertain changes of M, B and K, one standard error each, independent of each other; each of
+    shape (3, n, n)."""
+    noise: FloatArray
+    """Variance of the impedance by torques that are lost or held, shape (n, n, n_freq)."""
+    gain: FloatArray
+    """Relative standard errors of the gains of the transducers, shape (n,)."""
+    own: list[dict[str, Deviation]]
+    """What was found at each perturbed joint, as of :func:`deviations`."""
+
+
 def judge_linearity(
     records: Sequence[TrialRecord],
     estimate: ImpedanceEstimate,
@@ -548,7 +570,7 @@ def judge_linearity(
     *,
     resolved: BoolArray,
     linearity: float | None,
-) -> tuple[list[Problem], list[FloatArray], FloatArray, list[dict[str, Deviation]]]:
+) -> Linearity:
     """Judge how far arm and transducers are linear, and what that adds to the standard errors.
 
     Parameters
@@ -566,16 +588,6 @@ def judge_linearity(
         that they do not resolve may look nonlinear, so what is found then is a note, not an error.
     linearity : float or None
         That of the :class:`armimp_estimation.fit.Calibration`, N·m.
-
-    Returns
-    -------
-    problems : list of Problem
-    doubts : list of ndarray, shape (3, n, n)
-        Uncertain changes of M, B and K, one standard error each, independent of each other.
-    gain : ndarray, shape (n,)
-        Relative standard errors of the gains of the transducers.
-    own : list of dict of str to Deviation
-        What was found at each perturbed joint, as of :func:`deviations`.
     """
     n = len(records)
     found, excess = [[dict[str, Deviation]()] * n] * n, np.zeros((3, n, n))
@@ -585,14 +597,16 @@ def judge_linearity(
             found[k], excess[:, :, k] = deviations(residual), _bursts(residual)
     weighed = list(_weighed(found, declared=linearity is not None))
     doubts = list(np.einsum("pij,jk->kpij", excess * fit.errors, np.eye(n)))
-    gain, scale = np.zeros(n), np.zeros(n)
+    gain, scale, noise = np.zeros(n), np.zeros(n), np.zeros(estimate.noise.shape)
 
     def of_torque(joint: int, trial: int, torque: FloatArray) -> FloatArray:
         """Change of M, B and K by a torque of one joint in one trial."""
         shift = np.zeros((3, n, n))
         if estimate.inverse is not None:
             answer = Band(records[trial].whole_periods, WIDE).response(torque, estimate.f)
-            shift[:, joint] = fit.of_row(joint, answer * estimate.inverse[trial])
+            change = answer * estimate.inverse[trial]
+            shift[:, joint] = fit.of_row(joint, change)
+            noise[joint] += np.abs(change) ** 2
         return shift
 
     for k, i, one, doubt, _ in weighed:
@@ -617,7 +631,7 @@ def judge_linearity(
         doubts.append(lost)
     jumps_known = jump is not None or records[0].reading.without_jumps
     problems = list(_problems(records, weighed, resolved, jumps_known=jumps_known))
-    return problems, doubts, gain, own
+    return Linearity(problems=problems, doubts=doubts, noise=noise, gain=gain, own=own)
 
 
 _Weighed: TypeAlias = tuple[int, int, Deviation, float, bool]

@@ -71,7 +71,7 @@ is pushed now and then; of Gaussian speeds there is up to 0.15."""
 _HIDDEN = 0.2
 """Share of friction in an element from which on all of that share may be inertia."""
 _SLIGHT = 0.1
-"""Share of an element that friction of locked joints takes, below which it hardly bends that."""
+"""Share of an element that friction of locked joints takes, up to which it hardly bends that."""
 NOTICED = 3.0
 """Standard errors from which on the scales of two encoders seem to differ."""
 
@@ -157,28 +157,25 @@ class RobotBalance:
         """Relative difference of M_ij and M_ji, and its standard error, (n, n).
 
         As the inertia is symmetric, it is that between the scales of encoders j and i. It is 0
-        with an infinite error where friction of locked joints takes a tenth of an element or more.
-        Less friction is taken as viscous: as a spring it would look too much like an inertia.
+        with an infinite error on the diagonal. Friction of locked joints is taken as viscous: as a
+        spring it would look too much like an inertia. What it takes beyond a tenth of an element
+        is an error.
         """
         M, error = self.damped
         taken = np.maximum(self.friction, self.unseen)
-        slight = (np.maximum(taken, taken.T) < _SLIGHT) & ~np.eye(len(taken), dtype=np.bool_)
         size = np.maximum(np.minimum(np.abs(M), np.abs(M.T)), TINY)
         error = np.hypot(error, np.hypot(self._inertia_hidden, self.unsure))
-        error = np.hypot(error, error.T)
-        return (
-            np.where(slight, (M - M.T) / size, 0.0),
-            np.where(slight, error / size, np.inf),
-        )
+        error = np.hypot(error, np.maximum(taken - _SLIGHT, 0.0) * np.maximum(np.abs(M), size))
+        ratio, error = (M - M.T) / size, np.hypot(error, error.T) / size
+        np.fill_diagonal(error, np.inf)
+        return ratio, error
 
-    def scales_in_doubt(self, arm: MBKFit) -> list[FloatArray]:
-        """Changes of M, B and K, (3, n, n), one for each scale of two that seem to differ."""
+    @property
+    def scales_in_doubt(self) -> FloatArray:
+        """Relative standard errors, (n,), of scales of encoders that seem to differ."""
         ratio, error = self.scales
-        matrices, changes = arm.values, []
-        for i, j in np.argwhere(np.abs(ratio) > NOTICED * error):
-            changes.append(np.zeros_like(matrices))
-            changes[-1][:, :, j] = ratio[i, j] * matrices[:, :, j]
-        return changes
+        seeming = np.where(np.abs(ratio) > NOTICED * error, ratio, 0.0)
+        return np.asarray(np.linalg.norm(seeming, axis=0))
 
     @property
     def errors(self) -> FloatArray:

@@ -226,6 +226,24 @@ def _gains_in_doubt(
     return np.asarray(np.maximum.reduce((significant, hidden, _LOADED * np.diag(unexplained))))
 
 
+def _trials_in_doubt(
+    shares: FloatArray, errors: FloatArray, springs: FloatArray, calibration: Calibration
+) -> FloatArray:
+    """Relative standard errors, (n,), of torques of each trial, as of an amplifier set anew.
+
+    A gain that differs in one trial shows as the stiffness of the joint that is perturbed there,
+    and as shares of the other joints, given with their standard errors. Of a declared calibration
+    only negative stiffness is no spring of the robot.
+    """
+    if not calibration.assumed:
+        springs = np.maximum(np.minimum(springs, 0.0), -_WRONG)
+    n = len(shares)
+    if n == 1:
+        return np.zeros(1)
+    others = np.where(np.eye(n, dtype=np.bool_), np.inf, np.hypot(shares, errors))
+    return np.asarray(np.minimum(np.abs(springs), (n - 1) * np.min(others, axis=1)))
+
+
 def _may_be_spring(shares: FloatArray) -> BoolArray:
     """Where a single joint's share may be a spring or gravity, as no other elements decide that."""
     return np.asarray((np.abs(shares) < 1.0) & (len(shares) == 1))
@@ -243,7 +261,7 @@ def judge_balance(
     arm: MBKFit,
     calibration: Calibration,
     known: tuple[FloatArray, float] | None = None,
-) -> tuple[list[Problem], FloatArray]:
+) -> tuple[list[Problem], FloatArray, FloatArray]:
     """Find transducers and commands that don't balance.
 
     `arm` is fitted to the same trials. `balance` is None if no commands of them confirm gains.
@@ -256,11 +274,13 @@ def judge_balance(
     doubts : ndarray, shape (n, n)
         Relative standard errors of gains and cross-talk, see `_gains_in_doubt`; all 0 where a
         transducer is refused.
+    trials : ndarray, shape (n,)
+        Relative standard errors of all torques, or angles, of each trial in the same case.
     """
     if balance is None:
         doubt = max(_UNCONFIRMED, calibration.gain) if calibration.assumed else 0.0
         unconfirmed = [_unconfirmed(name, doubt) for name in names if doubt > 0.0]
-        return unconfirmed, doubt * np.eye(len(names))
+        return unconfirmed, doubt * np.eye(len(names)), np.zeros(len(names))
     problems, wrong = [], []
     if balance.order != tuple(range(len(names))):
         order = ", ".join(names[row] for row in np.argsort(balance.order))
@@ -292,7 +312,7 @@ def judge_balance(
     if known is not None:
         problems += _unlike(names, balance, *known)
     if wrong:
-        return problems, np.zeros(own.shape)
+        return problems, np.zeros(own.shape), np.zeros(len(names))
     ratio, ratio_error = balance.scales
     for i, j in np.argwhere(np.triu(np.abs(ratio) > NOTICED * ratio_error)):
         percent, error = 100.0 * ratio[i, j], 100.0 * ratio_error[i, j]
@@ -303,7 +323,8 @@ def judge_balance(
     own_shares, own_errors, own_doubts = map(np.diag, (shares, errors, doubts))
     for name, share, error, doubt in zip(names, own_shares, own_errors, own_doubts, strict=True):
         problems += _doubted(name, share, error, doubt, calibration)
-    return problems, doubts
+    trials = _trials_in_doubt(own_shares, own_errors, springs[0], calibration)
+    return problems, doubts, np.hypot(trials, balance.scales_in_doubt)
 
 
 def _unlike(

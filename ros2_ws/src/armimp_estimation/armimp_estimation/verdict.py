@@ -43,8 +43,9 @@ _SUREST = 1e-6
 """Least standard error that any delay is taken to have, s."""
 SINGLE = "welch_siso"
 """The estimator that takes locked joints as still."""
-_CLEARLY = 2.0
-"""Ratio of the motion of another joint to that of the perturbed one that is clearly too large."""
+_CLEARLY, _IMPOSSIBLY = 2.0, 10.0
+"""Ratio of the motion of another joint to that of the perturbed one that is clearly too large, and
+that is too large for any arm."""
 _AS_MUCH, _FOLLOWS = 0.1, 0.5
 """Motion or torque of a joint relative to that in its own trial, and coherence with the
 perturbation of its own trial, from which on a channel belongs to that trial."""
@@ -109,15 +110,17 @@ def judge_order(names: Sequence[str], lock_ratio: FloatArray) -> Iterator[Proble
 
     A joint that is lighter and gives way may move more than the perturbed one. But the energy that
     joints store and lose would be negative if each of two joints moved more while the other one is
-    perturbed, or several joints in a cycle. `lock_ratio` has the shape (n, n), with row i of the
-    joint that moves and column k of the perturbed one.
+    perturbed, or several joints in a cycle. And no joint that is held moves ten times as much: that
+    is the perturbed one, in a trial whose angles are in another order. `lock_ratio` has the shape
+    (n, n), with row i of the joint that moves and column k of the perturbed one.
     """
     if np.isnan(lock_ratio).any():
         return
     most = np.argmax(lock_ratio, axis=0).tolist()
     moved = [k for k, most_moved in enumerate(most) if most_moved != k]
-    clear = (np.max(lock_ratio, axis=0)[moved] > _CLEARLY).all()
-    if moved and clear and len(set(most)) == len(names):
+    ratios = np.max(lock_ratio, axis=0)[moved]
+    cycle = (ratios > _CLEARLY).all() and len(set(most)) == len(names)
+    if moved and (cycle or (ratios > _IMPOSSIBLY).any()):
         perturbed = ", ".join(names[k] for k in moved)
         moving = ", ".join(names[most[k]] for k in moved)
         yield problem(ProblemCode.SENSORS_PERMUTED, perturbed=perturbed, moving=moving)
